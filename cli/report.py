@@ -48,5 +48,9 @@ def report(results: Results, request: ReportRequest) -> Report:
 
 
 def _tables(made: "ReportedResults") -> list[TextTable]:
-    lines = [line for row in made.rows() for line in (f"{row['title']} ({row['file']})", f"  {row['answer']}")]
+    lines = [
+        line
+        for row in made.rows()
+        for line in (f"{row['title']} ({row['file']})", f"  {row['answer']}", f"  Trust: {row['trust']}")
+    ]
     return [TextTable([], [], title=made.page.title, notes=lines)]

@@ -6,6 +6,7 @@ writes to the same name.
 """
 
 import contextlib
+import errno
 import glob
 import os
 import shutil
@@ -23,7 +24,7 @@ from lunarsci.errors import OutputError
 Content = bytes | Iterable[bytes]
 STOPPING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+_AT_FDCWD, _RENAME_NOREPLACE, _RENAME_EXCHANGE = -100, 1, 2
 """Of Linux, <fcntl.h> and renameat2(2)."""
 _written: list[Path] = []
 
@@ -132,6 +133,7 @@ def written_whole(path: Path, *, force: bool = False) -> Iterator[Path]:
     process may write it at a time. Without `force` an existing target is never replaced. Raises OutputError.
     """
     check_target(path, force=force)
+    _clear_after_the_killed(path, path.parent)
     temporary = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         yield temporary
@@ -252,14 +254,19 @@ def _put_aside(path: Path) -> Path:
 
 def _swap(one: Path, other: Path) -> bool:
     """Swap the names of two folders in one step; False where the system cannot."""
+    return _rename_as(one, other, _RENAME_EXCHANGE) == 0
+
+
+def _rename_as(one: Path, other: Path, how: int) -> int | None:
+    """Linux's rename with a flag: 0, or the number of the error; None where the system has none."""
     import ctypes
 
     try:
-        rename = ctypes.CDLL(None).renameat2
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):
-        return False
+        return None
     names = (_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other))
-    return bool(rename(*names, _RENAME_EXCHANGE) == 0)
+    return 0 if rename(*names, how) == 0 else ctypes.get_errno()
 
 
 def _new_beside(path: Path) -> tuple[int, Path]:
@@ -306,7 +313,12 @@ def _clear_after_the_killed(path: Path, beside: Path) -> None:
 
 
 def _rename_exclusively(temporary: Path, path: Path) -> None:
+    """In one step where the system can, so that no second name is left of it."""
+    if (code := _rename_as(temporary, path, _RENAME_NOREPLACE)) == 0:
+        return
     try:
+        if code == errno.EEXIST:
+            raise FileExistsError
         os.link(temporary, path)
     except FileExistsError as error:
         raise OutputError(f"{path}: appeared while the result was computed; it was left as it is") from error

@@ -5,6 +5,7 @@ Soil and errors are layers beside the heights, under their own names.
 
 import math
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input, text, unheard
 from lunarsci.names import one_of
 from lunarsci.printable import shortened
@@ -36,8 +37,17 @@ NUMPY_ERRORS = (
     ValueError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 """What `numpy.load` raises of a damaged file."""
+STEEPEST_DEG = 45.0
+"""Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. Assumed. [deg]"""
+LONE_STEP = 10.0
+"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down. Assumed.
+[spacings]"""
+LARGEST_STEP = 100.0
+"""From a node to a neighbour; walls may be steep, but not so high. Assumed. [spacings]"""
+_SLOPES_OF = 1_000_000
+"""Nodes at most that the median slope is taken of."""
 EVEN = 1e-4
-"""How evenly nodes must be spaced, as a share of the spacing."""
+"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""
 
@@ -106,6 +116,41 @@ def _check_heights(path: str, height_m: FloatArray) -> None:
             f"{path}: a height of {wrong:g} m, {off.max() / 1e3:.0f} km from the median; the whole Moon spans 20 km; "
             "name the value that stands for no data (NODATA_value, nodata), or give heights in m"
         )
+
+
+def check_relief(path: str | Path, height_m: FloatArray, spacing_m: float) -> None:
+    """Heights that are likely in another unit, or none: DataError where more than half of the ground is steeper than
+    any that is loose, a warning where nodes lie far off their neighbours."""
+    skip = 1 + height_m.size // _SLOPES_OF
+    rows = height_m[:-1:skip]
+    along, across = np.diff(rows, axis=1), (height_m[1::skip] - rows)[:, :-1]
+    slope = np.degrees(np.arctan(np.hypot(along, across) / spacing_m))
+    known = slope[np.isfinite(slope)]
+    if known.size and np.median(known) > STEEPEST_DEG:
+        raise DataError(
+            f"{path}: a median slope of {np.median(known):.0f} deg at a spacing of {spacing_m:g} m, "
+            "steeper than soil can lie; are heights in another unit?"
+        )
+    if steep := steep_nodes(height_m, spacing_m):
+        warnings.warn(
+            f"{path}: nodes {LONE_STEP:g} spacings and more off both neighbours, or {LARGEST_STEP:g} off one: {steep}; "
+            "are they without data, or in another unit?",
+            LunarSciWarning,
+            stacklevel=3,
+        )
+
+
+def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
+    """How many nodes lie `LONE_STEP` off both neighbours of a row or column, or `LARGEST_STEP` off one. [-]"""
+    steep = np.zeros(height_m.shape, dtype=bool)
+    for heights, found in ((height_m, steep), (height_m.T, steep.T)):
+        step = np.diff(heights, axis=0) / spacing_m
+        with np.errstate(invalid="ignore"):
+            far, beyond = np.abs(step) > LONE_STEP, np.abs(step) > LARGEST_STEP
+            found[1:-1] |= far[:-1] & far[1:] & (step[:-1] * step[1:] < 0)
+        found[:-1] |= beyond
+        found[1:] |= beyond
+    return int(steep.sum())
 
 
 def _check_count(path: Path, nodes: int) -> None:

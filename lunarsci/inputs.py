@@ -5,6 +5,7 @@ Everything that can go wrong here is a `DataError` of one line: the file, what i
 
 import codecs
 import contextlib
+import csv
 import glob
 import hashlib
 import json
@@ -34,6 +35,7 @@ Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
 _UNPRINTABLE_SHARE = 0.1
+"""Share of characters that are no text, beyond which a file is taken for a binary one; assumed."""
 _BEGINNING = 65536
 _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
@@ -132,6 +134,14 @@ def _read_stdin() -> bytes:
     if sys.stdin is None:
         raise OSError("standard input is closed")
     return sys.stdin.buffer.read()
+
+
+def csv_rows(place: str, lines: Iterable[str], **dialect: Any) -> Iterator[list[str]]:
+    """Cells of each line. Raises DataError naming `place` for broken quotes and cells over 131,072 characters."""
+    try:
+        yield from csv.reader(lines, **dialect)
+    except csv.Error as error:
+        raise DataError(f"{place}: cannot be split into fields ({error}); check its quotes and its length") from error
 
 
 def text(input: InputFile) -> str:

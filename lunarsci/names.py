@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from lunarsci.errors import ParameterError
 
 ALIKE = 0.6
-"""Likeness (difflib's ratio) from which a known name may be the one that is meant; difflib's own choice."""
+"""Likeness (difflib's ratio) from which a known name may be the one that is meant; difflib's own choice. Assumed."""
 
 
 def nearest(name: str, known: Iterable[str], cutoff: float = ALIKE) -> str | None:

@@ -37,6 +37,8 @@ class Provenance:
     sources : what to cite.
     seed : of the random numbers, or None where none are drawn.
     warnings : what was said on the way.
+    untrusted : one sentence, why the result should not be trusted or acted on; '' if it may be.
+    failures : inputs that gave no result, one sentence each.
     """
 
     command: str
@@ -46,6 +48,8 @@ class Provenance:
     sources: Sequence[str] = ()
     seed: int | None = None
     warnings: Sequence[str] = ()
+    untrusted: str = ""
+    failures: Sequence[str] = ()
 
     def to_dict(self, *, time: bool = True) -> dict[str, Any]:
         """Plain Python only. Without `time`, two equal runs give equal documents."""
@@ -59,6 +63,8 @@ class Provenance:
             "seed": self.seed,
             "versions": {"python": platform.python_version(), **{name: installed_version(name) for name in _PACKAGES}},
             "warnings": list(self.warnings),
+            "untrusted": self.untrusted,
+            "failures": list(self.failures),
         }
         if time:
             record["time_utc"] = datetime.now(UTC).isoformat(timespec="seconds")

@@ -52,6 +52,14 @@ UNITS = {
 ENDS = ("_sigma", "_low", "_high", "_low68", "_high68", "_low95", "_high95")
 
 
+FINE = ("ok", "converged")
+NO_VALUE = ("beyond_range", "no_channels", "undefined")
+"""What a `status` says of a value that may be used, and of one that may not."""
+UNMOVED = 0.9
+"""Share of a prior's standard deviation above which a value is the prior's; assumed."""
+PRIORS_OWN = "the prior's: the spectrum says nothing"
+
+
 def unit_of(key: str) -> str:
     """The unit that a key's suffix names, for astropy; '' where it names none.
 
@@ -60,6 +68,25 @@ def unit_of(key: str) -> str:
     """
     bare = next((key.removesuffix(end) for end in ENDS if key.endswith(end)), key)
     return next((unit for suffix, unit in UNITS.items() if f"_{bare}".endswith(f"_{suffix}")), "")
+
+
+def doubt_about(record: Mapping[str, Any]) -> str:
+    """Why the values of an object of a result should not be used, where it says so; '' where they may be.
+
+    >>> doubt_about({"mean": 104.8, "in_range": False, "lowest": 0.0, "highest": 100.0})
+    'beyond the 0-100 of the trend: do not use'
+    """
+    reason = record.get("reason") or record.get("status")
+    told = reason if isinstance(reason, str) and reason not in FINE else ""
+    if not told and record.get("in_range") is False and "lowest" in record:
+        told = f"beyond the {record['lowest']:g}-{record['highest']:g} of the trend: do not use"
+    outside = any(record.get(flag) is False for flag in ("in_range", "in_domain"))
+    return told or "out of range" if outside or record.get("status") in NO_VALUE else ""
+
+
+def from_prior(sigma: float | None, prior_sigma: float) -> bool:
+    """Whether a value is the prior's, as its error is hardly less than before the data were seen."""
+    return sigma is None or sigma > UNMOVED * prior_sigma
 
 
 def flat(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -180,6 +207,8 @@ class Result(ABC):
             tables=made.tables,
             sources=made.sources,
             seed=made.seed,
+            untrusted=self.untrusted,
+            failures=self.failures,
         )
         return to_json(document(self.schema, self.content(), provenance.to_dict(time=time)))
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.inputs import InputFile, csv_rows, read_input, text
 from lunarsci.printable import cell
 from lunarsci.provenance import sha256
 
@@ -146,7 +146,7 @@ def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "p
 def _check_widths(name: str, content: str) -> None:
     """Every row must have as many fields as the header: pandas would shift or pad the others in silence."""
     width = 0
-    for number, row in enumerate(csv.reader(content.splitlines(), skipinitialspace=True), 1):
+    for number, row in enumerate(csv_rows(name, content.splitlines(), skipinitialspace=True), 1):
         if not row or row[0].lstrip().startswith("#"):
             continue
         if not width:

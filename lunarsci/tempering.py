@@ -26,7 +26,7 @@ WALK, ACCEPTED = 2.38, 0.25
 steps that is then accepted: 0.23 to 0.44 (Roberts, Gelman & Gilks 1997, Ann. Appl. Probab. 7, 110,
 10.1214/aoap/1034625254)."""
 CROWDED = 1e-3
-"""Share of what is left of beta that a step takes where fewer points than wanted are possible."""
+"""Share of what is left of beta that a step takes where fewer points than wanted are possible; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -131,3 +132,18 @@ def load_benchmark() -> Callable[[str], ModuleType]:
         return module
 
     return load
+
+
+@pytest.fixture(scope="session")
+def answered() -> Callable[..., str]:
+    """The sentence of a page for a result, and its trust."""
+
+    def said(result: Any) -> str:
+        from lunarsci.report.answers import answer
+        from lunarsci.report.documents import document_of
+
+        record = {"untrusted": result.untrusted, "failures": result.failures}
+        made = answer(document_of(result.schema, result.to_dict(), record))
+        return f"{made.text} {made.trust}"
+
+    return said

@@ -44,7 +44,7 @@ ALLOWED = {
     "images": {"images", *SHARED},
     "regolith": {"regolith", *SHARED},
     "twin": {"twin", "regolith", "images", *SHARED},
-    "report": {"report", "regolith", "twin", *SHARED},
+    "report": {"report", "spectra", "regolith", "twin", *SHARED},
     "guide": {"guide", "report", "spectra", "regolith", "images", "twin", *SHARED},
     "reproduce": {"reproduce", "report", "spectra", "regolith", "images", "twin", *SHARED},
     "rovers": {"rovers", "errors", "documents", "names"},

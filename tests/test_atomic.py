@@ -7,6 +7,7 @@ import stat
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -107,6 +108,67 @@ def test_killed_anywhere_a_folder_is_old_or_new(tmp_path: Path) -> None:
 
     assert every_point(tmp_path, signal.SIGKILL, look) >= 50
     assert ends == {"old", "new"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="forks")
+def test_commands_killed_at_each_call_that_writes(load_benchmark: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    """Folders, single files and pictures, over what is there and anew; nothing is left after the next run."""
+    faults = load_benchmark("faults")
+    found = faults.killed_at_writes(tmp_path)
+    assert {name: writes.wrong[:3] for name, writes in found.items() if writes.wrong} == {}
+    assert list(found) == list(faults.WRITERS)
+    for name, writes in found.items():
+        wanted = {target.strip("/") for target in faults.WRITERS[name][1].split()}
+        assert wanted <= set(writes.targets), name
+        assert writes.targets, name
+    assert sum(writes.kills for writes in found.values()) >= 400
+
+
+def careless(folder: Path, how: str) -> int:
+    """What a command would do that writes without `lunarsci.atomic`."""
+    out, beside = folder / "out.json", folder / "out.tmp"
+    if how == "in place":
+        out.write_text("new")
+    elif how == "leaves a file":
+        beside.write_text("new")
+        beside.rename(out)
+    else:
+        for name in ("a", "b"):
+            (folder / "both" / name).write_text("new")
+    return 0
+
+
+def fault_is_seen(folder: Path, how: str, told: Any) -> None:
+    import faults
+
+    told.send(faults.killed_at_each_write(lambda: careless(folder, how), folder, faults.Calls()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks")
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("in place", "out.json is neither old nor new"),
+        ("leaves a file", "out.tmp is neither old nor new"),
+        ("file by file", "both is neither old nor new"),
+    ],
+)
+def test_what_is_written_carelessly_is_seen(
+    how: str, said: str, load_benchmark: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    load_benchmark("faults")
+    (tmp_path / "out.json").write_text("old")
+    (tmp_path / "both").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "both" / name).write_text("old")
+    here, there = multiprocessing.Pipe()
+    process = multiprocessing.get_context("fork").Process(target=fault_is_seen, args=(tmp_path, how, there))
+    process.start()
+    process.join()
+    writes = here.recv()
+    assert writes.kills >= 1
+    assert said in " ".join(writes.wrong)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forks")

@@ -7,11 +7,13 @@ answers are of several processors, the bound is 1e-6.
 """
 
 import contextlib
+import html
 import io
 import json
 import math
 import os
 import platform
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -29,6 +31,7 @@ from rich.cells import cell_len
 
 import lunarsci
 from lunarsci.provenance import to_json
+from lunarsci.report.job import report
 from lunarsci.result import Result
 
 TABLE = Path(__file__).with_name("former_results.json")
@@ -316,6 +319,31 @@ def test_an_answer_is_the_former_one(name: str, now: dict[str, dict[str, Any]]) 
     table = json.loads(TABLE.read_text("utf-8"))
     bound = SAME_MACHINE if table["machine"] == machine() else DRAWN.get(name, OTHER_MACHINE)
     assert differences(table["answers"][name], now[name], bound) == []
+
+
+SAID_OTHERWISE = ("what calibration errors add to the ratios is not determined at 1 µm",)
+"""What the status of a fit says of its bands already: what calibration errors do to them is not determined."""
+VERDICT = re.compile(
+    "likel|not determined|hardly|decides nothing|weak evidence|strong evidence|cannot be|out of domain|do not use|"
+    "not to be|no-go|strained|says? nothing|not calibrated|nothing was|depends on|undetermined|fit for use"
+)
+"""Words by which commands say what they do not vouch for."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in COMMANDS if not name.startswith("write")])
+def test_a_page_says_what_the_command_says(name: str, now: dict[str, Any], folder: Path) -> None:
+    """Every verdict of the tables for people, and of stderr, stands on the page; so does no better one."""
+    made = report(folder / "answers" / f"{name}.json")
+    [section] = made.rows()
+    page = " ".join(re.sub("<[^>]+>", " ", html.unescape(made.html().decode())).split()).lower()
+    texts = [text for one in TABLES[name] for text in (*one.notes, one.title, *(c for row in one.rows for c in row))]
+    clauses = {part.strip(" .").lower() for text in texts for part in re.split(r"[;(),]|: |- ", text)}
+    missing = [part for part in clauses - {*SAID_OTHERWISE} if VERDICT.search(part) and part not in page]
+    assert missing == []
+    assert (section["tone"] in ("doubt", "no-go")) == (now[name]["exit"] == 3)
+    assert made.page.documents[0].provenance["untrusted"].lower() in page
+    assert ("go" in section["answer"].lower().split()) <= (now[name]["exit"] == 0)
 
 
 @pytest.mark.slow

@@ -1,13 +1,26 @@
 """A few spoilt files for every reader; many, by `make fuzz`."""
 
+import ast
+import json
 import random
-from collections.abc import Callable
+import re
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from datetime import date
 from pathlib import Path
 from types import ModuleType
+from typing import Any, NamedTuple
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-INPUTS, SECONDS = 60, 1.0
+import lunarsci
+
+LIBRARY = Path(lunarsci.__file__).parent
+INPUTS, SECONDS, EXAMPLES = 60, 1.0, 25
 PICTURE = (
     b"<a><offset>0</offset><data_type>UnsignedByte</data_type><axis_array><axis_name>Line</axis_name><elements>24"
     b"</elements></axis_array><axis_array><axis_name>Sample</axis_name><elements>32</elements></axis_array></a>"
@@ -15,6 +28,15 @@ PICTURE = (
 )
 CRASHERS = {
     "modes": [b"# SYNTHETIC: comments alone\n"],
+    "fitted rocks": [
+        b'{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"id": "rock", "nbsr": {"um2": {"opx": 0.46, '
+        b'"cpx": 0.54, "sigma": 0.03, "calibration": -1e308}}}]}}'
+    ],
+    "wavelengths": [b"s%n((((((((((" + b"a" * 5000],
+    "spectra .csv": [b"9" * 80_000 + b"a,0.1\n"],
+    "start of a fit": [b"9" * 80_000 + b"a\n"],
+    "stations": [b"x_m,y_m,z_m,sigma_m\n0,0,0,0.01\n1,0," + b"9" * 140_000 + b",0.01\n"],
+    "craters": [b"name,latitude_deg,longitude_deg,diameter_km\n" + b"a" * 140_000 + b",1,2,3\n"],
     "TOML": [b"a = " + b"9" * 5000],
     "keep-outs": [
         b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "rock"}, '
@@ -35,6 +57,10 @@ CRASHERS = {
         b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9 0 2\nV = 0 0 2\n",
         b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9 0 2\nV = 0 1e999 2\n",
     ],
+    "rig": [
+        b'name = "x"\nassumed = 1.0\n',
+        b'name = "x"\nbaseline_m = 0.3\nwidth_px = inf\nheight_px = 4\nfocal_px = 1.0\n',
+    ],
     "mission": [b"leg_m = " + b"9" * 5000],
     "results": [
         b'{"schema": "lunarsci/spectra-fit/1", "provenance": {}, '
@@ -49,16 +75,172 @@ def fuzz(load_benchmark: Callable[[str], ModuleType]) -> ModuleType:
     return load_benchmark("fuzz")
 
 
-def test_every_reader_gives_a_result_or_a_line(fuzz: ModuleType, tmp_path: Path) -> None:
+class Prepared(NamedTuple):
+    """The readers, their folders, in which they have read their seeds, and the functions that were called by that."""
+
+    readers: dict[str, Any]
+    folders: dict[str, Path]
+    called: set[tuple[str, str]]
+
+
+@pytest.fixture(scope="module")
+def prepared(fuzz: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    called = set()
+
+    def call(frame: Any, event: str, _: Any) -> None:
+        if event == "call":
+            called.add((frame.f_code.co_filename, frame.f_code.co_name))
+
+    readers, place = fuzz.readers(), tmp_path_factory.mktemp("readers")
+    sys.setprofile(call)
+    try:
+        folders = {name: fuzz.prepare(reader, place / fuzz.slug(name)) for name, reader in readers.items()}
+    finally:
+        sys.setprofile(None)
+    return Prepared(readers, folders, called)
+
+
+def test_every_reader_gives_a_result_or_a_line(fuzz: ModuleType, prepared: Prepared) -> None:
     broken = {}
-    for name, reader in fuzz.readers().items():
-        folder = fuzz.prepare(reader, tmp_path / fuzz.slug(name))
+    for name, reader in prepared.readers.items():
+        folder = prepared.folders[name]
         for seed in reader.seeds[:1]:
             assert fuzz.tried(reader, folder, seed) == ("read", ""), name
         found = fuzz.tries(reader, INPUTS, 7, folder, seconds=SECONDS)
         assert found.refusals, name
         broken |= {f"{name}: {what}": data[:200] for what, data in found.broken.items()}
     assert broken == {}
+
+
+def test_every_file_of_a_command_comes_to_a_reader_that_is_tried(fuzz: ModuleType) -> None:
+    """A parameter that is new, takes a text and is not declared fails here; so does a reader that no command has."""
+    table = sys.modules["fuzz_readers"]
+    parameters = {name: table.readers_of(name) for name in table.path_parameters()}
+    assert len(parameters) > 300
+    undeclared = [name for name, found in parameters.items() if found is None]
+    assert undeclared == [], "add these to READ_BY, READ_BY_COMMAND or NO_FILE of tests/benchmarks/fuzz_readers.py"
+    reached = {reader for found in parameters.values() for reader in found or ()}
+    assert reached == set(fuzz.readers())
+    last = {name.rpartition(" ")[2] for name in parameters}
+    assert {*table.READ_BY, *table.READ_BY_COMMAND, *table.NO_FILE} <= last | parameters.keys()
+
+
+def test_every_function_that_is_given_a_file_is_tried(prepared: Prepared) -> None:
+    """Those of the library with an `InputFile` among their arguments, but for jobs, which hand it on to them."""
+    given = {
+        (str(path), function.name)
+        for path in LIBRARY.rglob("*.py")
+        if "jobs" not in path.parts
+        for function in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(function, ast.FunctionDef)
+        and any(one.annotation and "InputFile" in ast.unparse(one.annotation) for one in function.args.args)
+    }
+    assert len(given) > 80
+    assert sorted(given - prepared.called) == []
+
+
+# --- files of the right form, whatever they say ---
+
+NUMBERS = st.one_of(
+    st.floats(), st.integers(-3, 400), st.sampled_from([0, -0.0, 10**30, 10**400, -(2**63), 5e-324, 1e308])
+)
+SCALARS = NUMBERS | st.booleans() | st.text(max_size=8) | st.dates() | st.datetimes()
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=2),
+    max_leaves=4,
+)
+CELLS = st.one_of(
+    NUMBERS.map(str),
+    st.sampled_from(["", "nan", "-", "inf", "true", "x", '"a,b"', "1,5", "1e999", "0x10", "1_0", "٣", "FL", "9" * 400]),
+)
+TYPES = st.sampled_from(
+    ["float64", "float16", "int64", "uint8", "bool", "string", "complex128", "object", "datetime64"]
+)
+FORMS = {
+    "toml": ["plan", "rover", "wheel", "mission", "soil", "prior", "pose", "rig", "camera", "any settings"],
+    "csv": ["states", "record", "positions", "stations", "motion", "track", "craters", "modes", "samples", "sunlight",
+            "soil samples", "channel factors", "phase function", "telemetry .csv", "terrain .csv", "spectra .csv"],
+    "ecsv": ["spectra .ecsv", "library", "telemetry .ecsv"],
+}  # fmt: skip
+"""Readers of text, by the grammar of what they are given."""
+
+
+def toml(value: Any) -> str:
+    """A value as TOML writes it, tables within a line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{toml(str(key))} = {toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "")
+    return value.isoformat() if isinstance(value, date) else str(value).lower()
+
+
+def tables_in(value: Any) -> Iterator[dict[str, Any]]:
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if isinstance(value, dict) and value:
+        yield value
+    for one in inner:
+        yield from tables_in(one)
+
+
+@st.composite
+def settings_like(draw: st.DrawFn, seed: bytes) -> bytes:
+    """The document with other values, without some keys, or with more, in any of its tables."""
+    document = tomllib.loads(seed.decode())
+    for _ in range(draw(st.integers(1, 3))):
+        place = draw(st.sampled_from(list(tables_in(document)) or [document]))
+        key = draw(st.sampled_from([*place, "new"]))
+        what = draw(st.sampled_from(("number", "number", "value", "gone", "list")))
+        if what == "gone":
+            place.pop(key, None)
+        else:
+            place[key] = (
+                [place.get(key)] if what == "list" and key in place else draw(NUMBERS if what[0] == "n" else VALUES)
+            )
+    return "".join(f"{toml(key)} = {toml(value)}\n" for key, value in document.items()).encode()
+
+
+@st.composite
+def table_like(draw: st.DrawFn, seed: bytes) -> bytes:
+    """The table with other cells, its columns in another order, some twice or missing, each row as long as the header.
+
+    Of ECSV also with other types of its columns.
+    """
+    lines = seed.decode().splitlines()
+    told = [line for line in lines if line.startswith("#")]
+    if told and "ECSV" in told[0]:
+        told = [re.sub(r"datatype: \w+", f"datatype: {draw(TYPES)}", line) if draw(st.integers(0, 3)) == 0 else line
+                for line in told]  # fmt: skip
+    gap = " " if told and "delimiter" not in seed.decode() and "," not in lines[len(told)] else ","
+    rows = [line.split(gap) for line in lines if not line.startswith("#")]
+    places = range(len(rows[0]))
+    order = draw(st.just(places) | st.permutations(places) | st.lists(st.sampled_from(places), min_size=1, max_size=12))
+    table = [[row[k] for k in order if k < len(row)] for row in rows]
+    for _ in range(draw(st.integers(0, 4))):
+        row = draw(st.sampled_from(table))
+        if row:
+            row[draw(st.integers(0, len(row) - 1))] = draw(CELLS).replace(" ", "")
+    return "\n".join([*told, *(gap.join(row) for row in table), ""]).encode()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_whatever_a_file_of_the_right_form_says(form: str, fuzz: ModuleType, prepared: Prepared) -> None:
+    """What a mutation of bytes seldom gives: a document that parses, and says something else."""
+    like = settings_like if form == "toml" else table_like
+    ends: Counter[str] = Counter()
+
+    def check(name: str, data: bytes) -> None:
+        end, said = fuzz.tried(prepared.readers[name], prepared.folders[name], data)
+        ends[end] += 1
+        assert end != "broken", said
+
+    for name in FORMS[form]:
+        files = st.sampled_from(prepared.readers[name].seeds).flatmap(like)
+        tried = settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None)
+        tried(given(st.just(name), files)(check))()
+    assert min(ends["read"], ends["refused"]) > 0.05 * ends.total()
 
 
 def test_what_once_broke_it(fuzz: ModuleType, tmp_path: Path) -> None:

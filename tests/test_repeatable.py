@@ -1,10 +1,13 @@
 """The same bytes from the same input, seed and version, whatever the threads, hashes, language and time zone."""
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -50,6 +53,31 @@ def test_the_same_bytes_everywhere(name: str, tmp_path: Path) -> None:
         found.append(done.stdout)
     assert found[0]
     assert found[0] == found[1]
+
+
+MOVED = {
+    "both": {"bands": 1e-11, "fit": 1e-10},
+    "all": {"identify": 1e-11, "forces": 1e-13, "predict sweep": 1e-10},
+}
+"""By setting of `tests/benchmarks/processors.py`, how far an answer may move as a share of its numbers: three to twenty
+times as far as they did. Of the second, whose machine code is made anew, only what is made in a few seconds."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="settings are those of x86-64")
+@pytest.mark.parametrize("setting", MOVED)
+def test_on_other_processors_only_last_digits_move(
+    setting: str, load_benchmark: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    """numpy without vector instructions, BLAS of an old processor, machine code for any x86-64."""
+    processors = load_benchmark("processors")
+    bounds, cache = MOVED[setting], Path(os.environ["NUMBA_CACHE_DIR"])
+    here = processors.answers_in("here", list(bounds), tmp_path, cache)
+    other = cache if setting == "both" else cache.with_name(f"{cache.name}-generic")
+    there = processors.answers_in(setting, list(bounds), tmp_path, other)
+    moved = {name: sorted(processors.moves(here[name], there[name]), reverse=True)[:1] for name in bounds}
+    assert {name: most for name, most in moved.items() if most and most[0][0] > bounds[name]} == {}
+    assert any(moved.values()), "not a digit moved: is the setting taken?"
 
 
 LOCALISED = """

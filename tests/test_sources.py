@@ -1,10 +1,13 @@
 """Every row of every table, and every number of a rover, a camera or a soil, names its source or is called assumed."""
 
+import ast
 import csv
 import importlib.util
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -13,6 +16,71 @@ FOLDER = ROOT / "spectra_data"
 NO_YEAR = ("Gazetteer of Planetary Nomenclature", "none: assumed", "measured for lunarsci", "spectra of CooperZZX")
 """Citations of things that carry no year."""
 SAME_AS = re.compile(r"^as (\w+)")
+DRAWN = re.compile(r"figure|charts|animation|report/relief")
+"""Modules whose numbers are sizes and places on paper."""
+NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCENTILES|NEGLIGIBLE|NUGGET")
+"""Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""
+SETTINGS = {
+    "they are by definition what they are, or follow from others": (
+        "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "lanes.py: LN_2_HIGH, LN_2_LOW",
+        "regolith/belief_history.py: NINETY_FIVE", "regolith/inference/mode.py: RISES",
+        "regolith/inference/verdict.py: OTHER_SIGNS",
+        "regolith/inference/verdict.py: UNITS", "spectra/abundance/mixing.py: UNIT_NM",
+        "spectra/abundance/nbsr.py: CORRELATION", "spectra/abundance/nbsr.py: NORMAL_95",
+        "spectra/abundance/one_by_one.py: CENTRAL", "spectra/chemistry/plane.py: _NM_PER_UNIT",
+        "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
+        "spectra/mgm/program.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
+        "spectra/origin/evidence.py: LEAST_INSIDE", "spectra/photometry/phase.py: _LIMITS_DEG",
+        "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
+        "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: _SCALE",
+        "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _UNSCALED", "sun.py: _J2000_JD",
+        "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
+        "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/loads/alternating.py: ALIKE",
+        "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
+        "twin/telemetry/positions.py: READINGS", "twin/telemetry/wheel_motion.py: UNITS"),
+    "the source stands in each of the entries": ("spectra/indices.py: INDICES",),
+    "places in rows, not numbers of the world": (
+        "spectra/band_choice.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
+    "where something is drawn or told, or how finely": (
+        "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/jobs/render.py: TRUTH_STEP_M",
+        "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
+        "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/program.py: PLOT_AXIS",
+        "spectra/vnis/calibration.py: _SHADOW, _INVALID",
+        "twin/routes/path_geojson.py: EVERY_M, NEAR_M", "twin/telemetry/simulated.py: DENSE_M"),
+    "how long machines are waited for, and how much memory is taken": (
+        "cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
+    "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
+        "images/labels.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
+        "projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
+        "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST, DEEPEST",
+        "regolith/inference/problem.py: STEP",
+        "regolith/inference/totals.py: NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER",
+        "regolith/inference/totals.py: STEP", "regolith/inversion.py: DEEPEST",
+        "regolith/physics_discrepancy.py: GRID, REACH", "spectra/abundance/mixing.py: LEAST, MOST",
+        "spectra/abundance/nbsr.py: GRID_NM", "spectra/abundance/unmix.py: GAUGE", "spectra/abundance/unmix.py: LIFTED",
+        "spectra/abundance/unmix.py: ORIGIN_UM", "spectra/band_polynomial.py: SEARCH",
+        "spectra/mgm/fit.py: CONTINUUM_QUANTILE", "spectra/mgm/fit.py: FIRST_STRENGTH",
+        "spectra/mgm/fit.py: HOP_SIGMAS", "spectra/mgm/fit.py: START_SIGMAS", "spectra/mgm/laplace.py: TAIL",
+        "spectra/mgm/levenberg_marquardt.py: BELIEF", "spectra/mgm/moments.py: ORIGIN",
+        "spectra/mgm/multistart.py: COARSE_DOUBT", "spectra/mgm/multistart.py: SAME_BASIN",
+        "spectra/mgm/posterior.py: COARSE_UM", "spectra/mgm/posterior.py: CONTINUUM_SPREAD",
+        "spectra/mgm/profile.py: CLOSE", "spectra/mgm/profile.py: NARROW", "spectra/mgm/program.py: NARROWEST_UM",
+        "spectra/mgm/region.py: NEARLY, FINALLY", "spectra/mgm/region.py: SLACK",
+        "spectra/mgm/sampler.py: AT_A_STEP, SETTLING", "spectra/mgm/sampler.py: FIRST_STEP, LEAST_STEP, MOST_STEP",
+        "spectra/mgm/sampler.py: PARTED", "spectra/mgm/sampler.py: SHORTEST, LONGEST",
+        "spectra/mgm/sampler.py: WANTED_ACCEPTANCE, TUNING", "spectra/origin/composition.py: SMALLEST_SIGMA",
+        "spectra/solar.py: _HALF_WIDTH_FWHM", "tempering.py: KEPT", "twin/assimilation/particles.py: PROPOSALS",
+        "twin/assimilation/posterior.py: LONGEST", "twin/assimilation/posterior.py: SHALLOW_M",
+        "twin/assimilation/posterior.py: WIDTH", "twin/assimilation/residuals.py: STEP_S, SAMPLE_M",
+        "twin/assimilation/segments.py: FINER", "twin/choice/next_end.py: LENGTHS, NOISES",
+        "twin/ground/height_errors.py: RATIO, MOST_GRAINS", "twin/jobs/local_ground.py: CHECKED_EVERY_M",
+        "twin/jobs/planned_mission.py: LOOKED_AT_M", "twin/judgement/endpoint.py: SHORTEST_STEP_S",
+        "twin/judgement/energy.py: FINEST_S", "twin/plans/path.py: CREEP_M_S", "twin/plans/path.py: TURN_DEG",
+        "twin/routes/arc_search.py: PENALTY", "twin/routes/planner.py: PLACES_M",
+        "twin/simulation/contact_frame.py: CAUGHT", "twin/simulation/settle.py: CALM",
+        "twin/simulation/settle.py: LONGEST_MOVE", "twin/telemetry/nodes.py: NODE_M"),
+}  # fmt: skip
+"""Further constants that need no source, by why not; a name that is no longer needed here fails, too."""
 
 
 def _load() -> ModuleType:
@@ -97,3 +165,47 @@ def test_the_page_shows_every_source() -> None:
         assert entry.get("doi", "") in page
     for row in PAGES.of_soils():
         assert row.name in page
+
+
+def a_setting(row: Any) -> bool:
+    """Whether it is drawn with, reckoned with, or a power of ten so small or large that it stands for rounding."""
+    name, _, value = row.name.partition(" = ")
+    numbers = [abs(one.value) for one in ast.walk(ast.parse(value)) if isinstance(one, ast.Constant) and isinstance(
+        one.value, int | float) and one.value]  # fmt: skip
+    rounding = all(f"{one:e}".startswith("1.000000e") and not 2e-5 < one < 5e5 for one in numbers)
+    return bool(DRAWN.search(row.file) or NUMERICAL.search(name) or (numbers and rounding))
+
+
+def without_source(rows: Iterable[Any]) -> set[str]:
+    """Constants that neither say where they come from nor name another one that does."""
+    rows = list(rows)
+    cited = {name for row in rows if PAGES.CITED.search(row.source) for name in row.name.split(" = ")[0].split(", ")}
+    refer = {row: PAGES.REFERS.findall(row.source) for row in rows}
+    return {f"{row.file.removeprefix('lunarsci/')}: {row.name.split(' = ')[0]}" for row in rows
+            if not (PAGES.CITED.search(row.source) or cited & {*refer[row]} or a_setting(row))}  # fmt: skip
+
+
+def test_every_constant_has_a_source_or_is_a_setting() -> None:
+    """Give the source below the constant, or 'assumed' and why; what moves no answer is one of `SETTINGS`."""
+    settings = {name for names in SETTINGS.values() for name in names}
+    assert without_source(PAGES.of_constants()) == settings
+
+
+@pytest.mark.parametrize(("text", "refused"), [
+    ("DENSITY = 1500.0", True), ("WIDTH_M = 2", True), ("COUNT = 2", False), ("SOLVER_TOLERANCE = 1e-3", False),
+    ("ROUNDING = 1e-9", False), ("SPEED = 3e8", True), ("LIGHT = 2.99792458e-8", True), ("PAIR, OTHER = 2.0, 3", True),
+    ('DENSITY = 1500.0\n"""Of regolith. [kg/m3]"""', True), ('DENSITY = 1500.0\n"""Of regolith, in 1991."""', True),
+    ('DENSITY = 1500.0\n"""Lunar Sourcebook (1991), ch. 9."""', False), ("DENSITY = 1500.0  # assumed", False),
+    ('DENSITY = 1500.0\n"""From measured states, 900 to 2400 nm."""', True),
+    ('DENSITY = 1500.0\n"""As `OTHER`."""', True), ('A = 1.0\n"""Assumed."""\nB = 2.0\n"""As `A`."""', False),
+    ("# Assumed.\nA = 1.5\nB = 2.5", False), ('A = 1.5\n"""Assumed."""\nB = 2.5', True),
+])  # fmt: skip
+def test_a_planted_constant_is_refused(tmp_path: Path, text: str, refused: bool) -> None:
+    (tmp_path / "module.py").write_text(text, encoding="utf-8")
+    assert bool(without_source(PAGES.of_constants(tmp_path))) is refused
+
+
+def test_benchmarks_that_constants_name_exist() -> None:
+    named = {path for row in PAGES.of_constants() for path in re.findall(r"tests/[\w/]+\.py", row.source)}
+    assert len(named) > 3
+    assert [path for path in sorted(named) if not (ROOT / path).is_file()] == []

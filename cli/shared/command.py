@@ -147,6 +147,8 @@ def _provenance(context: typer.Context, report: Report, options: Mapping[str, An
         sources=report.sources,
         seed=report.seed,
         warnings=heard,
+        untrusted=report.untrusted,
+        failures=report.failures,
     )
 
 

@@ -13,6 +13,7 @@ from lunarsci.errors import OutputError, ParameterError
 from lunarsci.names import meant
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
+from lunarsci.result import doubt_about
 
 from .layout import terminal_width
 from .options import Output
@@ -22,10 +23,6 @@ from .talk import UNTRUSTED, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-FINE = ("ok", "converged")
-NO_VALUE = ("beyond_range", "no_channels", "undefined")
-"""What a `status` says of a value that may be used, and of one that may not."""
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
@@ -93,7 +90,7 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     tables = chosen(tables, report.rows, output.chosen) if output.chosen else tables
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
-    to_file = output.path is not None and not output.folder
+    to_file = output.path is not None and not output.folder and not report.written
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 
@@ -104,7 +101,7 @@ def field_of(result: Any, path: str) -> tuple[str, str]:
     for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
         if value is None and depth:
             break
-        doubt = _doubt(value) or doubt
+        doubt = (doubt_about(value) if isinstance(value, dict) else "") or doubt
         try:
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
@@ -119,16 +116,6 @@ def field_of(result: Any, path: str) -> tuple[str, str]:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
     return f"{text}\n", doubt
-
-
-def _doubt(value: Any) -> str:
-    """Why the values of an object should not be used, where it says so."""
-    if not isinstance(value, dict):
-        return ""
-    reason = value.get("reason") or value.get("status")
-    told = f"{reason}" if isinstance(reason, str) and reason not in FINE else ""
-    outside = any(value.get(flag) is False for flag in ("in_range", "in_domain"))
-    return told or "out of range" if outside or value.get("status") in NO_VALUE else ""
 
 
 def _opened(value: Any) -> Any:

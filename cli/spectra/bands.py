@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.spectra.jobs.bands import BandsRequest
+from lunarsci.spectra.jobs.bands import SHORT, BandsRequest, regression
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option
@@ -31,24 +31,7 @@ Plane = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Draw the 2 µm centre over the 1 µm centre among the pyroxenes (.png, …)."),
 ]
-SHORT = {
-    "fs": "Fs",
-    "wo": "Wo",
-    "en": "En",
-    "fo": "Fo",
-    "fa": "Fa",
-    "ol_share": "olivine share",
-    "opx_share": "opx share",
-}
 AT_A_GLANCE = ("fs_gaffey", "wo_gaffey", "en_gaffey", "fs_trend_bc2000", "fo_bc1000", "opx_cloutis")
-METHODS = {
-    "gaffey": "Gaffey 2002",
-    "burbine": "Burbine 2009",
-    "trend": "synthetic opx",
-    "dunn": "Dunn 2010",
-    "cloutis": "Cloutis 1986",
-    "bc1000": "1 µm centre",
-}
 
 
 def add_to(app: typer.Typer) -> None:
@@ -130,7 +113,7 @@ def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
     rows = [
         [
             f"{SHORT[item['quantity']]}{_unit(item)}",
-            _method(key),
+            regression(key),
             _usable(item),
             item["reason"] or f"if {item['domain']}",
         ]
@@ -144,7 +127,7 @@ def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
 def _many_chemistries(records: Sequence[Mapping[str, Any]], examples: Mapping[str, Mapping[str, Any]]) -> TextTable:
     """One column for each regression that some spectrum can use."""
     headers = ["spectrum"] + [
-        f"{SHORT[item['quantity']]}{_unit(item)} {_method(key)}" for key, item in examples.items()
+        f"{SHORT[item['quantity']]}{_unit(item)} {regression(key)}" for key, item in examples.items()
     ]
     rows = [[record["id"], *(_usable(record["chemistry"][key]) for key in examples)] for record in records[:SHOWN]]
     notes = ["-: no band, or not to be used here; all regressions, and why not: --csv or --json"]
@@ -152,12 +135,6 @@ def _many_chemistries(records: Sequence[Mapping[str, Any]], examples: Mapping[st
         f"{bare(header)}: only if {item['domain']}" for header, item in zip(headers[1:], examples.values(), strict=True)
     ]
     return TextTable(headers, rows, notes=notes, total=len(records))
-
-
-def _method(key: str) -> str:
-    name = next(text for part, text in METHODS.items() if part in key)
-    band = "" if name == METHODS["bc1000"] else ", 1 µm" if "bc1000" in key else ", 2 µm" if "bc2000" in key else ""
-    return name + band
 
 
 def _unit(item: Mapping[str, Any]) -> str:

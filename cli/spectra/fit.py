@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
+from lunarsci.spectra.mgm import PERCENT_OF
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
@@ -81,12 +82,6 @@ OPTIONS = MODEL_OPTIONS | {
 }
 WAVELENGTHS_NM, STRENGTHS = (0.0, 3000.0), (-5.0, 5.0)
 """Between these lie bands; an error as wide says that nothing is known."""
-PERCENT_OF = {
-    "fo": "Fo of olivine",
-    "fs": "Fs of orthopyroxene",
-    "wo": "Wo of clinopyroxene",
-    "fs_cpx": "Fs of clinopyroxene",
-}
 
 
 def add_to(app: typer.Typer) -> None:
@@ -164,9 +159,7 @@ def _composition_notes(fit: "MgmFit") -> list[str]:
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
-            doubt = "" if item.told else ", the prior's: the spectrum says nothing"
-            if not item.in_range:
-                doubt = f", beyond the {item.lowest:g}-{item.highest:g} of the trend: do not use"
+            doubt = f", {item.doubt}" if item.doubt else ""
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
     return notes

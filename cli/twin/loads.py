@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
+from lunarsci.twin.jobs.forces import TOGETHER
 from lunarsci.twin.jobs.loads import LoadsRequest, MotionLoads, UncertainLoads
 
 from ..shared.command import command
@@ -170,12 +171,8 @@ def _share_table(shares: dict[str, Any]) -> TextTable:
 def _total_table(totals: dict[str, dict[str, float]], notes: list[str]) -> TextTable:
     rows = [[f"{name} [{UNITS[name]}]", *(f"{row[key]:.2f}" for key in row)] for name, row in totals.items()]
     headers = ["of all wheels", "missing, assumed soil", "balanced", "± assumed soil", "± balanced"]
-    rows_notes = [
-        "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still "
-        "depends on the assumed soil",
-        *notes,
-    ]
-    return TextTable(headers, rows, title="What the wheels do not supply, root mean square", notes=rows_notes)
+    title = "What the wheels do not supply, root mean square"
+    return TextTable(headers, rows, title=title, notes=[TOGETHER, *notes])
 
 
 def _round_table(turned: dict[str, Any]) -> TextTable:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.twin.jobs.states import StatesRequest
+from lunarsci.twin.jobs.states import DEEPEST, StatesRequest
 
 from ..shared.command import command
 from ..shared.options import option
@@ -85,9 +85,7 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
         f"reduced chi-square of {result['reduced_chi_square']:.2f}",
         f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "
         f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
-        "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
-        if result["sinkages"]
-        else "no sinkage: give the depth of the track with --track",
+        DEEPEST if result["sinkages"] else "no sinkage: give the depth of the track with --track",
     ]
     if not found.planned:
         notes.append("clock and commands were not compared with a plan: none was given")

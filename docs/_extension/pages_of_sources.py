@@ -70,55 +70,87 @@ def of_published() -> Iterator[Stated]:
             yield Stated(path.name, f"{row['id']}: {row['quantity']}", f"{PAPER}: {row['passage']}", False)
 
 
-def of_constants() -> Iterator[Stated]:
-    """Numbers that modules name in capitals, with what stands below them."""
-    for path in sorted((ROOT / "lunarsci").rglob("*.py")):
-        body = ast.parse(path.read_text("utf-8")).body
+CITED = re.compile(
+    r"(?:\b[A-Z][\w&.'-]+|et al\.),? \(?(?:1[89]|20)\d\d\b(?! nm)|10\.\d{4,9}/\S|[Aa]ssumed|SP-\d+|by definition"
+    r"|[Mm]easured(?! (?:to|mean|error|quantit|state|share|value|spectr))|tests/benchmarks/"
+)
+"""An author with a year, a DOI, a report's number, or how else the number was found: `STATED`, but for prose."""
+REFERS = re.compile(r"(?:[Ss]ee|[Aa]s) `(?:\w+\.)*([A-Z_]\w*)`")
+"""Another constant that has the source."""
+UNIT = re.compile(r"(.*?\.?)(?: (\[[^\[\]]+\]\.?))?", re.DOTALL)
+"""What is said, and the unit behind it."""
+UNITS = re.compile(r"_(?:[NUMCK]?M|M2|PX|DEG|RAD|M?S|K?PA|N|W|WH|KG|K|KELVIN|HZ|MA|AU|KG_M3|W_M2|M_S|M_S2)$")
+"""Ends of names of whole numbers that have a unit."""
+
+
+def of_constants(folder: Path = ROOT / "lunarsci") -> Iterator[Stated]:
+    """Numbers that modules name in capitals, with what stands below them, beside them, or above their block."""
+    for path in sorted(folder.rglob("*.py")):
+        text = path.read_text("utf-8")
+        lines, body = text.splitlines(), ast.parse(text).body
         for node, below in zip(body, [*body[1:], None], strict=True):
-            if not (isinstance(node, ast.Assign | ast.AnnAssign) and _is_number(node.value)):
+            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
                 continue
-            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
-            if isinstance(target, ast.Name) and target.id.isupper() and isinstance(below, ast.Expr) and isinstance(
-                below.value, ast.Constant) and isinstance(below.value.value, str):  # fmt: skip
-                text = " ".join(below.value.value.split())
-                yield Stated(path.relative_to(ROOT).as_posix(), f"{target.id} = {ast.unparse(node.value)}", text,
-                             "assumed" in text.lower())  # fmt: skip
+            target = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target).strip("()")
+            if not target.lstrip("_").isupper() or not _has_number(node.value, target):
+                continue
+            said = [entry.value for entry in ast.walk(node.value) if isinstance(entry, ast.Constant)]
+            words = (
+                [word for word in said if isinstance(word, str) and " " in word[8:]]
+                if isinstance(node.value, ast.Call)
+                else []
+            )
+            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+                words.insert(0, str(below.value.value))
+            words += re.findall(r"# (?!fmt|noqa|type)(.*)", "\n".join(lines[node.lineno - 1 : node.end_lineno]))
+            above = node.lineno - 1
+            while above and re.match(r"[A-Z_]", lines[above - 1]):
+                above -= 1
+            while above and lines[above - 1].startswith("#"):
+                above -= 1
+                words.insert(0, lines[above].removeprefix("#"))
+            source = " ".join(" ".join(words).split())
+            name = f"{target} = {ast.unparse(node.value)}"
+            yield Stated(path.relative_to(folder.parent).as_posix(), name, source, "assumed" in source.lower())
 
 
-def _is_number(node: ast.expr | None) -> bool:
-    try:
-        value = ast.literal_eval(node) if node is not None else None
-    except ValueError:
+def _has_number(node: ast.expr, name: str) -> bool:
+    """Whether it is a number of the world, or several, and not a place in a row or a text."""
+    if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Call) and ast.unparse(node.func) == "range"):
         return False
-    numbers = value if isinstance(value, tuple) else (value,)
-    return bool(numbers) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers)
+    numbers = [type(entry.value) for entry in ast.walk(node) if isinstance(entry, ast.Constant)]
+    return float in numbers or (int in numbers and any(UNITS.search(one) for one in name.split(", ")))
 
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "/").replace("<", "&lt;")
 
 
+PART = r"(?:\([^\s()]*\)|[^\s,;()])"
+"""A letter of a DOI, or several in brackets."""
+
+
 def linked(text: str) -> str:
     """The same with DOIs as links."""
-    return re.sub(r"(?<![/\w.])(10\.\d{4,9}/[^\s,;)]+[^\s,;).])", r"[\1](https://doi.org/\1)", text)
+    return re.sub(rf"(?<![/\w.])(10\.\d{{4,9}}/{PART}*(?<![.:]))", r"[\1](https://doi.org/\1)", text)
 
 
 def _table(rows: Iterator[Stated]) -> str:
-    lines = ["| where | what | source |", "| --- | --- | --- |"]
+    lines = ["| what | source |", "| --- | --- |"]
     for row in rows:
         said = linked(_cell(row.source))
         guess = row.assumed and not row.source.lower().startswith("assumed")
-        lines.append(f"| `{row.file}` | {_cell(row.name)} | {'**assumed**: ' if guess else ''}{said} |")
+        lines.append(f"| `{row.file}` {_cell(row.name)} | {'**assumed**: ' if guess else ''}{said} |")
     return "\n".join(lines)
 
 
 def sources_text() -> str:
     """All sources: of the tables, of rovers and cameras, of soils, of the numbers of the paper."""
-    lines = ["| table | what | source |", "| --- | --- | --- |"]
+    lines = ["| what | source |", "| --- | --- |"]
     for entry in of_tables().values():
         where = entry.get("doi") or entry.get("url", "")
         link = f" [{where}]({'https://doi.org/' if 'doi' in entry else ''}{where})" if where else ""
-        lines.append(f"| `{entry['table']}` | {_cell(entry['what'])} | {linked(_cell(entry['citation']))}{link} |")
+        lines.append(f"| `{entry['table']}` {_cell(entry['what'])} | {linked(_cell(entry['citation']))}{link} |")
     parts = {
         "Tables of spectra": "\n".join(lines),
         "Rovers, wheels, cameras and limits": _table(of_rovers()),
@@ -129,5 +161,14 @@ def sources_text() -> str:
 
 
 def constants_text() -> str:
-    """Constants of the code that cite a source, were measured, or are assumed."""
-    return _table(row for row in of_constants() if STATED.search(row.source))
+    """Constants of the code that cite a source, were measured, or are assumed; a table for each of its packages."""
+    parts: dict[str, list[str]] = {}
+    for row in of_constants():
+        if CITED.search(row.source) or REFERS.search(row.source):
+            said, unit = UNIT.fullmatch(row.source).groups()  # type: ignore[union-attr]
+            name = row.name if len(row.name) < 80 else f"{row.name[:70]} …"
+            _, package, *rest = row.file.split("/")
+            what = f"`{'/'.join(rest) or package}` `{_cell(name)}` {unit or ''}"
+            part = f"lunarsci/{package}" if rest else "lunarsci"
+            parts.setdefault(part, ["| what | source |", "| --- | --- |"]).append(f"| {what} | {linked(_cell(said))} |")
+    return "\n\n".join("\n".join((f"### `{part}`\n", *rows)) for part, rows in sorted(parts.items()))

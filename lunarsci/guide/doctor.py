@@ -26,6 +26,7 @@ STIFFNESS_KPA, SINKAGE_M, LOAD_N = 1443.0, 0.008, 32.03
 """Equivalent stiffness at N = 1, sinkage, and load on a wheel: Ding et al. (2024), 10.1038/s41467-024-46233-8, Fig. 4;
 the load is that of F_N/b = 213.5 N/m on a wheel 0.15 m wide."""
 LOAD_WITHIN = 0.01
+"""Share by which the load found may differ from the published one, whose digits allow as much; assumed."""
 CENTER_NM, CENTER_WITHIN_NM = 950.0, 5.0
 """Centre of a Gaussian absorption that is made up, and how near to it the band must be found; assumed."""
 DRIVE_M, END_WITHIN_M = 0.6, 0.1

@@ -4,7 +4,6 @@ The kind is told from the content first, and from the name only where the conten
 said by the reader that the commands use, so that a file that they would refuse is known to be one.
 """
 
-import csv
 import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import Any, ClassVar
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS
-from lunarsci.inputs import InputFile, beginning, read_input, read_json
+from lunarsci.inputs import InputFile, beginning, csv_rows, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 
 
@@ -208,7 +207,7 @@ def kind_of(file: InputFile) -> str:
         return _kind_of_json(file)
     if suffix == ".toml":
         return _kind_of_toml(file)
-    return _kind_of_table(text, suffix)
+    return _kind_of_table(file.name, text, suffix)
 
 
 def _kind_of_json(file: InputFile) -> str:
@@ -234,11 +233,11 @@ def _kind_of_toml(file: InputFile) -> str:
     return next((kind for kind, keys in TOML_KEYS.items() if all(key in document for key in keys)), "config")
 
 
-def _kind_of_table(text: str, suffix: str) -> str:
+def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if suffix == ".fit":
         return "mgm"
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    columns = [name.strip() for name in next(csv.reader(lines[:1]), [])]
+    columns = [name.strip() for name in next(csv_rows(name, lines[:1]), [])]
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):

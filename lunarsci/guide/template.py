@@ -21,7 +21,7 @@ ATTRIBUTE = re.compile(
     r"^(\w+(?:, \w+)*) : (.+?)(?=^\w+(?:, \w+)* : |^Raises |^\S.*\n-+$|\Z)", re.DOTALL | re.MULTILINE
 )
 SHORT_LEGS = ({"length_m": 1.0}, {"length_m": 0.8, "curvature_per_m": 0.2})
-"""An arc straight ahead and one to the left: the path of the plan."""
+"""An arc straight ahead and one to the left: the path of the plan. Assumed."""
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.grids import ERROR_LAYERS, geotiff_bytes, read_grid
+from lunarsci.grids import ERROR_LAYERS, check_relief, geotiff_bytes, read_grid
 
 
 class KnownNodes(NamedTuple):
@@ -154,10 +154,12 @@ class ElevationModel:
 def read_elevation(path: str | Path) -> ElevationModel:
     """An elevation model from .npz, GeoTIFF, ESRI ASCII or CSV, as `lunarsci.grids.read_grid` says.
 
-    Errors are layers under the names that `ElevationModel` has. Raises DataError.
+    Errors are layers under the names that `ElevationModel` has. Heights are looked at by `check_relief`. Raises
+    DataError.
     """
     soils = tuple(f"{name}{end}" for name in SOIL for end in ("", "_left_of_prior"))
     grid = read_grid(path, ERROR_LAYERS, soils)
+    check_relief(path, grid.height_m, grid.spacing_m)
     layers: dict[str, Any] = {key: np.asarray(values, dtype=float) for key, values in grid.layers.items()}
     return ElevationModel(
         name=grid.name,

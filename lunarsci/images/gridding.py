@@ -30,11 +30,11 @@ COVERED = 0.5
 ASIDE = 1.0
 """Share of the unevenness between nodes that turns an error along the level into one of height; assumed: all of it."""
 ALIKE_PX = 4.0
-"""Distance of pixels whose errors are independent,"""
+"""Distance of pixels whose errors are independent: as `matching.CORRELATED`."""
 REPRESENTED = 0.09
-"""the share of the relief between nodes that the mean of a cell misses, and"""
+"""Share of the relief between nodes that the mean of a cell misses: as `matching.CORRELATED`."""
 HIDDEN = 0.8
-"""the error of what no pixel shows of a cell over that relief: all three as `matching.CORRELATED`."""
+"""Error of what no pixel shows of a cell, over that relief: as `matching.CORRELATED`."""
 SMOOTH_M = 0.06
 """Width over which the slope of the ground is taken for the errors; assumed. [m]"""
 LEVEL = 0.01

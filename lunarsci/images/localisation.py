@@ -33,7 +33,7 @@ from lunarsci.images.ties import (
 LEAST_OVERLAP = 0.01
 """Share of the farther picture that the nearer one must fill; assumed."""
 REACHES_PX = ((12, 6), (6, 4))
-"""Half sides of where templates are looked for, a round."""
+"""Half sides of where templates are looked for, a round; assumed."""
 AGREE_PX, AGREEING = 2.0, 0.6
 """Share of the templates that must be so near to where the pose has them: by chance, few are; assumed."""
 ODD_SIGMAS = 5.0

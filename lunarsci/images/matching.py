@@ -22,7 +22,7 @@ from lunarsci.images.rig import StereoRig
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
 MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH, ISLAND = range(len(REASONS))
 BLOCK_PX = 5
-"""Window of semi-global matching, with the penalties 8 and 32 times its area of OpenCV's own example."""
+"""Window of semi-global matching, with the penalties 8 and 32 times its area of OpenCV's own example; assumed."""
 DARK = 0.05
 """Light below this share of the bright tenth of a picture is shadow; assumed."""
 LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
@@ -33,11 +33,11 @@ FEWEST = 0.1
 LARGEST_ROW_PX = 3.0
 """Rows that are farther apart are of another rig; assumed."""
 ISLAND_PX, ISLAND_STEP_PX = 400, 1.0
-"""Pixels of a patch below which it is an island, and the step of disparity at which a patch ends. Of six rendered pairs
-of ground without texture a third of the pixels on islands were wrong, of all others 2 %."""
+"""Pixels of a patch below which it is an island, and the step of disparity at which a patch ends. Measured on
+six rendered pairs of ground without texture: a third of the pixels on islands were wrong, of all others 2 %."""
 ISLAND_OFF, ABOUT_PX = 0.5, 33
 """How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
-this ground is looked for [px]: of shares from 0.1 on this one costs a real pair the fewest pixels."""
+this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
 CORRELATED = 2.4
 """Random errors over those of the normal matrix, since what is left of the light hangs together: fitted to four
 rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""

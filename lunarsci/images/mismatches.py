@@ -11,10 +11,11 @@ from lunarsci.images.pictures import Picture
 ALIKE = 0.999
 """Correlation of two pictures, pixel on pixel, from which they are one: assumed. Two views of ground are below 0.9."""
 LEAST_SHARE = 0.4
-"""Share that must match before a trial is believed: pictures of two places, turned, may match by their parallax."""
+"""Share that must match before a trial is believed: pictures of two places, turned, may match by their parallax.
+Assumed."""
 UNEVEN_PX = 0.45
-"""Robust scatter of the rows' distances about their plane from which the pictures are of two moments: a rendered pair
-has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
+"""Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
+rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
 Share = Callable[[FloatArray, FloatArray], float]
 """Share of the pixels of two pictures, left and right, that match."""
 

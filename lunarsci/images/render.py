@@ -19,7 +19,8 @@ from lunarsci.images.rig import StereoRig
 Law = Literal["lommel-seeliger", "hapke"]
 SKY, GROUND, ROCK = 0, 1, 2
 SUN_RADIUS_RAD = math.radians(0.2666)
-"""Half the angle of the Sun's disk at 1 au. [rad]"""
+"""Half the angle of the Sun's disk at 1 au: 959.63 arc seconds, Auwers (1891), Astron. Nachr. 128, 361. The nominal
+radius of the Sun (Prsa et al. 2016, 10.3847/0004-6256/152/2/41) gives 0.2665 deg. [rad]"""
 EXPOSURE = 0.8
 """Share of the full well that the brightest half percent of the left picture reaches: assumed. [-]"""
 OFFSET = 8.0

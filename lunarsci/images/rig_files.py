@@ -43,7 +43,7 @@ def read_camera(file: InputFile) -> SingleCamera | None:
         return SingleCamera(_camera(plain["camera"], str(plain["name"])), covariance, str(plain.get("source", "")))
     except KeyError as error:
         raise DataError(f"{file.name}: no {error.args[0]}; a camera has a name, a covariance and [camera]") from error
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{file.name}: {error}") from error
 
 
@@ -86,15 +86,14 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
 
 
 def _read(document: Mapping[str, Any], origin: str) -> StereoRig:
-    assumed = [*document.get("assumed", ()), *_assumed(document)]
-    plain = _plain(document)
-    if "camera" in plain:
+    if "camera" in document:
         raise DataError(f"{origin}: is one camera; a rig needs two: calibrate the right one's pictures with it")
     try:
-        return _rig(plain, tuple(assumed))
+        assumed = (*document.get("assumed", ()), *_assumed(document))
+        return _rig(_plain(document), assumed)
     except KeyError as error:
         raise DataError(f"{origin}: no {error.args[0]}; {FORM}") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{origin}: {error}") from error
 
 
@@ -214,7 +213,7 @@ def read_pose(source: str | InputFile) -> Pose:
         return Pose.looking(table["position_m"], heading, down, float(table.get("roll_deg", 0.0)))
     except KeyError as error:
         raise DataError(f"{file.name}: no {error.args[0]}; a pose has position_m, heading_deg and down_deg") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{file.name}: {error}; a pose has position_m, heading_deg and down_deg") from error
 
 

@@ -18,7 +18,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
 
 SCALES_M = (0.03, 0.05, 0.08, 0.13, 0.2, 0.32, 0.5)
-"""Diameters that are looked for. [m]"""
+"""Diameters that are looked for; assumed. [m]"""
 FLATNESS = 0.5
 """Height over diameter of rocks that are put in for trial, as half ellipsoids; assumed, after a mean of 0.4 to 0.6 at
 landing sites (Golombek & Rapp 1997, 10.1029/96JE03319)."""

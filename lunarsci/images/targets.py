@@ -18,7 +18,7 @@ from lunarsci.names import one_of
 Kind = Literal["chessboard", "circles", "asymmetric-circles", "charuco"]
 GOES_ON = 0.75
 """Contrast of squares beyond a board, over that within, from which it is larger than stated; the outer edge of the
-outer squares has half of it."""
+outer squares has half of it. Assumed."""
 NEAR = 0.4
 """Half width of the window about a corner, as a share of the distance to the next; assumed."""
 FEWEST_POINTS = 6

@@ -25,8 +25,9 @@ HIDDEN = 0.02
 TEMPLATE_PX = (41, 17)
 """Width and height of what is compared: ground seen from afar is foreshortened; assumed. [px]"""
 STEP_PX = (20, 8)
+"""Between templates, as wide as half of one so that they share little light; assumed. [px]"""
 WIDE_PX, WIDE_STEP_PX = (81, 25), (30, 12)
-"""The same where the pose is not known better than by dead reckoning. [px]"""
+"""The same where the pose is not known better than by dead reckoning; assumed. [px]"""
 OVERLAPPING = TEMPLATE_PX[0] * TEMPLATE_PX[1] / (STEP_PX[0] * STEP_PX[1])
 """How many templates see each pixel: by this the variance of one is larger, since their errors hang together."""
 LEAST_CORRELATION = 0.6
@@ -34,7 +35,8 @@ LEAST_CORRELATION = 0.6
 LOOSE_CORRELATION = 0.45
 """The same where many are searched for one motion, which chance does not share, or where there are few; assumed."""
 LIKE = 0.85
-"""Largest ratio of the best to the second best distance of features; Lowe takes 0.8."""
+"""Largest ratio of the best to the second best distance of features; assumed, Lowe (2004), Int. J. Comput. Vis. 60, 91,
+10.1023/B:VISI.0000029664.99615.94, takes 0.8."""
 INLIER_PX = 4.0
 """Features that are off by more, on foreshortened ground, do not follow a motion; assumed. [px]"""
 LEAST_REACH_PX = 12.0

@@ -20,10 +20,10 @@ from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 SCHEMA = "lunarsci/soil-belief/1"
 ASYMMETRY = 1e-9
 FARTHEST_WIDTHS = 6.0
-"""Of a mean from its laws; a normal law has 2e-9 of its draws beyond. [standard deviations]"""
+"""Of a mean from its laws; a normal law has 2e-9 of its draws beyond. Assumed. [standard deviations]"""
 WIDEST = 5.0
-"""Drives narrow a belief and forgetting leads back to its laws, past them by at most (0.25 x 6^2 + 1)^0.5 = 3.2 times.
-[standard deviations of the laws]"""
+"""Drives narrow a belief and forgetting leads back to its laws, past them by at most (0.25 x 6^2 + 1)^0.5 = 3.2 times;
+assumed. [standard deviations of the laws]"""
 MARK = "# verdict of the fit: "
 
 

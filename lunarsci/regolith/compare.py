@@ -17,9 +17,11 @@ from lunarsci.tables import table_hashes, table_rows
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
 KINDS = ("terrestrial", "simulant", "lunar")
 SINKAGES_M = np.linspace(0.005, 0.02, 16)
+"""Where predictions are compared; assumed, about what a light rover's wheels sink. [m]"""
 STRESSES_PA = np.linspace(2e3, 10e3, 17)
 """Where predictions are compared: sinkages and normal stresses of a light rover's wheel; assumed."""
 LARGEST_WIDTH_M = 2.0
+"""Of a wheel, to tell metres from centimetres; assumed."""
 ASPECTS = ("bearing", "shear", "lateral")
 SITE_NAMES = {
     "stiffness_kpa_m_n": ("stiffness_kpa_m_n", "stiffness_kpa_m_n"),

@@ -25,7 +25,7 @@ POOLED_DRAWS, LEAST_POOLED = 200_000, 8
 """About how many draws of all states together make the estimates of the site, and how many of each state at least."""
 PERCENTILES = (2.5, 97.5)
 MIN_SOLVED = 0.5
-"""With a solution in fewer draws than this the rest is a selected sample, and no value is given."""
+"""With a solution in fewer draws than this the rest is a selected sample, and no value is given; assumed."""
 UNITS = {
     "sigma_m_pa": "Pa",
     "tau_xm_pa": "Pa",

@@ -18,8 +18,8 @@ from lunarsci.tables import table_hashes
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
 USUAL_WIDTHS = 5.0
-"""All lunar soils and simulants of `reference_soils.csv` lie within 4 widths of the prior laws, but two clays of the
-Earth do not within 5."""
+"""Measured: all lunar soils and simulants of `reference_soils.csv` lie within 4 widths of the prior laws, but two clays
+of the Earth do not within 5."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
 SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
 MAX_VALID_SLIP = 0.6
-"""Slip ratio up to which the model was compared with wheels. [-]"""
+"""Slip ratio up to which the model holds: Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods. [-]"""
 DENSITY_KG_M3 = 1500.0
 """Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 
@@ -45,7 +45,7 @@ def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coef
 
 
 LARGEST_M = 2.5
-"""Radius or width; the largest tyres built are 2.0 m in radius (59/80R63, of mining trucks). [m]"""
+"""Radius or width; the largest tyres built are 2.0 m in radius (59/80R63, of mining trucks). Assumed. [m]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

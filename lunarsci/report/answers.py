@@ -5,22 +5,29 @@ from contextlib import contextmanager
 from typing import Any
 
 from lunarsci.errors import DataError
-from lunarsci.report import drive_answers, rock_answers
+from lunarsci.report import drive_answers, image_answers, rock_answers
 from lunarsci.report.documents import Document
-from lunarsci.report.sentences import DOUBT, Result, ResultAnswer
+from lunarsci.report.sentences import DOUBT, GO, STOP, Result, ResultAnswer, trust
 from lunarsci.report.words import counted, measured, number, quantity, unit
 
 
 def answer(document: Document) -> ResultAnswer:
     """The answer of a result; of a kind that is not known here, what it is.
 
+    Whether it is trusted is what its command said, with exit code 3 or inputs that failed; nothing is judged here.
     Raises DataError where a document lacks what its schema has.
     """
     made = ANSWERS.get(document.kind)
-    if made is None:
-        return ResultAnswer(f"A result of {document.provenance.get('command', 'lunarsci')}; its numbers are below.")
     with as_written(document):
-        return made(document.result)
+        found = made(document.result) if made else _unknown(document)
+        trusted, said = trust(document.provenance)
+    tone = found.tone if trusted or found.tone == STOP else DOUBT
+    text = f"{said} Otherwise: {found.text}" if tone == DOUBT and found.tone == GO else found.text
+    return ResultAnswer(text, tone, said)
+
+
+def _unknown(document: Document) -> ResultAnswer:
+    return ResultAnswer(f"A result of {document.provenance.get('command', 'lunarsci')}; its numbers are below.")
 
 
 @contextmanager
@@ -43,11 +50,18 @@ def soil(result: Result) -> ResultAnswer:
     ]
     found = [(k, v) for k, v in values if v.get("value") is not None and not v.get("assumed")]
     lines = [f"{quantity(name)} {measured(item['value'], item.get('sigma'), _unit(name))}" for name, item in found]
+    lost = [
+        quantity(name)
+        for name, item in values
+        if item.get("reason") and not item.get("assumed") and item.get("value") is None
+    ]
+    taken = [quantity(name) for name, item in values if item.get("assumed")]
     if not lines:
-        return ResultAnswer("These wheel states do not determine the soil.", DOUBT)
+        return ResultAnswer("These wheel states do not determine the soil.")
     states = len(result.get("observations", ())) or result.get("states")
     of = f"From {counted(states, 'wheel state')}: " if isinstance(states, int) and states else "The soil: "
-    return ResultAnswer(f"{of}{'; '.join(lines)}.")
+    told = [f" Not determined: {', '.join(lost)}." if lost else "", f" Assumed: {', '.join(taken)}." if taken else ""]
+    return ResultAnswer(f"{of}{'; '.join(lines)}.{''.join(told)}")
 
 
 def _inferred(joint: Result) -> ResultAnswer:
@@ -58,10 +72,9 @@ def _inferred(joint: Result) -> ResultAnswer:
         for name, one in known
     ]
     if not lines:
-        return ResultAnswer("These wheel states hardly tell more of the soil than was believed before.", DOUBT)
-    return ResultAnswer(
-        f"Of the soil these wheel states determine, median and 68 %: {'; '.join(map(str.strip, lines))}."
-    )
+        return ResultAnswer("These wheel states hardly tell more of the soil than was believed before.")
+    rest = " The rest is hardly known better than before." if len(known) < len(joint["parameters"]) else ""
+    return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
 
 
 def _aspects(result: Result) -> list[Mapping[str, Any]]:
@@ -89,33 +102,35 @@ def like(result: Result) -> ResultAnswer:
     return ResultAnswer(f"The site is set beside {counted(len(result['soils']), 'soil')}{nearest}.")
 
 
-def ruts(result: Result) -> ResultAnswer:
-    depth = result["sinkage_m"]
-    if depth.get("mean") is None:
-        return ResultAnswer("The depth of the ruts is not determined.", DOUBT)
-    return ResultAnswer(
-        f"The wheels sank {measured(1e3 * depth['mean'], 1e3 * depth['sigma'], 'mm')}, "
-        f"the mean of {result['determined']} of {result['places']} places."
-    )
-
-
 def reproduced(result: Result) -> ResultAnswer:
     verdicts = "; ".join(f"{count} {verdict}" for verdict, count in result["verdicts"].items())
     return ResultAnswer(f"Of {counted(len(result['numbers']), 'published number')}: {verdicts}.")
 
 
+SYMBOLS = {"-": "", "deg": "°"}
+
+
 def shown(result: Result) -> ResultAnswer:
+    firsts = {str(one["quantity"]).partition(":")[0]: one for one in reversed(result["findings"])}
     found = [
-        f"{one['quantity']} {measured(one['value'], one.get('sigma'), '' if one['unit'] == '-' else one['unit'])}"
-        for one in result["findings"]
+        f"{one['quantity']}, {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
+        for one in reversed(firsts.values())
     ]
-    return ResultAnswer(f"Everything here is synthetic. Found: {'; '.join(found)}.")
+    more = len(result["findings"]) - len(found)
+    rest = f" {more} more findings are below." if more else ""
+    return ResultAnswer(f"Everything here is synthetic. Found, among others: {'; '.join(found)}.{rest}")
 
 
 ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {
     "demo": shown,
-    "images-rocks": rock_answers.rocks,
-    "images-track": ruts,
+    "images-calibrate": image_answers.calibrated_cameras,
+    "images-cameras": image_answers.cameras,
+    "images-dem": image_answers.heights,
+    "images-locate": image_answers.located,
+    "images-merge": image_answers.merged,
+    "images-render": image_answers.rendered,
+    "images-rocks": image_answers.rocks,
+    "images-track": image_answers.ruts,
     "regolith-compare": like,
     "regolith-forces": wheel_forces,
     "regolith-identify": soil,
@@ -125,7 +140,12 @@ ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {
     "spectra-calibrate": rock_answers.calibrated,
     "spectra-fit": rock_answers.fit,
     "spectra-indices": rock_answers.indices,
+    "spectra-library": rock_answers.library,
+    "spectra-library-check": rock_answers.library_checked,
+    "spectra-map": rock_answers.mapped,
     "spectra-match": rock_answers.match,
+    "spectra-pixel": rock_answers.pixel,
+    "spectra-simulate": rock_answers.simulated,
     "twin-compare": drive_answers.compared,
     "twin-forces": drive_answers.loads,
     "twin-history": drive_answers.believed,

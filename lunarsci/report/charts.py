@@ -66,9 +66,36 @@ def _spectra(document: Document) -> Drawn:
     axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]")
     axes.legend()
     names = ", ".join(str(one["id"]) for one in spectra)
+    told = f"Reflectance over wavelength of {names}; the bands are one standard error of the noise."
+    return "Calibrated spectra", told, figure
+
+
+def _centres(document: Document) -> Drawn:
+    """Depth over centre of the bands of each spectrum, with errors."""
+    spectra = document.result["spectra"]
+    figure, axes = _axes()
+    told = []
+    for key, name, look in (("1000", "1 µm", DOT_STYLES[0]), ("2000", "2 µm", DOT_STYLES[1])):
+        own = [one for one in spectra if None not in (one.get(f"bc{key}_nm"), one.get(f"bd{key}"))]
+        if own:
+            axes.errorbar(
+                [one[f"bc{key}_nm"] for one in own],
+                [one[f"bd{key}"] for one in own],
+                xerr=[_real(one.get(f"bc{key}_sigma_nm")) for one in own],
+                yerr=[_real(one.get(f"bd{key}_sigma")) for one in own],
+                linestyle="",
+                capsize=2,
+                label=f"{name} band",
+                **look,
+            )
+            told.append(f"{name}: " + ", ".join(f"{number(one[f'bc{key}_nm'])} nm" for one in own[:MOST_BARS]))
+    if not told:
+        return None
+    axes.set(xlabel="centre of the band [nm]", ylabel="depth [-]", ylim=(0, None))
+    axes.legend()
     return (
-        "Calibrated spectra",
-        f"Reflectance over wavelength of {names}; the bands are one standard error of the noise.",
+        "Absorption bands",
+        f"Depth over centre of the bands, with standard errors. Centres: {'; '.join(told)}.",
         figure,
     )
 
@@ -133,20 +160,15 @@ def _shares(document: Document) -> Drawn:
     ][:MOST_BARS]
     if not rows:
         return None
-    title = "Shares of minerals"
+    outside = any((one.get("abundance") or {}).get("in_domain") is False for one in document.result["spectra"])
+    title = "Shares of minerals, out of the domain of the method" if outside else "Shares of minerals"
     intervals = [(name, item["fraction"], item["low"], item["high"]) for name, item in rows]
     return title, _told(title, intervals), _interval_figure(intervals, "share [-]", (0.0, 1.0))
 
 
 def _told(title: str, intervals: Any) -> str:
-    return (
-        f"{title}: "
-        + "; ".join(
-            f"{name} {number(middle, 3)} ({number(low, 3)} to {number(high, 3)})"
-            for name, middle, low, high in intervals
-        )
-        + "."
-    )
+    told = [f"{name} {number(mid, 3)} ({number(low, 3)} to {number(high, 3)})" for name, mid, low, high in intervals]
+    return f"{title}: {'; '.join(told)}."
 
 
 def _interval_figure(rows: Any, label: str, limits: tuple[float, float] | None = None) -> "Figure":
@@ -253,7 +275,8 @@ def _left_of_prior(document: Document) -> Drawn:
     found = (document.result.get("joint") or document.result).get("parameters") or (
         document.result.get("drives") or [{}]
     )[-1].get("parameters")
-    rows = [(name, one["left_of_prior"]) for name, one in (found or {}).items() if one.get("left_of_prior") is not None]
+    left = {name: one.get("left_of_prior", _unshrunk(one)) for name, one in (found or {}).items()}
+    rows = [(name, share) for name, share in left.items() if share is not None]
     if not rows:
         return None
     figure, axes = _axes(height=0.9 + 0.32 * len(rows))
@@ -264,6 +287,11 @@ def _left_of_prior(document: Document) -> Drawn:
     axes.set_xlabel("spread now / spread before any drive [-]; 1: nothing learned")
     told = "; ".join(f"{words(name).partition(' [')[0]} {number(share, 2)}" for name, share in rows)
     return "What was learned of the soil", f"Spread of each parameter as a part of what it was before: {told}.", figure
+
+
+def _unshrunk(parameter: Mapping[str, Any]) -> float | None:
+    shrinkage = parameter.get("shrinkage")
+    return None if shrinkage is None else 1.0 - float(shrinkage)
 
 
 def _limits(document: Document) -> Drawn:
@@ -357,6 +385,7 @@ def _wheel_loads(document: Document) -> Drawn:
 
 
 CHARTS: dict[str, tuple[Callable[[Document], Any], ...]] = {
+    "spectra-bands": (_centres,),
     "spectra-calibrate": (_spectra,),
     "spectra-simulate": (),
     "spectra-fit": (_absorptions, _shares),

@@ -1,7 +1,7 @@
 """Sentences for drives: the ground, the way, what was predicted, driven and learned."""
 
-from lunarsci.report.sentences import DOUBT, GO, PLAIN, STOP, Result, ResultAnswer
-from lunarsci.report.words import counted, number, percent, quantity
+from lunarsci.report.sentences import GO, PLAIN, STOP, Result, ResultAnswer
+from lunarsci.report.words import counted, number, percent, quantity, words
 
 
 def predicted(result: Result) -> ResultAnswer:
@@ -9,8 +9,7 @@ def predicted(result: Result) -> ResultAnswer:
     members, length = result["members"], number(result.get("path_length_m"), 3)
     drive = f"the drive \u201c{result.get('plan', '')}\u201d of {length} m"
     if not go:
-        reasons = "; ".join(map(str, result.get("reasons", ())[:2])) or "a limit is broken"
-        return ResultAnswer(f"No-go for {drive}: {reasons}.", STOP)
+        return ResultAnswer(f"No-go for {drive}: {'; '.join(_broken(result)) or 'a limit is broken'}.", STOP)
     broken = max((int(one.get("exceeding") or 0) for one in result["limits"]), default=0)
     kept = (
         f"a limit is broken by {broken} of {counted(members, 'predicted drive')}, fewer than one in twenty"
@@ -21,7 +20,29 @@ def predicted(result: Result) -> ResultAnswer:
     near = f"; nearest to its limit comes the {quantity(tight['quantity'])}, {_of_limit(tight)}" if tight else ""
     end = result.get("endpoint")
     where = f" All drives end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
-    return ResultAnswer(f"Go for {drive}: {kept}{near}.{where}", GO)
+    return ResultAnswer(f"Go for {drive}: {kept}{near}.{where}{_made_up(result, 'verdict')}", GO)
+
+
+def _made_up(result: Result, what: str) -> str:
+    """What a drive on synthetic terrain is worth, in the words of the commands."""
+    synthetic = (result.get("terrain") or {}).get("synthetic")
+    return f" The terrain is synthetic; the {what} says nothing about a real site." if synthetic else ""
+
+
+def _broken(result: Result) -> list[str]:
+    """Why it is no go: limits that are broken, then reasons that are of no limit, as the command says them."""
+    broken = [one for one in result["limits"] if one.get("ok") is False and one.get("p95") is not None]
+    names = [str(one["quantity"]) for one in broken]
+    told = [
+        f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of the drives, {_bound(one)} is allowed"
+        for one in broken
+    ]
+    return told + [str(text) for text in result.get("reasons", ()) if str(text).partition(":")[0] not in names]
+
+
+def _reached(limit: Result) -> str:
+    low = limit.get("sense") == "at least"
+    return f"{'down' if low else 'up'} to {_with_unit(limit, limit['p05' if low else 'p95'])}"
 
 
 def _used(limit: Result) -> float:
@@ -34,12 +55,20 @@ def _used(limit: Result) -> float:
 
 
 def _of_limit(limit: Result) -> str:
-    worst = float(limit.get("min" if limit.get("sense") == "at least" else "max") or 0.0)
+    worst = limit.get("min" if limit.get("sense") == "at least" else "max") or 0.0
+    return f"at worst {_with_unit(limit, worst)} of {_bound(limit)}"
+
+
+def _bound(limit: Result) -> str:
+    return f"{limit.get('sense', 'at most')} {_with_unit(limit, limit['limit'], 3)}"
+
+
+def _with_unit(limit: Result, value: float, digits: int = 2) -> str:
+    """A value of a limit's quantity, lengths of less than a metre in mm."""
     symbol, factor = {"-": ("", 1), None: ("", 1), "deg": ("°", 1)}.get(limit.get("unit"), (f" {limit.get('unit')}", 1))
     if symbol == " m" and limit["limit"] < 1:
         symbol, factor = " mm", 1000
-    bound = f"{limit.get('sense', 'at most')} {number(float(factor * limit['limit']), 3)}{symbol}"
-    return f"at worst {number(factor * worst, 2)}{symbol} of {bound}"
+    return f"{number(float(factor * value), digits)}{symbol}"
 
 
 def ground(result: Result) -> ResultAnswer:
@@ -47,7 +76,7 @@ def ground(result: Result) -> ResultAnswer:
     shares = f"{free} of the ground may be driven on, {hazard} is a hazard"
     unknown = f", {percent(result['unknown_share'])} is not known"
     made_up = "Synthetic ground: " if result["terrain"].get("synthetic") else ""
-    return ResultAnswer(f"{made_up}{shares}{unknown}.")
+    return ResultAnswer(f"{made_up}{shares}{unknown}, for the limits of {result.get('rover', 'the rover')}.")
 
 
 def planned(result: Result) -> ResultAnswer:
@@ -77,8 +106,8 @@ def _chosen(choice: Result) -> str:
     promised = best["promised"]
     return (
         f" Of {counted(len(choice['candidates']), 'candidate')} it is \u201c{best['name']}\u201d: "
-        f"its chance of failing is {percent(promised['risk'])}, "
-        f"and {percent(promised['risk_high'])} at most, by {promised['drives']} drives."
+        f"{percent(promised['risk'])} of its drives fail, {percent(promised['risk_high'])} at most, by "
+        f"{counted(promised['drives'], 'drive')} on fresh soils."
     )
 
 
@@ -105,16 +134,15 @@ def states(result: Result) -> ResultAnswer:
         if depths
         else " Sinkage was not measured."
     )
-    doubt = any(one.get("doubt") for one in result.get("findings", ()))
     made_up = " The telemetry is synthetic." if result.get("synthetic") else ""
     way = f"The rover drove {number(result['distance_m'], 3)} m in {number(result['duration_s'], 3)} s."
-    return ResultAnswer(f"{way}{slip}{sink}{made_up}", DOUBT if doubt else PLAIN)
+    return ResultAnswer(f"{way}{slip}{sink}{made_up}")
 
 
 def loads(result: Result) -> ResultAnswer:
     found = [interval for one in result["wheels"] if (interval := interval_of(one["normal_force_n"]))]
     if not found:
-        return ResultAnswer("Forces of the wheels are not determined.", DOUBT)
+        return ResultAnswer("Forces of the wheels are not determined.")
     low, high = min(low for _, low, _ in found), max(high for *_, high in found)
     return ResultAnswer(
         f"The wheels carry {number(low, 3)} to {number(high, 3)} N each; "
@@ -132,22 +160,23 @@ def interval_of(item: Result) -> tuple[float, float, float] | None:
 
 def learned(result: Result) -> ResultAnswer:
     if result.get("refused"):
-        return ResultAnswer(f"Nothing was learned from this drive: {result['refused']}.", DOUBT)
+        return ResultAnswer(f"Nothing was learned from this drive: {result['refused']}.")
     left = {
         name: one["left_of_prior"] for name, one in result["parameters"].items() if one.get("left_of_prior") is not None
     }
     best = min(left, key=lambda name: float(left[name]), default=None)
-    most = f" Best known now is the {quantity(best)}, with {percent(left[best])} of its former spread." if best else ""
+    most = (
+        f" Best known now is the {quantity(best)}: its range is {percent(left[best])} of what it was before any drive."
+        if best
+        else ""
+    )
     changes = len(result.get("changes", ()))
     changed = (
         f" The soil changes in {counted(changes, 'place')}."
         if changes
         else " No change of the soil along the way was found."
     )
-    return ResultAnswer(
-        f"{counted(result['values'], 'value')} of the drive are explained with a reduced chi-square of "
-        f"{number(result['reduced_chi_square'], 2)}.{most}{changed}"
-    )
+    return ResultAnswer(f"The soil was learned from {counted(result['values'], 'value')} of the drive.{most}{changed}")
 
 
 def compared(result: Result) -> ResultAnswer:
@@ -157,19 +186,28 @@ def compared(result: Result) -> ResultAnswer:
         if end and end.get("error_m") is not None
         else ""
     )
-    reason = f": {result['reasons'][0]}" if result.get("reasons") else ""
-    return ResultAnswer(f"The prediction is {verdict}{reason}.{where}", PLAIN if verdict == "trusted" else DOUBT)
+    reason = f": {'; '.join(map(str, result['reasons']))}" if result.get("reasons") else ""
+    return ResultAnswer(f"The prediction is {verdict}{reason}.{where}")
 
 
 def believed(result: Result) -> ResultAnswer:
     drives = result["drives"]
     learned = [one for one in drives if not one.get("refused")]
-    return ResultAnswer(f"The belief rests on {counted(len(learned), 'drive')} of {len(drives)}.")
+    return ResultAnswer(f"What is believed of the soil rests on {counted(len(learned), 'drive')} of {len(drives)}.")
 
 
 def designs(result: Result) -> ResultAnswer:
-    front = ", ".join(str(one) for one in result["front"]) or "none"
-    return ResultAnswer(
-        f"{counted(len(result['designs']), 'design')} were driven on the same soils; "
-        f"not beaten in both risk and energy: design {front}."
+    designs, keys = result["designs"], [str(one["name"]) for one in result.get("vary") or ()]
+    best = [_design(designs[k], keys) for k in result["front"] if k < len(designs)]
+    impossible = sum(bool(one.get("impossible")) for one in designs)
+    lost = f" {counted(impossible, 'design')} cannot be built." if impossible else ""
+    told = (
+        f"no other keeps more drives with less work than {', or '.join(best[:3])}" if best else "none could be driven"
     )
+    return ResultAnswer(f"Of {counted(len(designs), 'design')} {told}.{lost}{_made_up(result, 'trade')}")
+
+
+def _design(design: Result, keys: list[str]) -> str:
+    made = ", ".join(f"{words(key)} {number(design[key], 3)}" for key in keys if key in design)
+    kept = f" ({percent(design['kept_share'])} of its drives kept)" if design.get("kept_share") is not None else ""
+    return f"that of {made}{kept}"

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from lunarsci.errors import DataError
 from lunarsci.report.documents import Document, GivenPicture, read_results
-from lunarsci.report.page import Page
+from lunarsci.report.page import Page, title_of
 from lunarsci.report.relief import Ground
 from lunarsci.result import MadeFrom, Result, request_of
 
@@ -56,6 +56,7 @@ class ReportedResults(Result):
                 "title": page.section_title(one),
                 "tone": said.tone,
                 "answer": said.text,
+                "trust": said.trust,
             }
             for one, said in zip(page.documents, page.answers, strict=True)
         ]
@@ -82,12 +83,8 @@ def page_of(documents: Sequence[Document], pictures: Sequence[GivenPicture], wan
     """The page of some results, with the ground where one is known."""
     ground = _terrain(wanted.terrain) if wanted.terrain else _terrain_of(documents)
     names = {one.name for one in documents}
-    title = wanted.title or (f"Results of {len(documents)} commands" if len(names) > 1 else _title(documents[0]))
+    title = wanted.title or (f"Results of {len(documents)} commands" if len(names) > 1 else title_of(documents[0]))
     return Page(title, documents, pictures, ground)
-
-
-def _title(document: Document) -> str:
-    return str(document.provenance.get("command", document.schema)).replace("lunarsci ", "lunarsci: ", 1)
 
 
 def _terrain(name: str) -> Ground:

@@ -22,19 +22,27 @@ MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}
 MIME = {".png": "image/png", ".svg": "image/svg+xml"}
 TITLES = {
     "demo": "The demonstration",
+    "images-calibrate": "Cameras, calibrated",
+    "images-cameras": "Cameras",
     "images-dem": "Heights from pictures",
     "images-locate": "Where the pictures were taken",
     "images-merge": "Heights of several stations",
+    "images-render": "Synthetic pictures",
     "images-rocks": "Rocks",
     "images-track": "Depth of the ruts",
     "regolith-compare": "The soil beside others",
     "regolith-forces": "Forces of a wheel",
     "regolith-identify": "The soil from wheel states",
+    "regolith-infer": "The soil from wheel states",
     "reproduce": "Published numbers",
     "spectra-bands": "Absorption bands",
     "spectra-calibrate": "Calibrated spectra",
     "spectra-fit": "Minerals",
     "spectra-indices": "Spectral indices",
+    "spectra-library": "A spectral library",
+    "spectra-library-check": "A spectral library, checked",
+    "spectra-map": "Maps of a cube",
+    "spectra-pixel": "A pixel of a cube",
     "spectra-match": "Where the rock came from",
     "spectra-simulate": "A simulated observation",
     "twin-compare": "How right the prediction was",
@@ -49,6 +57,11 @@ TITLES = {
     "twin-terrain": "The ground",
     "twin-update": "What the drive teaches of the soil",
 }
+
+
+def title_of(document: Document) -> str:
+    """What a result is, by its kind."""
+    return TITLES.get(document.kind, document.kind.replace("-", " "))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +85,23 @@ class Section:
     assumed: Sequence[str]
     unknown: Sequence[str]
     provenance: parts.PageTable
+    made_up: bool
+
+    @property
+    def trust(self) -> str:
+        """What the command says of it, where the answer does not say it already."""
+        told = self.answer.trust
+        return "" if told.rstrip(".").lower() in self.answer.text.lower() else told
 
     @property
     def mark(self) -> str:
         """The answer's tone in a word or two; '' for one that needs none."""
         return "" if self.answer.text.startswith(("Go ", "No-go ")) else MARKS.get(self.answer.tone, "")
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether the answer rests on something made up that it does not name."""
+        return self.made_up and "synthetic" not in self.answer.text.lower()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +129,7 @@ class Page:
 
     def section_title(self, document: Document) -> str:
         """What a section is called: its kind, and its file where several are alike."""
-        title = TITLES.get(document.kind, document.kind.replace("-", " "))
+        title = title_of(document)
         alike = sum(one.kind == document.kind for one in self.documents)
         return f"{title}: {document.name}" if alike > 1 else title
 
@@ -114,11 +139,14 @@ class Page:
         Raises ParameterError without jinja2.
         """
         ground = None if self.ground is None else relief(self.ground, [*lines_of(self.documents), *self.ways])
+        sections = [self._section(one, said) for one, said in zip(self.documents, self.answers, strict=True)]
+        first = next((place for place, one in enumerate(sections) if one.pictures), None)
         text = _template().render(
             title=printable(self.title),
             version=installed_version("lunarsci"),
             made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC" if time else "",
-            sections=[self._section(one, said) for one, said in zip(self.documents, self.answers, strict=True)],
+            sections=sections,
+            first=first,
             pictures=[_shown(one.name, one.content) for one in self.pictures],
             ground=None if ground is None else _ground(ground),
             sources=parts.sources(self.documents),
@@ -133,8 +161,15 @@ class Page:
             drawn += [_shown(name, content) for name, content in document.pictures.items()]
             return Section(
                 printable(self.section_title(document)), said, drawn, parts.tables(document), parts.budget(document),
-                parts.assumed(document), parts.unknown(document), parts.provenance(document),
+                parts.assumed(document), parts.unknown(document), parts.provenance(document), _made_up(document.result),
             )  # fmt: skip
+
+
+def _made_up(value: Any) -> bool:
+    """Whether a result says that something in it is synthetic."""
+    if isinstance(value, Mapping):
+        return value.get("synthetic") is True or any(map(_made_up, value.values()))
+    return isinstance(value, list) and any(_made_up(one) for one in value[: parts.MOST_ROWS] if isinstance(one, dict))
 
 
 def _drawn(chart: Chart) -> PagePicture:

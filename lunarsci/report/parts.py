@@ -2,21 +2,25 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from lunarsci.report.documents import Document
-from lunarsci.report.words import number, words
+from lunarsci.report.quantities import PARTS, SAID, Quantity, quantities
+from lunarsci.report.sentences import MOST
+from lunarsci.report.words import number, percent, words
+from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
-PARTS = ("sigma", "random", "systematic", "calibration", "method", "continuum", "common_sigma", "model")
-"""Ends of keys that are a part of an error, by what makes it."""
-SAID = ("notes", "remarks", "reasons", "reason", "caveat", "status", "why_none", "refused", "must_mend", "not_compared")
-"""Keys whose text says what an answer does not know."""
+FIRST = ("station", "wheel", "limit", "sense", "p50", "p95", "margin", "ok", "prior", "posterior", "log_bayes_factor")
+"""Columns that stand first in a table."""
+STANDARD_ERROR = PARTS["sigma"]
 OF_ONE = ("caveat", "reason")
+NOTED = {"band1000_note": "1 µm band", "band2000_note": "2 µm band"}
 SILENT = ("ok", "converged", "", "nothing")
 MOST_ASSUMED = 6
 """Values of a rover that are listed one by one."""
-MOST_ROWS, MOST_LINES, MOST_COLUMNS = 40, 40, 12
-"""Of a table, of a list and across, on the page; the files hold all."""
+MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 40, 40, 12, 5
+"""Of a table, of a list, across, and of names in a line, on the page; the files hold all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,107 +35,112 @@ class PageTable:
 
 def tables(document: Document) -> list[PageTable]:
     """All numbers of a result: one table of single values, then one for each list of things alike."""
-    single = [[words(key), number(value)] for key, value in _leaves(document.result)]
-    found = [PageTable("Single values", ["quantity", "value"], single[: 2 * MOST_ROWS])] if single else []
+    single = _single(document.result)
+    found = [PageTable("Single values", ["of", "quantity", "value"], single)] if single else []
     for key, items in _lists(document.result):
         found.append(_listed(words(key), items))
     return found
 
 
-def _leaves(value: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, Any]]:
-    """Single values by joined keys; texts that say what is not known are left to `unknown`."""
-    for key, item in value.items():
-        inner = f"{name}.{key}" if name else key
-        if isinstance(item, Mapping):
-            yield from _leaves(item, inner)
-        elif not isinstance(item, list) and item is not None and key not in SAID:
-            yield inner, item
-        elif isinstance(item, list) and 0 < len(item) <= 4 and not any(isinstance(one, dict | list) for one in item):
-            yield inner, ", ".join(number(one) for one in item)
+def _single(result: Mapping[str, Any]) -> list[list[str]]:
+    """Rows of a table; what they are of is said where it changes."""
+    groups: dict[str, list[Quantity]] = {"": []}
+    for one in islice(quantities(result), 3 * MOST_ROWS):
+        groups.setdefault(one.of, []).append(one)
+    return [
+        [of if place == 0 else "", one.name, _with_remark(one)]
+        for of, own in groups.items()
+        for place, one in enumerate(own)
+    ]
+
+
+def _with_remark(one: Quantity) -> str:
+    return f"{one.text}: {one.remark}" if one.refused and one.remark else one.text
 
 
 def _lists(value: Any, name: str = "") -> Iterator[tuple[str, list[Mapping[str, Any]]]]:
-    """Lists of objects at any depth, by joined keys."""
+    """Lists of several objects at any depth, by joined keys."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _lists(item, f"{name}.{key}" if name else key)
     elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-        yield name, value
-        if len(value) == 1:
+        if len(value) > 1:
+            yield name, value
+        else:
             yield from _lists(value[0], name)
 
 
 def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
-    if len(items) == 1:
-        rows = [[words(key), number(value)] for key, value in _leaves(items[0])]
-        return PageTable(title, ["quantity", "value"], rows)
-    flat = [dict(_leaves(item)) for item in items[:MOST_ROWS]]
-    names = list(dict.fromkeys(key for row in flat for key in row))
-    shown = names[:MOST_COLUMNS]
-    rows = [[number(row[name]) if name in row else "–" for name in shown] for row in flat]
+    names = [key for key in ("id", "name", "quantity") if key in items[0]]
+    flat = [
+        {words(key): words(item[key]) if key == "quantity" else number(item[key]) for key in names}
+        | {_column(one): one.text for one in quantities(item)}
+        for item in items[:MOST_ROWS]
+    ]
+    first = [words(key) for key in (*names, *FIRST)]
+    found = dict.fromkeys(key for row in flat for key in row)
+    headers = [*(key for key in first if key in found), *(key for key in found if key not in first)]
+    shown = headers[:MOST_COLUMNS]
+    rows = [[row.get(name, "–") for name in shown] for row in flat]
     left = [f"{len(items) - MOST_ROWS} more rows"] if len(items) > MOST_ROWS else []
-    left += [f"{len(names) - len(shown)} more columns"] if len(names) > len(shown) else []
-    return PageTable(title, [words(name) for name in shown], rows, f"{' and '.join(left)}: in the file" if left else "")
+    left += [f"{len(headers) - len(shown)} more columns"] if len(headers) > len(shown) else []
+    return PageTable(title, shown, rows, f"{' and '.join(left)}: in the file" if left else "")
+
+
+def _column(one: Quantity) -> str:
+    return f"{one.of}: {one.name}" if one.of else one.name
 
 
 def budget(document: Document) -> PageTable | None:
     """Parts of the errors: a row a quantity, a column for what makes the error; None where none is stated."""
-    found = [*_shares(document.result), *_budgets(document.result, "")][: 2 * MOST_ROWS]
+    stated = list(_with_errors(document.result))
+    several = [one for one in stated if one.parts.keys() - {STANDARD_ERROR}]
+    every = [*_shares(document.result), *(several or stated)]
+    found = every[:MOST_ROWS]
     if not found:
         return None
-    columns = list(dict.fromkeys(key for _, _, parts in found for key in parts))
-    valued = any(value != "–" for _, value, _ in found)
-    rows = [[name, *([value] if valued else []), *(own.get(key, "–") for key in columns)] for name, value, own in found]
-    note = "standard errors, unless a column says otherwise; –: not stated, which does not mean that it is 0"
-    return PageTable("", ["quantity", *(["value"] if valued else []), *columns], rows, note)
+    columns = list(dict.fromkeys(key for one in found for key in one.parts if key != STANDARD_ERROR))
+    valued, read_with = any(one.text for one in found), any(one.remark for one in found)
+    rows = [
+        [
+            f"{one.of}: {one.name}" if one.of else one.name,
+            *([one.text] if valued else []),
+            *(one.parts.get(key, "–") for key in columns),
+            *([one.remark] if read_with else []),
+        ]
+        for one in found
+    ]
+    headers = ["quantity", *(["value"] if valued else []), *columns, *(["read with"] if read_with else [])]
+    note = "errors are in the unit of their quantity, one standard error each; –: not stated, which does not mean 0"
+    note += f"; {len(every) - len(found)} more rows: in the file" if len(every) > len(found) else ""
+    return PageTable("", headers, rows, note)
 
 
-def _budgets(value: Any, name: str) -> Iterator[tuple[str, str, dict[str, str]]]:
-    if isinstance(value, list):
-        for place, item in enumerate(value[:MOST_ROWS]):
-            named = item.get("id", item.get("name", item.get("quantity"))) if isinstance(item, Mapping) else None
-            own = f"{name} {named if named is not None else place + 1}".strip()
-            yield from _budgets(item, own if len(value) > 1 or named else name)
-    elif isinstance(value, Mapping):
-        for key, item in value.items():
-            if isinstance(item, int | float) and not isinstance(item, bool) and (parts := _parts_of(value, key)):
-                yield f"{name} {words(key)}".strip(), number(item), parts
-            elif isinstance(item, Mapping | list):
-                yield from _budgets(item, f"{name} {words(key)}".strip() if isinstance(item, Mapping) else name)
+def _with_errors(result: Mapping[str, Any]) -> Iterator[Quantity]:
+    """Numbers with errors that the command shows; of many spectra those of the first, and nothing that is refused."""
+    for one in quantities(result, most=MOST):
+        if one.parts and not one.refused and one.text != number(None):
+            yield one
 
 
-def _parts_of(record: Mapping[str, Any], key: str) -> dict[str, str]:
-    """The parts of the error of a key that stand beside it: `center_sigma_nm` and `center_nm_sigma` of `center_nm`."""
-    stem, _, end = key.rpartition("_")
-    tries: dict[str, tuple[str, ...]] = {part: (f"{stem}_{part}_{end}", f"{key}_{part}") for part in PARTS}
-    if key in ("value", "mean", "fraction", "median", "opx"):
-        tries = {part: (part,) for part in (*PARTS, "low", "high")}
-    found = {
-        part: next((record[name] for name in names if record.get(name) is not None), None)
-        for part, names in tries.items()
-    }
-    named = {"sigma": "standard error", "common_sigma": "common error"}
-    return {named.get(part, part): number(value, 2) for part, value in found.items() if isinstance(value, int | float)}
-
-
-def _shares(result: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, str]]]:
+def _shares(result: Mapping[str, Any]) -> Iterator[Quantity]:
     """What the spread of predicted ends is owed to, and the root mean square of each part of a spectrum's error."""
+    end = "end of the drive"
     for one in result.get("sensitivity") or ():
-        yield (
-            f"end of the drive, by {words(str(one.get('parameter')))}",
-            "–",
-            {"share of variance": number(one.get("share"), 2)},
-        )
+        if one.get("share") is not None:
+            by = words(str(one.get("parameter"))).partition(" [")[0]
+            yield Quantity(end, f"by {by}", "", {"share of variance": percent(one["share"])})
     physics = (result.get("physics") or {}).get("share_of_end_variance")
     if physics is not None:
-        yield "end of the drive, by the physics of the twin", "–", {"share of variance": number(physics, 2)}
+        yield Quantity(end, "by the physics of the twin", "", {"share of variance": percent(physics)})
     if isinstance(result.get("step_error_m"), float):
-        yield "end of the drive, by the time step [m]", "–", {"model": number(result["step_error_m"], 2)}
-    for one in result.get("spectra") or ():
+        yield Quantity(end, "by the time step [m]", "", {"of the model": number(result["step_error_m"], 2)})
+    for one in (result.get("spectra") or ())[:MOST]:
         for name, values in (one.get("systematic") or {}).items():
             known = [value for value in values if isinstance(value, float)]
             rms = (sum(value * value for value in known) / len(known)) ** 0.5 if known else None
-            yield f"{one.get('id')} reflectance, {words(name)}", "–", {"root mean square": number(rms, 2)}
+            if rms is not None:
+                yield Quantity(f"{one.get('id')} reflectance", words(name), "", {"root mean square": number(rms, 2)})
 
 
 def assumed(document: Document) -> list[str]:
@@ -167,6 +176,9 @@ def _assumed_in(value: Any, name: str) -> list[str]:
         return [line for item in value[:MOST_ROWS] for line in _assumed_in(item, name)]
     if not isinstance(value, Mapping):
         return []
+    if isinstance(value.get("assumed"), list):
+        of = f"of {value.get('name')}: " if value.get("name") else ""
+        return [f"{of}{text if ' ' in str(text) else words(str(text))}" for text in value["assumed"]]
     if value.get("assumed") is True:
         what = words(str(value.get("quantity", name)))
         bound = value.get("limit", value.get("value"))
@@ -176,25 +188,65 @@ def _assumed_in(value: Any, name: str) -> list[str]:
 
 
 def unknown(document: Document) -> list[str]:
-    """What the answer does not know or should be read with, one line each."""
-    lines = [*_said(document.result), *map(str, document.provenance.get("warnings") or ())]
-    return list(dict.fromkeys(lines))[:MOST_LINES]
+    """What the answer does not know or should be read with, one line each; what several things share once."""
+    record = document.provenance
+    found = [("", str(text)) for key in ("failures", "warnings") for text in record.get(key) or ()]
+    found += [("", text) for text in _of_kind(document)]
+    found += _said(document.result)
+    found += [
+        (one.name.partition(" [")[0], f"{one.text}: {one.remark}" if one.refused else one.remark)
+        for one in quantities(document.result)
+        if one.remark and one.text != number(None)
+    ]
+    names: dict[str, list[str]] = {}
+    for of, text in found:
+        names.setdefault(text, []).append(of)
+    return [_line(list(dict.fromkeys(filter(None, own))), text) for text, own in names.items()][:MOST_LINES]
 
 
-def _said(value: Any, name: str = "") -> Iterator[str]:
-    """Texts of a result; a caveat or a reason with what it is of."""
+def _of_kind(document: Document) -> list[str]:
+    """What the commands say below the tables of all results of a kind."""
+    from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED
+    from lunarsci.twin.jobs.forces import TOGETHER
+    from lunarsci.twin.jobs.states import DEEPEST
+
+    result = document.result
+    ratios = [one for one in result.get("spectra") or () if (one.get("abundance") or {}).get("ratios")]
+    found = {
+        "spectra-fit": (ROCKS_UNCALIBRATED, ratios),
+        "twin-forces": (TOGETHER, result.get("totals")),
+        "twin-states": (DEEPEST, result.get("sinkages")),
+    }
+    text, shown = found.get(document.kind, ("", None))
+    return [text] if shown else []
+
+
+def _line(names: Sequence[str], text: str) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"{'; '.join(names[:MOST_NAMED])}{more}: {text}" if names else text
+
+
+def _said(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Texts of a result, and of a caveat or a reason what it is of; what is refused is told with its value."""
     if isinstance(value, list):
         for item in value[:MOST_ROWS]:
             yield from _said(item, name)
-    elif isinstance(value, Mapping):
+    elif isinstance(value, Mapping) and value.get("in_range") is not False:
         for key, item in value.items():
             if key in SAID or key.endswith("_note"):
-                of = f"{words(name)}: " if key in OF_ONE and name else ""
-                yield from (f"{of}{text}" for text in _texts(item))
+                of = NOTED.get(key, _what(value, name) if key in OF_ONE else "")
+                yield from ((of, text) for text in _texts(item))
             elif key == "findings":
-                yield from (f"{one.get('what', one.get('quantity'))}" for one in item if "what" in one)
+                yield from (("", f"{one.get('what', one.get('quantity'))}") for one in item if "what" in one)
             elif key != "observations":
                 yield from _said(item, key)
+
+
+def _what(record: Mapping[str, Any], name: str) -> str:
+    """What a caveat or a reason is of."""
+    if record.get("quantity") in SHORT and any(part in name for part in METHODS):
+        return f"{SHORT[record['quantity']]} by {regression(name)}"
+    return words(name).partition(" [")[0]
 
 
 def _texts(item: Any) -> Iterator[str]:

@@ -123,3 +123,12 @@ for (const button of large.querySelectorAll("button[data-zoom]"))
     if (!factor) return large.close();
     picture.style.width = `${Math.max(50, Math.min(800, parseFloat(picture.style.width) * factor))}%`;
   });
+// Paper shows what is folded away.
+let opened = [];
+addEventListener("beforeprint", () => {
+  opened = [...document.querySelectorAll("details:not([open])")];
+  for (const one of opened) one.open = true;
+});
+addEventListener("afterprint", () => {
+  for (const one of opened) one.open = false;
+});

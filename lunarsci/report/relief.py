@@ -126,7 +126,7 @@ def relief(grid: Ground, lines: Sequence[Line]) -> GroundView:
     known = height[np.isfinite(height)]
     told = (
         f"{ground}, {x[-1] - x[0]:.1f} m by {y[-1] - y[0]:.1f} m, heights {known.min():.2f} to {known.max():.2f} m"
-        f"{', with the lines ' + ', '.join(names) if names else ''}."
+        f"{', with lines: ' + ', '.join(names) if names else ''}."
     )
     legend = list(dict.fromkeys((line.name, line.color, line.dashed) for line in lines))
     return GroundView(_packed(x, y, height, shown), _still(x, y, height, lines), note, told, legend)

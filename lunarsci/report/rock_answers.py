@@ -1,31 +1,53 @@
-"""Sentences for spectra, and for where a rock came from."""
+"""Sentences for spectra, and for where a rock came from: verdicts are those of the results, word by word."""
 
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsci.report.sentences import DOUBT, PLAIN, Result, ResultAnswer, each
+from lunarsci.report.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.report.words import counted, measured, number, percent
+from lunarsci.result import FINE
 
 UNSHARED = "Shares of minerals are not determined."
+ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
+"""Parts of names of layers that are errors of others."""
+ALL = 0.995
+"""Share of a map from which it counts as all of it: 100 % when rounded; assumed."""
 HALF = 0.5
-"""A share of one with a larger error than this is not determined."""
+"""A share of one with a larger error than this is not determined; assumed."""
+MOST_LAYERS = 3
+"""Layers of a map that a sentence names, centres of bands first."""
+MOST_NAMED = 4
+"""Quantities that a sentence names."""
 
 
 def calibrated(result: Result) -> ResultAnswer:
     spectra = result["spectra"]
     made_up = "Synthetic. " if any(one.get("synthetic") for one in spectra) else ""
-    bad = any(one.get("status") != "ok" for one in spectra)
-    return ResultAnswer(made_up + each(spectra, _one_calibrated, "spectrum"), DOUBT if bad else PLAIN)
+    return ResultAnswer(made_up + each(spectra, _one_calibrated, "spectrum", _calibrated_in_short))
 
 
 def _one_calibrated(one: Result) -> str:
+    if one.get("channels") is None:
+        return f"{one['id']}: {one.get('status')}."
     masked = f", {one['channels_masked']} of them masked" if one.get("channels_masked") else ""
-    status = "" if one.get("status") == "ok" else f" Its status is: {one.get('status')}."
+    status = "" if one.get("status") in FINE else f" Its status is: {one.get('status')}."
     return f"{one['id']} is calibrated to reflectance in {counted(one['channels'], 'channel')}{masked}.{status}"
 
 
+def _calibrated_in_short(one: Result) -> str:
+    return "calibrated to reflectance" if one.get("status") in FINE else str(one.get("status"))
+
+
 def bands(result: Result) -> ResultAnswer:
-    return ResultAnswer(each(result["spectra"], _one_bands, "spectrum"))
+    spectra = result["spectra"]
+    if len(spectra) <= MOST_NAMED:
+        return ResultAnswer(each(spectra, _one_bands, "spectrum"))
+    told = []
+    for key, name in (("1000", "1 µm"), ("2000", "2 µm")):
+        centres = [one[f"bc{key}_nm"] for one in spectra if one.get(f"bc{key}_nm") is not None]
+        span = f", centred from {min(centres):.0f} to {max(centres):.0f} nm" if centres else ""
+        told.append(f"{len(centres)} have a band near {name} that could be measured{span}")
+    return ResultAnswer(f"Of {counted(len(spectra), 'spectrum')} {'; '.join(told)}.")
 
 
 def _one_bands(one: Result) -> str:
@@ -45,27 +67,45 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def fit(result: Result) -> ResultAnswer:
-    spectra = result["spectra"]
-    bad = [one for one in spectra if not one.get("converged", True)]
-    bad += [one for one in spectra if _mineral_shares(one) and not one["abundance"].get("in_domain", True)]
-    return ResultAnswer(each(spectra, _one_fit, "spectrum"), DOUBT if bad else PLAIN)
+    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short))
+
+
+def _fit_in_short(one: Result) -> str:
+    if (one.get("status") or "converged") not in FINE:
+        return str(one["status"])
+    chosen = one.get("choice") or {}
+    evidence = "" if not chosen else ", by strong evidence" if chosen.get("strong") else ", by weak evidence"
+    shares = "shares of minerals determined" if _mineral_shares(one) else "shares not determined"
+    return f"{one.get('assemblage', 'bands')}{evidence}, {shares}"
 
 
 def _one_fit(one: Result) -> str:
     name, abundance = one.get("id", "the spectrum"), one.get("abundance") or {}
     shares = _mineral_shares(one)
     if shares:
-        domain = "" if abundance.get("in_domain", True) else " But the method is not shown to hold for such a target."
-        return f"Shares of minerals in {name}: {', '.join(shares)}.{domain}"
+        domain = f" {sentence(str(abundance.get('status')))}" if abundance.get("in_domain") is False else ""
+        return f"Shares of minerals in {name}: {', '.join(shares)}.{domain}{_chosen(one)}"
+    if (one.get("status") or "converged") not in FINE:
+        return f"{name}: {one['status']}. {UNSHARED}"
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."
         if ratio and (ratio.get("sigma") or 0) < HALF
         else ""
     )
-    state = "is fitted" if one.get("converged", True) else "is not fitted: the fit did not converge"
-    why = f"; rms {100 * one['rms_ln']:.2f} % of reflectance" if one.get("rms_ln") is not None else ""
-    return f"{name} {state} by {one.get('assemblage', 'bands')} and a continuum{why}.{strength} {UNSHARED}"
+    said = _chosen(one) or (
+        f" It was fitted with {one['assemblage'].replace('-', ', ')} as asked; other minerals were not tried."
+        if one.get("assemblage")
+        else ""
+    )
+    why = f"{name}: the fit leaves {100 * one['rms_ln']:.2g} % of reflectance." if one.get("rms_ln") else f"{name}."
+    return f"{why}{said}{strength} {UNSHARED}"
+
+
+def _chosen(one: Result) -> str:
+    """The verdict on which minerals are there, where they were compared."""
+    status = (one.get("choice") or {}).get("status")
+    return f" Minerals: {status}." if status else ""
 
 
 def _mineral_shares(one: Result) -> list[str]:
@@ -77,24 +117,91 @@ def _mineral_shares(one: Result) -> list[str]:
 
 
 def match(result: Result) -> ResultAnswer:
-    return ResultAnswer(each(result["rocks"], _one_match, "rock"))
+    return ResultAnswer(each(result["rocks"], _one_match, "rock", _match_in_short))
 
 
 def _one_match(rock: Result) -> str:
-    best = next((one for one in rock["craters"] if one["name"] == rock.get("best")), None)
-    if best is None:
-        return f"{rock['id']}: no crater stands out."
-    known = " by position alone, as its composition decides nothing" if "nothing" in str(rock.get("status")) else ""
-    return f"{rock['id']} most likely came from {best['name']}, {percent(best['posterior'])}{known}."
+    return f"{rock['id']}: {rock.get('status') or 'no crater stands out'}."
+
+
+def _match_in_short(rock: Result) -> str:
+    return str(rock.get("status") or "no crater stands out").partition(" (")[0].partition(":")[0]
 
 
 def indices(result: Result) -> ResultAnswer:
-    count = len(result["indices"])
-    return ResultAnswer(f"Indices: {count}, of {counted(len(result.get('spectra', ())), 'spectrum')}.")
+    spectra, known = result.get("spectra", ()), result["indices"]
+    if len(spectra) != 1:
+        count = len(known)
+        return ResultAnswer(f"{count} spectral indices of {counted(len(spectra), 'spectrum')}; the table has them.")
+    told = []
+    for key, about in known.items():
+        found = spectra[0].get(key) or {}
+        if found.get("status") == "ok" and found.get("value") is not None:
+            missed = about.get("soils_missed_by_median")
+            off = f", off by {number(missed, 2)} in soils of known content" if missed else ""
+            symbol = "" if about.get("unit") in (None, "-") else about["unit"]
+            told.append(
+                ((missed or 0) > 0, f"{about['title']} {measured(found['value'], found.get('sigma'), symbol)}{off}")
+            )
+    told.sort(key=lambda one: not one[0])
+    first = "; ".join(text for _, text in told[:MOST_NAMED])
+    left = len(known) - len(told)
+    lost = f" {left} of {len(known)} could not be measured." if left else ""
+    return ResultAnswer(f"{spectra[0]['id']}: {first or 'no index could be measured'}.{lost}")
 
 
-def rocks(result: Result) -> ResultAnswer:
-    rocks = result["rocks"]
-    largest = max((one["diameter_m"] for one in rocks), default=None)
-    tall = f", the largest {number(largest, 2)} m across" if largest is not None else ""
-    return ResultAnswer(f"{counted(len(rocks), 'rock')} found{tall}.")
+def simulated(result: Result) -> ResultAnswer:
+    shares = ", ".join(f"{name} {percent(share)}" for name, share in result["composition"].items() if share)
+    return ResultAnswer(
+        f"Synthetic: {result['observation']} is made up of {shares}; rock covers {percent(result['rock_fraction'])} of "
+        f"the view, {percent(result['shadow_fraction'])} lies in shadow."
+    )
+
+
+def library_checked(result: Result) -> ResultAnswer:
+    members = result["end_members"]
+    bad = [one["id"] for one in members if one["must_mend"]]
+    known = sum(bool(one["remarks"]) for one in members)
+    noted = f" Of {known} there is something to know, below." if known else ""
+    if bad:
+        return ResultAnswer(f"{len(bad)} of {counted(len(members), 'end member')} must be mended before use.{noted}")
+    return ResultAnswer(f"{counted(len(members), 'end member')}, fit for use.{noted}")
+
+
+def library(result: Result) -> ResultAnswer:
+    members = result["end_members"]
+    minerals = dict.fromkeys(str(one.get("mineral") or "unknown") for one in members)
+    return ResultAnswer(f"A library of {counted(len(members), 'spectrum')}: {', '.join(minerals)}.")
+
+
+def mapped(result: Result) -> ResultAnswer:
+    counts = result["pixels"]
+    usable = counts["pixels"] - counts.get("no_data", 0)
+    layers = [
+        one
+        for one in result["layers"]
+        if one.get("kind") == "value" and one.get("median") is not None and not any(e in one["name"] for e in ERRORS)
+    ]
+    told = []
+    layers.sort(key=lambda one: not one["name"].startswith("bc"))
+    for one in layers[:MOST_LAYERS]:
+        symbol = "" if one.get("units") in (None, "1", "-") else f" {one['units']}"
+        span = f"{number(float(one['p05']), 3)} to {number(float(one['p95']), 3)}"
+        told.append(
+            f"{one['long_name']}: {number(float(one['median']), 3)}{symbol} is the median, and nine of ten pixels have "
+            f"{span}{symbol}{_known(one['determined'])}"
+        )
+    found = f" {sentence('; '.join(told))}" if told else " No pixel gave a value."
+    return ResultAnswer(f"Of {counted(counts['pixels'], 'pixel')} {usable} could be used.{found}")
+
+
+def _known(share: float | None) -> str:
+    return "" if share is None or share > ALL else f", of the {percent(share)} that have one"
+
+
+def pixel(result: Result) -> ResultAnswer:
+    known = [value for value in result["reflectance"] if value is not None]
+    flags = f" It is marked: {', '.join(result['flags'])}." if result.get("flags") else ""
+    return ResultAnswer(
+        f"The spectrum of {result['id']}, {len(known)} of {counted(len(result['reflectance']), 'channel')}.{flags}"
+    )

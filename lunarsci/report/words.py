@@ -7,7 +7,36 @@ from lunarsci.result import ENDS, unit_of
 
 PLURALS = {"spectrum": "spectra", "index": "indices"}
 ASTROPY = {"pix": "px", "m2": "m²", "1 / m": "1/m", "deg / s": "°/s", "m / s": "m/s", "deg": "°", "N m": "N m"}
+LARGE = 1e9
+"""Numbers below it are written without an exponent."""
 NAMES = {
+    "exponent": "sinkage exponent N",
+    "bc1000_nm": "centre of the 1 µm band [nm]",
+    "bc2000_nm": "centre of the 2 µm band [nm]",
+    "bd1000": "depth of the 1 µm band",
+    "bd2000": "depth of the 2 µm band",
+    "ba1000_nm": "area of the 1 µm band [nm]",
+    "ba2000_nm": "area of the 2 µm band [nm]",
+    "bas1000": "asymmetry of the 1 µm band",
+    "bas2000": "asymmetry of the 2 µm band",
+    "center_nm": "centre [nm]",
+    "fwhm_nm": "full width at half maximum [nm]",
+    "strength": "strength [ln R]",
+    "opx": "share of orthopyroxene in the strength of the pyroxene bands",
+    "cpx": "share of clinopyroxene in the strength of the pyroxene bands",
+    "nbsr": "ratio of band strengths",
+    "rms_ln": "residual, root mean square [ln R]",
+    "reduced_chi2": "reduced chi-square",
+    "bic": "Bayesian information criterion",
+    "left_of_prior": "range now, as a share of that before any drive",
+    "covering_radius_m": "all drives end within, of the destination [m]",
+    "scatter_radius_m": "drives end within, of their middle [m]",
+    "p05": "5 %",
+    "p50": "median",
+    "p95": "95 %",
+    "feo_lucey_wt": "FeO, Clementine [wt %]",
+    "feo_zhang_wt": "FeO, M3 [wt %]",
+    "tio2_lucey_wt": "TiO2, Clementine [wt %]",
     "stiffness_kpa_m_n": "stiffness K_s [kPa/m^N]",
     "sinkage_exponent": "sinkage exponent N",
     "sinkage_exponent_slip": "sinkage exponent with slip n₁",
@@ -68,15 +97,26 @@ def number(value: Any, digits: int = 4) -> str:
         return str(value)
     if not isinstance(value, float):
         return str(value)
-    return "not determined" if math.isnan(value) else f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
+    if math.isnan(value):
+        return "not determined"
+    if 10**digits <= abs(value) < LARGE:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
 
 
-def measured(value: Any, sigma: Any = None, symbol: str = "") -> str:
-    """A value with its error, both to the error's second digit.
+def measured(
+    value: Any, sigma: Any = None, symbol: str = "", within: tuple[float, float] = (-math.inf, math.inf)
+) -> str:
+    """A value with its error, both to the error's second digit; `within` are the lowest and the highest that can be.
 
-    >>> measured(943.84, 2.72, "nm"), measured(0.47381, 0.17), measured(None, 3.0)
+    >>> measured(943.84, 2.72, "nm"), measured(0.47381, 0.17), measured(0.5, 3.0, within=(0, 1))
     ('943.8 ± 2.7 nm', '0.47 ± 0.17', 'not determined')
     """
+    low, high = within
+    if isinstance(value, int | float) and not low <= value <= high:
+        return number(None)
+    if isinstance(sigma, int | float) and sigma > high - low:
+        return number(None)
     after = f"\u202f{symbol}" if symbol == "°" else f" {symbol}" if symbol else ""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return number(value)

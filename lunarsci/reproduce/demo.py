@@ -47,11 +47,12 @@ if TYPE_CHECKING:
 
 SOIL = "longji"
 AHEAD_M = (1.0, 0.0)
-"""Place whose height is looked up in the pictures. [m]"""
+"""Place whose height is looked up in the pictures; assumed. [m]"""
 BEHIND_M = 2.0
-"""How far behind the start of the drive the cameras stand: a mast sees no ground nearer than some 1.3 m. [m]"""
+"""How far behind the start of the drive the cameras stand: a mast sees no ground nearer than some 1.3 m. Assumed.
+[m]"""
 WIDTH_PX = 400
-"""Of the pictures: fewer than the Navcam's, to be done in seconds. [px]"""
+"""Of the pictures: fewer than the Navcam's, to be done in seconds. Assumed. [px]"""
 
 
 @dataclass(frozen=True, slots=True)

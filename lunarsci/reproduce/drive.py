@@ -26,11 +26,13 @@ from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 SOIL, STAND_IN = "longji", "stand-in"
 PHI_DEG, K_Y_MM = (25.0, 55.0), (15.0, 45.0)
+"""The published range of the sweep: Ding et al. (2024), 10.1038/s41467-024-46233-8, Fig. S6."""
 VALUES = 7
 TYPICAL_PHI_DEG, TYPICAL_K_Y_MM = 40.0, 20.0
-"""The values of the sweep nearest to those of the uncorrected prediction, phi = 42 deg and K_y = 20 mm."""
+"""The values of the sweep nearest to those of the uncorrected prediction, phi = 42 deg and K_y = 20 mm, of Ding et al.
+(2024)."""
 CORNERS = {"stiffness_kpa_m_n": (556.7, 1443.0), "cohesion_pa": (520.0, 3154.0)}
-"""The published ranges of what else the shear of a wheel depends on."""
+"""The published ranges of what else the shear of a wheel depends on: Ding et al. (2024), Fig. 4."""
 VIEW_M = 0.69
 """Height of the spectrometer, which looks down at 45 deg (Ding et al. 2024), and so sees so far ahead."""
 FRONT_M = 0.75

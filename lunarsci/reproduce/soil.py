@@ -27,7 +27,9 @@ from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
 from lunarsci.twin.rover import Rover
 
 STEEPEST_DEG = 30.0
+"""Slopes and slips within which steady rolling is looked for; assumed, beyond both of Ding et al. (2024)."""
 SLIPS = (-0.6, 0.6)
+"""As the model holds: see `MAX_VALID_SLIP`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +83,20 @@ def _root(function: Callable[[float], float], span: tuple[float, float], text: s
 
 
 MEAN_SINKAGE_M, SLIP = 0.008, -0.075
+"""Mean sinkage and slip ratio of the wheels, Ding et al. (2024), 10.1038/s41467-024-46233-8, Results."""
 STIFFNESS, TYPICAL, PHI_DEG, COHESION_PA = 1443.0, 820.0, 21.5, 520.0
+"""K_s at 8 mm and typical K_s [kPa m^-N], phi and the cohesion it was found at: Ding et al. (2024), Results."""
 CORNER = (42.0, 3154.0)
+"""Typical phi [deg] and the cohesion [Pa] found at it: Ding et al. (2024), Fig. 4b."""
 BEARING_DOTS = ((STIFFNESS, 1.0), (556.7, 1.0), (STIFFNESS, 0.87))
+"""K_s [kPa m^-N] and N of the dots of Fig. 4a, Ding et al. (2024)."""
 LATERAL_CORNERS = ((13.0, 8.3), (40.0, 16.5))
-"""K_y [mm] and phi_y [deg] as paired by the rectangle of Fig. 4d."""
+"""K_y [mm] and phi_y [deg] as paired by the rectangle of Fig. 4d, Ding et al. (2024)."""
 SIDE_SLIPS_DEG = (0.5, 3.0)
+"""Where the lateral force is looked at: to 3 deg, the largest side slip that Ding et al. (2024) report; the least is
+assumed."""
 SHORT_LUG_M = 0.005
+"""Height of lugs that is tried for the one that is not published; assumed."""
 DRAWS = 20_000
 SOILS, NO_EVIDENCE = 400, 0.5
 """Soils to measure what chance gives, and the share of them from which on a rank says nothing; assumed."""

@@ -116,11 +116,12 @@ def olivine_share(fit: MgmFit) -> float:
 TABLES = (END_MEMBERS, CRATERS)
 """Embedded tables that the numbers rest on."""
 LEAST_WO = 0.25
-"""Wo from which a clinopyroxene counts as high in calcium: above the pigeonites."""
+"""Wo from which a clinopyroxene counts as high in calcium: above the pigeonites. Assumed."""
 ZHINYU = (-45.34, 176.15)
 """Its place in the abstract of Ding et al. (2024). [deg]"""
 MODE_SIGMA = 0.05
-"""Of the modes made of the published averages: half of the published 20-30 % of olivine."""
+"""Of the modes made of the published averages: half of the published 20-30 % of olivine (Ding et al. 2024); assumed of
+the others."""
 LEAST_ROCKS = 6
 """Boulders from which an average or a range is held against the published one, which is that of six."""
 NO_SPECTRUM = "needs measured spectra, which are not published with the paper; give spectra of boulders with --boulders"
@@ -337,6 +338,8 @@ def _plane(rocks: Rocks | None) -> "Figure":
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))
     axes.legend(loc="upper left")
-    told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --boulders"
+    told = (
+        f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --boulders"
+    )
     axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}")
     return figure

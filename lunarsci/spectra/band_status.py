@@ -43,14 +43,14 @@ laboratory spectra of minerals, mixtures and meteorites: 68 and 90 % of the mini
 at 1 um, 0.037 and 0.069 at 2 um.
 """
 MIN_SIGNIFICANCE = 4.5
-"""Depth over its standard error below which there is no band. The deepest of many channels of pure noise exceeds 3 in a
-quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
+"""Depth over its standard error below which there is no band. Measured: the deepest of many channels of pure noise
+exceeds 3 in a quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
 END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
 """An extrapolated continuum that is this share of the band's depth above the last channels is not used; assumed. On 172
 laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not.
 """
 MAX_CENTER_SIGMA_NM = 100.0
-"""A centre known no better than this says nothing about a mineral; it is not reported."""
+"""A centre known no better than this says nothing about a mineral; it is not reported. Assumed."""
 CROSSING_SHARE = 0.25
 """A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
 

@@ -31,11 +31,12 @@ Polynomials through about the deepest third are usual for asteroids: Moskovitz e
 
 
 HALF = 0.5
-"""Share of the depth from which a Gaussian is fitted."""
+"""Share of the depth from which a Gaussian is fitted; assumed."""
 
 
 FEWEST_CHANNELS = 8.0
-"""Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels."""
+"""Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels.
+Assumed."""
 
 
 LEAST_DEPTH = 1e-6

@@ -26,6 +26,7 @@ CONIC, HULL, LINEAR = range(len(CONTINUA))
 Indices = npt.NDArray[np.int64]
 
 CONIC_TIES_NM = (700.0, 1345.0, 1580.0)
+"""Tie points of the parabola of Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods."""
 TERMS = len(CONIC_TIES_NM)
 SHOULDERS_NM = ((600.0, 850.0), (1250.0, 1650.0), (2150.0, 2600.0))
 """Where `linear` looks for its tie points; assumed, wide enough for olivine and pyroxene."""

@@ -138,8 +138,11 @@ def _line(factor: float, constant: float) -> Callable[[FloatArray], tuple[FloatA
 
 
 UM1, UM2 = (699.0, 1579.0), (1578.0, 2538.0)
+"""Ends of the lines of IBD1000 and IBD2000: Mustard et al. (2011), 10.1029/2010JE003726."""
 STEPS_UM1 = tuple(789.0 + 20 * step for step in range(27))
+"""Where IBD1000 is summed up, every 20 nm: Mustard et al. (2011)."""
 STEPS_UM2 = tuple(1658.0 + 40 * step for step in range(22))
+"""Where IBD2000 is summed up, every 40 nm: Mustard et al. (2011)."""
 INDICES: Mapping[str, Index] = {
     "r540": Index(title="R540", source=M3_LIST, wavelengths_nm=(540.0,), formula=linear(1.0)),
     "r1580": Index(title="R1580", source=M3_LIST, wavelengths_nm=(1579.0,), formula=linear(1.0)),

@@ -1,6 +1,5 @@
 """Lines, fields and numbers of text tables."""
 
-import csv
 import io
 import re
 from collections import Counter
@@ -12,12 +11,13 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
+from lunarsci.inputs import csv_rows
 
 _LONGEST_SHOWN = 40
 
 
 _COMMENT = ("#", "%", "!")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
 _MISSING = {"", "-", "--", "na", "nan", "n/a", "null", "none"}
 _LINES_LOOKED_AT = 50
 _PLAIN = b"0123456789+-.eE \t\n"
@@ -59,11 +59,8 @@ def split_fields(line: str, separator: str, place: str) -> tuple[str, ...]:
     """Fields of one line, stripped; quotes are honoured. Raises DataError naming `place` for broken quotes."""
     if separator == " ":
         return tuple(line.split())
-    try:
-        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict='"' in line))
-    except (csv.Error, StopIteration) as error:
-        raise DataError(f"{place}: cannot be split into fields ({error}); check its quotes and its length") from error
-    return tuple(f.strip() for f in fields)
+    fields = csv_rows(place, [line], delimiter=separator, skipinitialspace=True, strict='"' in line)
+    return tuple(f.strip() for f in next(fields, ()))
 
 
 def check_widths(rows: Sequence[Row], file: str, names: int | None = None) -> int:

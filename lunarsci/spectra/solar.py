@@ -17,6 +17,8 @@ from lunarsci.sun import sun_from_moon_au
 from lunarsci.tables import table_rows
 
 _LIGHT_TIME_S = 499.0
+"""From the Sun at 1 au: 499.00478 s, IAU (2009) system of astronomical constants, Luzum et al. (2011),
+10.1007/s10569-011-9352-4."""
 
 
 def sun_moon_distance_au(time: datetime) -> float:
@@ -48,7 +50,8 @@ SOLAR_SPECTRA = {
     "e490": "ASTM E490-00a, air mass zero (doi 10.1520/E0490-00AR06)",
 }
 COVERED_NM = (430.0, 2430.0)
-"""What a table must cover for the VNIS channels, 450-2395 nm and their responses. [nm]"""
+"""What a table must cover for the VNIS channels, 450-2395 nm and their responses; assumed wide enough for both tails.
+[nm]"""
 
 M3_TABLE = "solar_m3_over_e490.csv"
 """ln of the irradiance that the M3 team used over that of E490."""

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.rover import Rover
 
 DENSEST_KG_M3 = 22_600.0
-"""Osmium, 22.59 g/cm3: CRC Handbook of Chemistry and Physics. [kg/m3]"""
+"""Osmium, 22.59 g/cm3: CRC Handbook of Chemistry and Physics, 97th ed., Haynes (2016). [kg/m3]"""
 MOST_RADII = 100.0
 """From one axle to the next; rovers that drove on the Moon and Mars have 2.5 to 6. Assumed. [wheel radii]"""
 

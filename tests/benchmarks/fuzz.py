@@ -242,6 +242,10 @@ def prepare(reader: Reader, folder: Path) -> Path:
 # --- many, in processes of their own ---
 
 
+PLAIN = ("VNIS image", "configuration")
+"""Not guided: what watches branches copies the 26 MB of each image and keeps them, and does not let a command end."""
+
+
 def slug(name: str) -> str:
     return re.sub(r"\W+", "-", name)
 
@@ -361,7 +365,14 @@ def main() -> int:
             break
         for name, inputs in lacking.items():
             if inputs > 0 and time.monotonic() < end and not (asked.keep / f"{slug(name)}.{turn}.json").exists():
-                run(name, min(inputs, asked.at_once), asked.seconds, turn, asked.keep, guided=guided)
+                run(
+                    name,
+                    min(inputs, asked.at_once),
+                    asked.seconds,
+                    turn,
+                    asked.keep,
+                    guided=guided and name not in PLAIN,
+                )
     return min(show(names, asked.keep), 1)
 
 

@@ -5,17 +5,19 @@ A reader of several files gets them joined into one input, so that what is spoil
 
 import contextlib
 import functools
+import inspect
 import io
 import json
 import tempfile
 import tomllib
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args, get_origin
+from unittest import mock
 
 import numpy as np
 
@@ -271,6 +273,24 @@ def cube_files() -> dict[str, bytes]:
     }  # fmt: skip
 
 
+def shares() -> dict[str, np.ndarray]:
+    """Layers of a made-up map of two minerals, as `spectra map` names them. (3, 4)"""
+    return {"share_olivine": np.full((3, 4), 0.4), "share_orthopyroxene": np.full((3, 4), 0.6)}
+
+
+def shares_of_swath() -> bytes:
+    import xarray
+
+    where = {"latitude": np.repeat([[1.0], [0.5], [0.0]], 4, axis=1), "longitude": np.tile(0.5 * np.arange(4), (3, 1))}
+    data = xarray.Dataset({name: (("y", "x"), values) for name, values in (shares() | where).items()})
+    with tempfile.TemporaryDirectory() as place:
+        data.to_netcdf(f"{place}/map.nc", engine="h5netcdf")
+        return Path(place, "map.nc").read_bytes()
+
+
+CRATERS = b"name,latitude_deg,longitude_deg,diameter_km\nA,0.5,0.9,10\nB,0.6,1.0,8\n"
+
+
 def tiff(layers: Mapping[str, np.ndarray]) -> bytes:
     from lunarsci.grids import geotiff_bytes
 
@@ -293,6 +313,14 @@ def cube_readers() -> dict[str, Reader]:
 
         return _function("spectra.cubes.regions:region_of")(open_cube(str(path.with_name("cube.nc"))), str(path))
 
+    def mapped(path: Path) -> Any:
+        """Shares of minerals around two craters, as `spectra match --mineral-map` finds them."""
+        from lunarsci.spectra.origin.catalogue import read_catalogue
+
+        craters = read_catalogue(InputFile("SYNTHETIC.csv", CRATERS))
+        minerals = _function("spectra.origin.mineral_map:minerals_of")(str(path))
+        return _function("spectra.origin.mineral_map:with_maps")(craters, dict.fromkeys(minerals, str(path)))
+
     return {
         "cube ENVI": Reader(all_of_cube, ["spoilt.hdr", "spoilt.img"], [found["ENVI"]]),
         "cube M3": Reader(
@@ -301,12 +329,17 @@ def cube_readers() -> dict[str, Reader]:
             [BETWEEN.join((header.partition(b"map info")[0], image, loc, place))]),
         "cube GeoTIFF": Reader(all_of_cube, ["spoilt.tif"], [found["GeoTIFF"]]),
         "cube NetCDF 4": Reader(all_of_cube, ["spoilt.nc"], [found["NetCDF 4"]]),
+        "cube NetCDF swath": Reader(all_of_cube, ["spoilt.nc"], [found["NetCDF swath"]]),
         "cube NetCDF 3": Reader(all_of_cube, ["spoilt.nc"], [found["NetCDF 3"]]),
         "mask .npy": Reader(_read_plane, ["spoilt.npy"], [plane.getvalue()]),
         "mask .tif": Reader(_read_plane, ["spoilt.tif"], [tiff({"mask": np.ones((3, 4))})]),
         "wavelengths": Reader(
             lambda path: all_of_cube(path.with_name("cube.img"), wavelengths=str(path)), ["spoilt.csv"],
             [b"wavelength_nm,fwhm,good\n" + b"".join(b"%.1f,20,1\n" % w for w in nm)], beside),
+        "locations": Reader(lambda path: all_of_cube(path.with_name("cube.img"), locations=str(path)),
+                            ["spoilt.hdr", "spoilt.img"], [loc + BETWEEN + place], beside),
+        "mineral map .tif": Reader(mapped, ["spoilt.tif"], [tiff(shares())]),
+        "mineral map .nc": Reader(mapped, ["spoilt.nc"], [shares_of_swath()]),
         "regions": Reader(regions, ["spoilt.geojson"],
                           [ZONE.replace("[0, 0], [2, 0], [2, 1], [0, 0]",
                                         "[19, 39], [21, 39], [20, 42], [19, 39]").encode()],
@@ -349,12 +382,20 @@ def label(
 
 CAHV = (b"NS = 1024\nNL = 1024\nC = 1.0 0.2 -1.0\nA = 0.0 0.0 1.0\nH = 1200.0 0.0 511.0\nV = 0.0 1200.0 512.0\n"
         b"O = 0.0 0.0 1.0\nR = 0.0001 -0.1 0.03\n")  # fmt: skip
+POSE = (b"position_m = [0.0, 0.0, 1.5]\nheading_deg = 10.0\ndown_deg = 15.0\ntime_s = 5.0\nyaw_deg = 10.0\n"
+        b"pitch_deg = 1.0\nroll_deg = 0.0\n")  # fmt: skip
 RAW_LABEL = (
     b'<?xml version="1.0"?><Product_Observational><File><offset>0</offset></File><Array_2D_Image>'
     b"<data_type>UnsignedByte</data_type><Axis_Array><axis_name>Line</axis_name><elements>24</elements></Axis_Array>"
     b"<Axis_Array><axis_name>Sample</axis_name><elements>32</elements></Axis_Array></Array_2D_Image>"
     b"</Product_Observational>"
 )
+
+
+def rig() -> bytes:
+    from lunarsci.images.rig_files import read_rig, rig_text
+
+    return rig_text(read_rig("yutu2-navcam")).encode()
 
 
 def pictures() -> dict[str, bytes]:
@@ -372,7 +413,7 @@ def pictures() -> dict[str, bytes]:
 
 def picture_readers() -> dict[str, Reader]:
     from lunarsci.images.camera import Camera
-    from lunarsci.images.rig_files import camera_text, read_rig, rig_text
+    from lunarsci.images.rig_files import camera_text
 
     shown = pictures()
     of_picture = of_path("images.pictures:read_picture")
@@ -382,7 +423,7 @@ def picture_readers() -> dict[str, Reader]:
     places = b"x_m,y_m,z_m,sigma_m\n0,0,1.5,0.01\n2.5,0,1.5,0.02\n"
     line = b'{"type": "LineString", "coordinates": [[0, 0], [1.5, 0.2], [3, 0.1]]}'
 
-    def rig(path: Path) -> Any:
+    def of_labels(path: Path) -> Any:
         both = (str(path), str(path.with_name("right.2BL")))
         return _function("images.rig_files:read_rig")(*both)
 
@@ -397,11 +438,9 @@ def picture_readers() -> dict[str, Reader]:
         "camera CAHVOR": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.lbl"], [CAHV]),
         "camera": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.toml"], [alone.encode()]),
         "rig": Reader(of_path("images.rig_files:read_rig"), ["spoilt.toml"],
-                      [rig_text(read_rig("yutu2-navcam")).encode()]),
-        "rig of labels": Reader(rig, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),
-        "pose": Reader(pose, ["spoilt.toml"], [
-            b"position_m = [0.0, 0.0, 1.5]\nheading_deg = 10.0\ndown_deg = 15.0\ntime_s = 5.0\nyaw_deg = 10.0\n"
-            b"pitch_deg = 1.0\nroll_deg = 0.0\n"]),
+                      [rig()]),
+        "rig of labels": Reader(of_labels, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),
+        "pose": Reader(pose, ["spoilt.toml"], [POSE]),
         "stations": Reader(of_file("images.jobs.merge:read_positions", 2), ["spoilt.csv"], [places]),
         "track in a picture": Reader(of_path("images.landscape:read_track"), ["spoilt.csv"],
                                      [table("x_m,y_m,rut_m")]),
@@ -491,6 +530,17 @@ def soil_readers() -> dict[str, Reader]:
 
         return of_file("regolith.states:read_states", read_wheel("yutu2"))(path)
 
+    def to_predict(path: Path) -> Any:
+        """All that is looked at before forces are predicted."""
+        from lunarsci.regolith.wheel import read_wheel
+
+        module = "regolith.inference.prediction"
+        with (
+            mock.patch(f"lunarsci.{module}.predict_forces", side_effect=StopIteration),
+            contextlib.suppress(StopIteration),
+        ):
+            _function(f"{module}:predict_states")(None, read_wheel("yutu2"), InputFile(str(path), path.read_bytes()))
+
     def given(path: Path) -> Any:
         return _function("twin.jobs.drive_inputs:GivenSoil.read")([str(path)])
 
@@ -499,6 +549,9 @@ def soil_readers() -> dict[str, Reader]:
         "prior": Reader(of_file("regolith.prior:read_prior"), ["spoilt.toml"],
                         [b'[cohesion_pa]\nof = "ln"\nmedian = 500.0\nsd = 0.5\n']),
         "states": Reader(wheel_states, ["spoilt.csv"], [states]),
+        "states to predict": Reader(to_predict, ["spoilt.csv"], [states]),
+        "wheel": Reader(lambda path: _function("regolith.wheel:read_wheel")(str(path)), ["spoilt.toml"],
+                        [(files("lunarsci") / "rovers/yutu2.toml").read_bytes()]),
         "identified soil": Reader(lambda path: of_path("regolith.jobs.compare_soils:compare_soils")(path).to_json(),
                                   ["spoilt.json"], [json.dumps(identified).encode()]),
         "belief": Reader(lambda path: of_path("twin.jobs.history:history")(path).to_json(), ["spoilt.json"],
@@ -525,13 +578,21 @@ def telemetry() -> dict[str, bytes]:
     return {".csv": plain, ".ecsv": ecsv.getvalue().encode(), ".parquet": parquet.getvalue()}
 
 
+def mission() -> bytes:
+    return (Path(__file__).parents[2] / "examples/mission.toml").read_bytes()
+
+
 def drive_readers() -> dict[str, Reader]:
     own = files("lunarsci")
     plan = (own / "twin/plans/plan.toml").read_bytes()
     states = b"time_s,wheel,sinkage_m,sinkage_m_sigma,slip_ratio,valid\n2,FL,0.009,0.001,0.05,true\n3,FR,0.008,,,true\n"
     commands = ",".join(f"{name}_{wheel}_{unit}" for wheel in WHEELS for name, unit in
                         (("steering", "deg"), ("speed", "m_s")))  # fmt: skip
-    mission = (Path(__file__).parents[2] / "examples/mission.toml").read_bytes()
+
+    def rut(path: Path) -> Any:
+        return of_file("twin.telemetry.sinkage:is_table_of_ruts")(path), of_file("twin.telemetry.sinkage:read_track")(
+            path
+        )
 
     def sent(path: Path) -> Any:
         from lunarsci.twin.telemetry.checks import Findings
@@ -542,9 +603,9 @@ def drive_readers() -> dict[str, Reader]:
         "plan": Reader(of_path("twin.plans.plan:read_plan"), ["spoilt.toml"], [plan]),
         "rover": Reader(lambda path: _function("twin.rover:build_rover")(of_path("rovers:read_rover")(path)),
                         ["spoilt.toml"], [(own / "rovers/yutu2.toml").read_bytes()]),
-        "mission": Reader(of_path("twin.mission.mission:read_mission"), ["spoilt.toml"], [mission]),
+        "mission": Reader(of_path("twin.mission.mission:read_mission"), ["spoilt.toml"], [mission()]),
         **{f"telemetry {suffix}": Reader(sent, [f"spoilt{suffix}"], [data]) for suffix, data in telemetry().items()},
-        "track": Reader(of_file("twin.telemetry.sinkage:read_track"), ["spoilt.csv"], [table("x_m,y_m,rut_m")]),
+        "track": Reader(rut, ["spoilt.csv"], [table("x_m,y_m,rut_m")]),
         "positions": Reader(of_file("twin.telemetry.reading:read_positions"), ["spoilt.csv"],
                             [table("time_s,x_m,y_m,sigma_m")]),
         "motion": Reader(with_rover("twin.plans.motion:read_motion"), ["spoilt.csv"],
@@ -626,7 +687,17 @@ def document_readers() -> dict[str, Reader]:
         return _function("report.job:report")(given).html(time=False)
 
     folder = BETWEEN.join([json.dumps(former("predict")).encode(), table("time_s,x_m,y_m"), picture])
+    ground_m = b"x_m,y_m,height_m\n" + b"".join(b"%d,%d,0.1\n" % (x, y) for y in range(3) for x in range(3))
+    tables = [spectrum_files()[".csv"], telemetry()[".csv"], table("sinkage_m,slip_ratio,normal_force_n"), ground_m,
+              b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\n", belief(), soil_map(),
+              json.dumps(former("fit")).encode(), FEATURE.encode(), b"CDF\x01"]  # fmt: skip
+    settings = [SOIL, POSE, mission(), rig(), (own / "rovers/yutu2.toml").read_bytes(),
+                (own / "twin/plans/plan.toml").read_bytes()]  # fmt: skip
+
     return {
+        "any table": Reader(_told, ["spoilt.csv"], tables),
+        "any settings": Reader(_told, ["spoilt.toml"], settings),
+        "sources": Reader(lambda path: of_path("guide.cite:cite")(path).bibtex(), ["spoilt.json"], every),
         "results": Reader(page, ["spoilt.json", "given.png"], [one + BETWEEN + picture for one in every]),
         "folder of results": Reader(lambda path: _function("report.job:report")([str(path.parent)]).html(time=False),
                                     ["result.json", "paths.csv", "map.png"], [folder]),
@@ -634,6 +705,14 @@ def document_readers() -> dict[str, Reader]:
                        [(own / "twin/plans/plan.toml").read_bytes(), (own / "rovers/yutu2.toml").read_bytes()]),
         "configuration": Reader(_configured, ["spoilt.toml"], [configuration]),
     }  # fmt: skip
+
+
+def _told(path: Path) -> Any:
+    """What `lunarsci info` says of a file; what its reader says of it there is raised as by other commands."""
+    found = _function("guide.info:info")(path)
+    if found.trouble:
+        raise LunarSciError(found.trouble)
+    return found.to_json()
 
 
 def _toml(path: Path) -> Any:
@@ -660,6 +739,125 @@ def _configured(path: Path) -> Any:
 
 PARTS = (spectra_readers, cube_readers, picture_readers, ground_readers, soil_readers, drive_readers, document_readers,
          vnis_readers)  # fmt: skip
+
+
+# --- which reader a parameter of a command comes to ---
+
+SPECTRA = "spectra .csv, spectra .txt, spectra .ecsv, spectra .fits, spectra .tab, spectra splib, spectra .sli"
+PICTURES = "picture png, picture tiff, picture jpeg"
+GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif"
+SOILS = "soil, belief, soil map, soil samples, TOML"
+CUBES = "cube ENVI, cube M3, cube GeoTIFF, cube NetCDF 4, cube NetCDF 3, cube NetCDF swath, VNIS cube"
+READ_BY = {
+    "against": "belief",
+    "before": "plan",
+    "belief": "belief, verdict",
+    "calibration": "channel factors",
+    "config": "configuration, TOML",
+    "craters": "craters",
+    "cube": CUBES,
+    "dem": "elevation",
+    "dems": "elevation",
+    "file": "any table, any settings",
+    "files": SPECTRA,
+    "keep_out": "keep-outs",
+    "known": "modes",
+    "layer": "layer",
+    "left": f"{PICTURES}, picture PDS4, camera label",
+    "library": "library",
+    "line": "line",
+    "local": GROUND,
+    "locations": "locations",
+    "mask": "mask .npy, mask .tif",
+    "metadata": "samples",
+    "mineral_map": "mineral map .tif, mineral map .nc",
+    "mission": "mission",
+    "motion": "motion",
+    "phase": "phase function",
+    "pictures": PICTURES,
+    "plan": "plan",
+    "plans": "plan",
+    "pose": "pose",
+    "positions": "positions",
+    "predict": "states to predict",
+    "predict_rover": "rover",
+    "predicted": "prediction",
+    "prior": "prior",
+    "result": "identified soil",
+    "results": "results, folder of results, sources",
+    "rig": "rig, rig of labels",
+    "right": f"{PICTURES}, picture PDS4, camera label",
+    "rocks": SPECTRA,
+    "roi": "regions",
+    "rover": "rover, wheel",
+    "soil": SOILS,
+    "solar": "sunlight",
+    "sources": "rig, rig of labels, camera label, camera CAHVOR, camera",
+    "start": "start of a fit",
+    "stations": f"{PICTURES}, rig, pose",
+    "states": "record",
+    "telemetry": "telemetry .csv, telemetry .ecsv, telemetry .parquet",
+    "terrain": GROUND,
+    "track": "track, track in a picture",
+    "wavelengths": "wavelengths",
+}
+"""Readers of this table that come to the file of a parameter, by the parameter's name."""
+READ_BY_COMMAND = {
+    "images merge positions": "stations",
+    "images render terrain": "elevation",
+    "regolith identify states": "states",
+    "regolith infer states": "states",
+    "spectra calibrate files": "VNIS products, VNIS image",
+    "spectra library list files": f"library, {SPECTRA}",
+    "spectra library check files": f"library, {SPECTRA}",
+    "spectra library plot files": f"library, {SPECTRA}",
+    "spectra match rocks": "fitted rocks",
+    "twin loads states": "states of poses",
+    "twin states track": f"track, {GROUND}",
+}
+"""The same where a parameter of that name is another file in one command."""
+NO_FILE = {
+    *("path", "plot", "plane", "posterior", "save", "save_map", "save_terrain", "animate"),  # are written
+    *("field_path", "form", "columns", "memory", "scheduler"),  # the file of a scheduler is read by dask
+    *("assemblage", "band_minerals", "bands", "board", "bound", "composition", "dictionary", "fix", "fixes", "index",
+      "interpolation", "kind", "lateral_modulus", "mast", "modes", "name", "products", "sizes", "source", "spectrum",
+      "sweep", "target", "tie", "time", "title", "vary"),
+    *("annulus", "classes", "gardening", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
+    *("images dem terrain", "spectra simulate soil", "twin plan start"),
+}  # fmt: skip
+"""Parameters with a text that names no file to read; with the command where others of that name do."""
+
+
+def path_parameters() -> Iterator[str]:
+    """Every parameter of a command that takes a text, after the words of the command."""
+    from lunarsci.cli import command_line
+
+    def walk(app: Any, words: str) -> Iterator[str]:
+        for one in app.registered_commands:
+            for name, parameter in inspect.signature(one.callback).parameters.items():
+                if takes_text(parameter.annotation):
+                    yield f"{words}{one.name} {name}"
+        for group in app.registered_groups:
+            yield from walk(group.typer_instance, f"{words}{group.name} ")
+
+    return walk(command_line(), "")
+
+
+def takes_text(kind: Any) -> bool:
+    if get_origin(kind) is Literal:
+        return False
+    parts = get_args(kind)[:1] if get_origin(kind) is Annotated else get_args(kind)
+    return kind in (str, Path) or any(takes_text(part) for part in parts)
+
+
+def readers_of(parameter: str) -> list[str] | None:
+    """Names of the readers that its file comes to; none where it names no file, None where nothing is declared."""
+    name = parameter.rpartition(" ")[2]
+    if parameter in READ_BY_COMMAND:
+        return READ_BY_COMMAND[parameter].split(", ")
+    if parameter in NO_FILE or name in NO_FILE:
+        return []
+    return READ_BY[name].split(", ") if name in READ_BY else None
 
 
 def readers() -> dict[str, Reader]:

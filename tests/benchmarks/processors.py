@@ -7,6 +7,7 @@ that moves most as a share of its size, and whatever else is not the same. Compi
 """
 
 import argparse
+import itertools
 import json
 import math
 import os
@@ -25,6 +26,7 @@ SETTINGS: dict[str, dict[str, str]] = {
     "numpy": {"NPY_DISABLE_CPU_FEATURES": VECTORS},
     "blas": {"OPENBLAS_CORETYPE": "Haswell"},
     "old-blas": {"OPENBLAS_CORETYPE": "Nehalem"},
+    "both": {"NPY_DISABLE_CPU_FEATURES": VECTORS, "OPENBLAS_CORETYPE": "Nehalem"},
     "numba": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
     "all": {
         "NPY_DISABLE_CPU_FEATURES": VECTORS,
@@ -50,11 +52,14 @@ def moves(one: Any, other: Any, place: str = "") -> Iterator[tuple[float, str]]:
         yield share, f"{place}: {one!r}, {other!r}"
 
 
-def answers_in(setting: str, commands: list[str], folder: Path) -> dict[str, Any]:
-    """Answers of a process of its own with that environment; numba knows apart what it compiled for which processor."""
+def answers_in(setting: str, commands: list[str], folder: Path, compiled: Path | None = None) -> dict[str, Any]:
+    """Answers of a process of its own with that environment; numba knows apart what it compiled for which processor.
+
+    `compiled` : folder of what was compiled; one in `folder` if left out.
+    """
     target = folder / f"{setting}.json"
     environment = os.environ | {f"{library}_NUM_THREADS": "1" for library in ("OPENBLAS", "OMP", "MKL")}
-    environment |= {"NUMBA_CACHE_DIR": str(folder / "compiled"), **SETTINGS[setting]}
+    environment |= {"NUMBA_CACHE_DIR": str(compiled or folder / "compiled"), **SETTINGS[setting]}
     subprocess.run(
         [sys.executable, __file__, "--write", str(target), "--commands", *commands], env=environment, check=True
     )
@@ -62,18 +67,28 @@ def answers_in(setting: str, commands: list[str], folder: Path) -> dict[str, Any
     return found
 
 
+def needed(commands: list[str]) -> list[str]:
+    """These entries of `COMMANDS`, and those before them that write what they read."""
+    import test_former_results as former
+
+    lines = former.COMMANDS
+    files = {**former.FILES, **former.CSV_FILES}
+    chosen = set(commands or lines)
+    for name, line in reversed(lines.items()):
+        words = line.split()
+        makes = [new for option, new in itertools.pairwise(words) if option in ("-o", "--save", "--save-map")]
+        makes += [file for file, of in files.items() if of == name]
+        read = {word.partition("/")[0] for other in chosen - {name} for word in lines[other].split()}
+        if read & set(makes):
+            chosen.add(name)
+    return [name for name in lines if name in chosen]
+
+
 def write(commands: list[str], target: Path) -> None:
     """Run the commands in this process, and before them those that write what they read."""
     import test_former_results as former
 
-    if commands:
-        writers = {name for name, line in former.COMMANDS.items() if " -o " in line or "--save" in line}
-        last = max(list(former.COMMANDS).index(name) for name in commands)
-        former.COMMANDS = {
-            name: line
-            for number, (name, line) in enumerate(former.COMMANDS.items())
-            if name in commands or (number < last and name in writers and not name.startswith("choice"))
-        }
+    former.COMMANDS = {name: former.COMMANDS[name] for name in needed(commands)}
     with tempfile.TemporaryDirectory() as folder:
         target.write_text(json.dumps(former.answers(Path(folder))), "utf-8")
 

@@ -19,6 +19,10 @@ NEEDS_PICTURES_OF_A_BOARD = "images calibrate"
 """`tests/images/test_calibration.py` runs its examples, with pictures that are made there."""
 
 
+UNBROKEN = {"--json", "--csv", "--field", "cite", "template"}
+"""What prints for programs."""
+
+
 def commands(command: object = None, words: str = "") -> Iterator[tuple[str, object]]:
     """Words and command of each command, groups left out."""
     found = typer.main.get_command(command_line()) if command is None else command
@@ -55,15 +59,21 @@ def test_options_of_the_examples_exist() -> None:
 
 @pytest.mark.slow
 def test_examples_run_one_after_the_other(tmp_path: Path, program: Path) -> None:
-    """As a user types them, in an empty folder; exit code 3 says that a result is not to be trusted."""
-    environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}"}
-    failed = []
+    """As a user types them, in an empty folder; exit code 3 says that a result is not to be trusted.
+
+    No line is wider than a terminal of 80 columns.
+    """
+    environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
+    failed, wide = [], []
     for words, lines in EXAMPLES.items():
         for line in lines if words != NEEDS_PICTURES_OF_A_BOARD else ():
             done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
             if done.returncode not in (0, 3):
                 failed.append((line, done.stderr.splitlines()[-1:]))
+            printed = [] if UNBROKEN & set(line.split()) else done.stdout.splitlines()
+            wide += [(line, one) for one in printed if len(one) > 80]
     assert failed == []
+    assert wide == [], "\n".join(map(str, wide))
 
 
 @pytest.mark.parametrize("words", [[], ["spectra"], ["spectra", "bands"]])

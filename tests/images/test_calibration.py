@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +130,12 @@ def test_rendered_boards_give_the_rig(found: CalibratedCameras) -> None:
     assert (np.abs(delta[free]) < 4 * sigma[free]).mean() > 0.95
     assert fit.baseline_m == pytest.approx(np.linalg.norm(WAY), rel=2e-3)
     assert np.abs(delta[[0, 1, 9, 10]]).max() < 2.0
+
+
+def test_the_calibration_is_told(found: CalibratedCameras, answered: Callable[..., str]) -> None:
+    said = answered(found)
+    assert re.search(r"from \d+ pictures?: points of the board are met within 0\.\d+ px, baseline \d+", said), said
+    assert ("Not determined: " in said) == bool(found.not_determined())
 
 
 def test_scripts_read_the_rig(

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -192,6 +194,12 @@ def test_shadow_has_no_height_and_says_why(found: StereoTerrain, pair: RenderedP
     assert (found.matches.reason[deep] == MATCHED).mean() < 0.02
 
 
+def test_heights_are_told(found: StereoTerrain, answered: Callable[..., str]) -> None:
+    said = answered(found)
+    assert re.search(r"Heights of [0-9.]+ by [0-9.]+ m of ground, [0-9]+ % of it unseen\. From [0-9.]+ to", said), said
+    assert "mm from node to node and by" in said
+
+
 def test_patches_that_hang_in_nothing_are_islands() -> None:
     disparity = 60 - 0.1 * np.mgrid[:200, :300][0].astype(float)
     plane = disparity.copy()
@@ -237,7 +245,10 @@ def test_scripts_read_what_is_written(
 ) -> None:
     target = tmp_path / "dem.npz"
     arguments = ["images", "dem", files["left"], files["right"], "--rig", files["rig"], "--pose", files["pose"]]
-    assert main([*arguments, "--save-terrain", str(target), "--plot", str(tmp_path / "dem.png"), "--json", "--no-time"]) == 0
+    assert (
+        main([*arguments, "--save-terrain", str(target), "--plot", str(tmp_path / "dem.png"), "--json", "--no-time"])
+        == 0
+    )
     result = json.loads(capsys.readouterr().out)["result"]
     assert sum(result["pixels"].values()) == pytest.approx(1)
     assert result["ranges"][0]["median_height_m_sigma"] < result["ranges"][-1]["median_height_m_sigma"]

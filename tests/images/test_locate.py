@@ -2,6 +2,7 @@
 
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -190,7 +191,7 @@ RECKONED = Pose(
 LEANING = "rover_yaw_deg = 1.0\nrover_pitch_deg = 2.0\nrover_roll_deg = -1.0\n"
 
 
-def test_from_pictures_to_positions(stations: Path) -> None:
+def test_from_pictures_to_positions(stations: Path, answered: Callable[..., str]) -> None:
     folders = [stations / f"stop{k}" for k in range(2)]
     result = locate(folders, rig=str(stations / "rig.toml"), mast="0.4,0,1.2")
     for folder, pose in zip(folders, TRUE, strict=True):
@@ -207,9 +208,14 @@ def test_from_pictures_to_positions(stations: Path) -> None:
     np.testing.assert_allclose(read_positions(files["positions.csv"]).place_m[1], [row["x_m"], row["y_m"]], rtol=1e-6)
     assert len(read_shifts(files["shifts.csv"], 2)) == 2
     assert len(result.plot().axes) == 5
+    assert answered(result).startswith(
+        "Pictures tie 2 of 2 stations together. The rover at the last, stop1, was at x 1."
+    )
 
 
-def test_what_cannot_be_tied_is_said(stations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_tied_is_said(
+    stations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], answered: Callable[..., str]
+) -> None:
     rig, first = str(stations / "rig.toml"), str(stations / "stop0")
     far = tmp_path / "far"
     shutil.copytree(stations / "stop1", far)
@@ -217,6 +223,9 @@ def test_what_cannot_be_tied_is_said(stations: Path, tmp_path: Path, capsys: pyt
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 3
     told = capsys.readouterr()
     assert "far is where dead reckoning puts it: they share no ground" in told.out + told.err
+    apart = answered(locate([first, far], rig=rig))
+    assert "Pictures tie 1 of 2 stations together" in apart
+    assert "Far is where dead reckoning puts it: they share no ground" in apart
     with pytest.raises(ParameterError, match=r"no ties to draw: far .* they share no ground"):
         locate([first, far], rig=rig).plot()
     shutil.copy(stations / "stop0" / "left.png", far / "left.png")

@@ -1,11 +1,14 @@
 """Merged maps against the ground that models were made of, with offsets and shifts that are not told."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from stamped_ground import FINE, fractal
 
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.jobs.merge import MergedStations
 from lunarsci.images.merge import StationPosition, merge
 
 SPACING = 0.02
@@ -77,10 +80,13 @@ def test_differences_of_offsets_and_places_are_found_with_their_errors() -> None
     assert np.sqrt(np.mean(np.square(z))) < 1.6
 
 
-def test_a_stone_moved_between_stations_is_shown() -> None:
+def test_a_stone_moved_between_stations_is_shown(answered: Callable[..., str]) -> None:
     _, models, _, _ = stations(np.random.default_rng(5), (0.002, 0.002), 0.005, 0.0)
     models[1].height_m[50:55, 80:85] += 0.05
     found = merge(models)
+    told = answered(MergedStations(names=("a", "b"), models=tuple(models), merged=found, inputs={}))
+    assert "Heights of 2 stations are one grid now, a node every " in told
+    assert f"they differ by {found.overlaps[0].rms_z:.2g} times their errors" in told
     inside = np.abs(found.z_score[50:55, 80:85])
     assert np.nanmin(inside) > 5
     assert np.nanpercentile(np.abs(found.z_score), 95) < 3

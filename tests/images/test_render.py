@@ -16,6 +16,7 @@ from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import read_pose, read_rig
 from lunarsci.inputs import InputFile
+from lunarsci.report.image_answers import rendered
 
 LENS = Camera(name="l", width_px=120, height_px=90, fx_px=130.0, fy_px=130.0, cx_px=60.0, cy_px=44.0, k1=-0.05)
 RIG = StereoRig(
@@ -144,9 +145,20 @@ def test_the_command_writes_marked_pictures_and_their_truth(tmp_path: Path, caps
     from lunarsci.images.rig_files import rig_text
 
     (tmp_path / "rig.toml").write_text(rig_text(RIG))
-    asked = ["--rig", str(tmp_path / "rig.toml"), "--spacing", "0.05", "--rays", "1", "--rock-density", "0.2", "--no-time"]
+    asked = [
+        "--rig",
+        str(tmp_path / "rig.toml"),
+        "--spacing",
+        "0.05",
+        "--rays",
+        "1",
+        "--rock-density",
+        "0.2",
+        "--no-time",
+    ]
     assert main(["images", "render", *asked, "--json", "-o", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)["result"]
+    assert rendered(result).text.startswith(f"Synthetic pictures of {result['rocks']} rock")
     assert result["synthetic"] is True
     assert 0.3 < result["pixels"]["seen_by_both"] < 1
     assert b"SYNTHETIC" in (tmp_path / "out/left.png").read_bytes()[:300]

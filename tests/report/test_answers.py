@@ -1,6 +1,7 @@
 """The sentence that stands for a result: it may not say more than the result does."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,12 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.report.answers import ANSWERS, answer
 from lunarsci.report.documents import Document, document_of, read_results
+from lunarsci.report.page import TITLES
+from lunarsci.report.parts import assumed, budget, tables, unknown
 from lunarsci.report.sentences import DOUBT, GO, STOP
 from lunarsci.report.words import counted, measured, percent, words
 
-from .conftest import documents
+from .conftest import FORMER, documents
 
 KNOWN = documents()
 
@@ -24,8 +27,7 @@ def of(name: str, **changes: Any) -> Document:
 
 def test_every_kind_of_the_former_answers_is_answered() -> None:
     kinds = {one["schema"].split("/")[1] for one in KNOWN.values()}
-    named = kinds - {"images-cameras", "spectra-library-check", "spectra-simulate"}
-    assert named <= ANSWERS.keys()
+    assert kinds <= ANSWERS.keys() == TITLES.keys()
     for name in KNOWN:
         assert answer(of(name)).text.endswith(".")
 
@@ -34,6 +36,7 @@ def test_a_drive_is_a_go_only_where_the_verdict_says_so() -> None:
     assert answer(of("predict")).tone == GO
     refused = answer(of("predict", verdict="no-go", reasons=["the slope is too steep"]))
     assert refused.tone == STOP
+    assert not refused.text.startswith("Go ")
     assert refused.text.startswith("No-go ")
     assert "the slope is too steep" in refused.text
 
@@ -46,10 +49,82 @@ def test_a_limit_that_some_drives_break_is_not_called_kept() -> None:
     assert "all limits are kept" not in said
 
 
-def test_what_is_out_of_its_domain_or_distrusted_is_marked() -> None:
-    assert answer(of("unmix")).tone == DOUBT
-    assert "not shown to hold" in answer(of("unmix")).text
-    assert answer(of("compare drives")).tone == DOUBT
+@pytest.mark.parametrize("name", KNOWN)
+def test_trust_is_the_exit_code_of_the_command(name: str) -> None:
+    exits = json.loads(FORMER.read_text("utf-8"))["answers"]
+    assert (answer(of(name)).tone in (DOUBT, STOP)) == (exits[name]["exit"] == 3)
+
+
+def test_a_go_of_a_soil_that_is_not_trusted_does_not_begin_with_go() -> None:
+    drive = of("predict")
+    said = answer(replace(drive, provenance={"untrusted": "the soil of belief.json is not to be trusted"}))
+    assert said.tone == DOUBT
+    assert said.text.startswith("The soil of belief.json is not to be trusted. ")
+    failed = answer(replace(drive, provenance={"untrusted": "", "failures": ["a.csv: no spectrum", "b.csv: none"]}))
+    assert (failed.tone, failed.trust) == (DOUBT, "2 inputs gave no result: a.csv: no spectrum (and 1 more).")
+    older = answer(replace(drive, provenance={}))
+    assert (older.tone, "older version" in older.trust) == (GO, True)
+
+
+def test_verdicts_are_told_in_the_words_of_the_command() -> None:
+    """Of each kind of open question: which minerals, which crater, shares out of the domain, a soil that is assumed."""
+    for name, keys in {
+        "fit auto": ("spectra", 0, "choice", "status"),
+        "match modes": ("rocks", 0, "status"),
+        "match bands": ("rocks", 0, "status"),
+        "compare drives": ("reasons", 0),
+    }.items():
+        status: Any = KNOWN[name]["result"]
+        for key in keys:
+            status = status[key]
+        assert str(status) in answer(of(name)).text
+        assert "most likely came from" not in answer(of(name)).text
+    assert "Out of domain: what was stated to be dark was compared with no" in answer(of("unmix")).text
+    assert "other minerals were not tried" in answer(of("fit")).text
+    assert "Not determined: external friction angle" in answer(of("identify solved")).text
+    assert "synthetic; the verdict says nothing about a real site" in answer(of("predict")).text
+
+
+def test_what_a_command_refuses_is_neither_in_the_budget_nor_in_the_tables() -> None:
+    """Fo of the 1 um centre, beside a 2 um band; Wo beyond its trend; a ratio with an error of 300."""
+    refused = KNOWN["bands"]["result"]["spectra"][0]["chemistry"]["fo_bc1000"]
+    assert not refused["in_range"]
+    made = of("bands")
+    cells = [cell for table in (budget(made), *tables(made)) if table for row in table.rows for cell in row]
+    assert not any(f"{refused['value']:.4g}"[:4] in cell for cell in cells)
+    assert any(cell == f"not to be used: {refused['reason']}" for cell in cells)
+    assert any("Fs by Gaffey 2002 [mol %]" in cell for cell in cells)
+    fitted = KNOWN["fit"]["result"]
+    beyond = fitted["spectra"][0]["compositions"]["fs"] | {"mean": 104.8, "in_range": False}
+    spoiled = of("fit", spectra=[fitted["spectra"][0] | {"compositions": {"fs": beyond}}])
+    [line] = [text for text in unknown(spoiled) if "of orthopyroxene" in text]
+    assert line.endswith("of the trend: do not use")
+    assert not any("104.8" in cell for row in budget(spoiled).rows for cell in row)
+    assert budget(of("fit damping")) is None
+    assert any("share of orthopyroxene in the strength" in row[0] for row in budget(of("fit")).rows)
+
+
+def test_caveats_below_the_tables_of_a_command_are_told() -> None:
+    for name, said in {
+        "bands": "2 µm band: conic not used",
+        "unmix": "not calibrated on rocks",
+        "states": "of the others the track says nothing",
+        "loads of states": "each wheel supplies still depends on the assumed soil",
+        "identify joint": "priors of priors.toml where none are given",
+        "cameras": "of Yutu-2 Navcam: ",
+    }.items():
+        told = [*unknown(of(name)), *assumed(of(name))]
+        assert any(said in line for line in told), (name, told)
+    assert any(line.endswith("only if an ordinary chondrite") for line in unknown(of("bands")))
+
+
+def test_single_values_are_one_table_and_names_have_units() -> None:
+    for name in KNOWN:
+        titles = [table.title for table in tables(of(name))]
+        assert titles.count("Single values") <= 1
+        assert all(len(table.rows) > 1 for table in tables(of(name)) if table.title != "Single values")
+    names = [row[0] for row in budget(of("identify")).rows]
+    assert any(text.endswith("internal friction angle φ [°]") for text in names), names
 
 
 def test_a_share_of_no_determined_value_is_not_told() -> None:
@@ -66,7 +141,7 @@ def test_numbers_are_rounded_to_their_errors() -> None:
     assert percent(0.0039) == "0.4 %"
     assert counted(1, "spectrum") == "1 spectrum"
     assert counted(2, "spectrum") == "2 spectra"
-    assert words("center_nm") == "center [nm]"
+    assert words("center_nm") == "centre [nm]"
 
 
 @pytest.mark.parametrize(

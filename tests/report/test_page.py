@@ -49,6 +49,12 @@ def each_kind(folder: Path) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
+def pages(folder: Path) -> dict[Path, bytes]:
+    """A page of each kind, and of a drive on its ground."""
+    return {file: report(file).html(time=False) for file in [*each_kind(folder), folder / "drive"]}
+
+
+@pytest.fixture(scope="module")
 def everything(folder: Path) -> Path:
     """One page of several of them."""
     few = [folder / f"{name}.json" for name in ("states", "identify", "match modes", "update", "choice", "calibrate")]
@@ -69,9 +75,9 @@ def opened(request: pytest.FixtureRequest, browser: Any, everything: Path) -> An
     return page
 
 
-def test_a_page_of_every_kind_has_a_section_and_pictures(folder: Path) -> None:
-    for file in each_kind(folder):
-        html = report(file).html(time=False).decode()
+def test_a_page_of_every_kind_has_a_section_and_pictures(pages: dict[Path, bytes]) -> None:
+    for file, made in pages.items():
+        html = made.decode()
         assert html.count('<section id="s') == 1, file
         assert "Command, options, files and versions" in html
     assert html == report(file).html(time=False).decode()
@@ -103,6 +109,80 @@ def test_axe_finds_nothing(browser: Any, everything: Path, scheme: str) -> None:
     found = axe.Axe().run(page, options={"resultTypes": ["violations"]}).response["violations"]
     page.close()
     assert [(one["id"], [node["html"][:80] for node in one["nodes"][:3]]) for one in found] == []
+
+
+CONTRAST = """() => {
+  const light = (text) => {
+    const own = text.match(/[0-9.]+/g).slice(0, 3).map(v => v / 255);
+    const [red, green, blue] = own.map(v => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4);
+    return .2126 * red + .7152 * green + .0722 * blue;
+  };
+  const below = (one) => {
+    for (let up = one; up; up = up.parentElement) {
+      const paper = getComputedStyle(up).backgroundColor;
+      if (!/^rgba.*, 0\\)$/.test(paper)) return paper;
+    }
+    return "rgb(255, 255, 255)";
+  };
+  let worst = [99, ""];
+  for (const one of document.querySelectorAll("body *")) {
+    if (![...one.childNodes].some(n => n.nodeType === 3 && n.textContent.trim()) || !one.checkVisibility()) continue;
+    const [a, b] = [light(getComputedStyle(one).color), light(below(one))].sort((x, y) => y - x);
+    const ratio = (a + .05) / (b + .05);
+    if (ratio < worst[0]) worst = [ratio, one.outerHTML.slice(0, 80)];
+  }
+  return worst;
+}"""
+"""The lowest contrast of a text with what is behind it, by WCAG 2, and where it is."""
+
+
+def test_a_page_of_every_kind_is_quiet_narrow_told_and_legible(
+    browser: Any, folder: Path, pages: dict[Path, bytes]
+) -> None:
+    """One window for all: no message of the browser, no sideways scroll at 360 px, words for pictures, contrast."""
+    page = browser.new_page(viewport={"width": 360, "height": 780})
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    for file, content in pages.items():
+        made = folder / "kind.html"
+        made.write_bytes(content)
+        page.goto(made.as_uri())
+        page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true })")
+        assert said == [], file
+        width, seen = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+        assert width <= seen, file
+        alone = (
+            "[...document.querySelectorAll('img')].filter(one => one.checkVisibility() && one.alt.length < 20).length"
+        )
+        assert page.evaluate(alone) == 0, file
+        ratio, where = page.evaluate(CONTRAST)
+        assert ratio >= 4.5, (file, where)
+    page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(360, 780), (1440, 900)])
+def test_answer_trust_and_a_picture_are_on_the_first_screen(
+    browser: Any, folder: Path, width: int, height: int
+) -> None:
+    page = browser.new_page(viewport={"width": width, "height": height})
+    made = folder / "first.html"
+    made.write_bytes(report(folder / "drive").html())
+    page.goto(made.as_uri())
+    for part in (".answer", ".trust", ".first"):
+        assert page.locator(part).first.bounding_box()["y"] < 0.75 * height, part
+    assert page.locator(".answer").first.text_content().startswith("Go for the drive")
+    assert page.locator(".trust").first.text_content() == "Trust: The command found nothing against this result."
+    page.close()
+
+
+def test_paper_has_what_is_folded_away(opened: Any) -> None:
+    folded = "document.querySelectorAll('details:not([open])').length"
+    before = opened.evaluate(folded)
+    opened.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert (before > 0, opened.evaluate(folded)) == (True, 0)
+    opened.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert opened.evaluate(folded) == before
 
 
 def test_hostile_names_are_shown_and_never_run(opened: Any) -> None:

@@ -481,3 +481,22 @@ def test_more_rows_than_there_is_memory_for_are_refused_before_they_are_read(suf
         buffer.write(b"time_s\n" + b"0\n" * 500_001)
     with pytest.raises(DataError, match=r"500,00\d rows, and at most 500,000 are read; give each drive"):
         read_table(InputFile(f"long.{suffix}", buffer.getvalue()), Findings("long"))
+
+
+def test_parquet_of_more_cells_than_there_is_memory_for_is_refused_before_it_is_read() -> None:
+    """A footer that declares 20 groups of 25,000 rows in 600 columns, and no data."""
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+
+    def declared(columns: int) -> bytes:
+        group, footer = io.BytesIO(), io.BytesIO()
+        parquet.write_table(pyarrow.table({f"c{k}_m": pyarrow.nulls(25_000) for k in range(columns)}), group)
+        told = parquet.read_metadata(group)
+        for _ in range(19):
+            told.append_row_groups(parquet.read_metadata(group))
+        told.write_metadata_file(footer)
+        return footer.getvalue()
+
+    with pytest.raises(DataError, match="300 million cells, and at most 250 million are read; cut out the drive"):
+        read_table(InputFile("wide.parquet", declared(600)), Findings("wide"))
+    with pytest.raises(DataError, match="not a Parquet file that can be read"):  # for want of the data
+        read_table(InputFile("sound.parquet", declared(500)), Findings("sound"))

@@ -35,6 +35,7 @@ assumed."""
 WORST_PX = 1.0
 """Residual from which a calibration is not to be trusted; assumed."""
 SEEN_SHARE, EDGE_PX = 0.6, 1.0
+"""Share of the picture that boards must have covered, and error of a corner [px], beyond which it is said; assumed."""
 CELLS = 8
 FIRST = 3
 """Pictures after which it is asked whether the board is another one."""

@@ -32,6 +32,7 @@ STATEMENTS = (
 HONEST = 3.0
 """Heights are gridded as far as the range's error, at 0.2 px, is so many cells; assumed."""
 TYPICAL_SIGMA_PX = 0.2
+"""Error of a disparity on ground with texture: assumed, where no pair has been looked at."""
 RANGES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0, math.inf)
 
 

@@ -27,8 +27,9 @@ SOURCES = [
     "Tevs, Ihrke & Seidel (2008), 10.1145/1342250.1342279: rays through height fields",
 ]
 FLAT_M = 24.0
-"""Side of the level ground that is there where no terrain is given. [m]"""
+"""Side of the level ground that is there where no terrain is given; assumed. [m]"""
 COARSE_M = 0.25
+"""Spacing of that ground; assumed, level ground needs no finer one. [m]"""
 TRUTH_STEP_M = 2.0**-16
 """To which places of the truth are rounded, 15 micrometres: its file is a third as large then. [m]"""
 

@@ -28,8 +28,9 @@ STEPS, HIGHEST_DAMPING, CONVERGED, ROUGH = 100, 1e10, 1e-4, 0.1
 LONGEST = 2.0
 """Step, in standard deviations of the prior."""
 OUTLIER = 1e-3
-"""Chance that the largest residual of all good states is called an outlier."""
+"""Chance that the largest residual of all good states is called an outlier; assumed."""
 MOST_OUTLIERS = 0.2
+"""Share of the states that may be left out as outliers; assumed."""
 FIRST_SHARE, ROUNDS, SETTLED = 0.2, 8, 0.05
 """Model error that the search for it begins with, large so that the way is smooth; fits at most; change of its
 logarithm that ends it."""
@@ -194,6 +195,7 @@ def find_mode(
 
 
 MOST_STRETCH = 3.0
+"""Factor by which errors are enlarged at most; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

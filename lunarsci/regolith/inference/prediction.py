@@ -31,7 +31,7 @@ DRAWS = 200
 STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
 LEAST_CARRIED = 0.05
-"""Share of its load that a wheel carries at least where the model misses the normal force."""
+"""Share of its load that a wheel carries at least where the model misses the normal force; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

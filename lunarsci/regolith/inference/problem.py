@@ -249,8 +249,9 @@ TYPICAL, WIDTH = 0.03, 1.0
 """Median share of the load by which a wheel-soil model misses a force, and standard deviation of its logarithm, before
 any residual has been looked at; assumed."""
 LEAST_SHARE, GROUPS = 1e-3, 8
+"""Of the load that a model misses, at least, and into how many parts states are split at most; assumed."""
 TAILS = (3.0, 4.0, 6.0, 10.0, 30.0)
-"""Degrees of freedom of the Student law that residuals are compared with."""
+"""Degrees of freedom of the Student law that residuals are compared with; assumed."""
 
 
 def error_covariance(problem: JointProblem, slopes: FloatArray, shares: FloatArray) -> FloatArray:

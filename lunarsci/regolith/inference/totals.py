@@ -28,12 +28,12 @@ MODEL_ERROR = 0.02
 NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
 """Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
 ROUGH = 5.0
-"""Times the error of sinkages in a fit that only finds the way."""
+"""Times the error of sinkages in a fit that only finds the way; assumed."""
 FREEZES = 2
 """Fits before the last one: in the first the model's errors follow the soil, which finds the way from far off; in the
 others they are those of the soil before."""
 HUBER = 3.0
-"""Whitened residuals beyond count linearly, so that single bad states do not lead."""
+"""Whitened residuals beyond count linearly, so that single bad states do not lead; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,17 +17,21 @@ CEILINGS = (0.35, 0.15, 0.15)
 pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of
 it: 0.35 of the load is a fifth of the sinkage."""
 REDUCED = (0.5, 2.0)
-"""Range of a reduced chi-square that agrees with the errors stated; errors alike in all states make it small."""
+"""Range of a reduced chi-square that agrees with the errors stated; errors alike in all states make it small.
+Assumed."""
 MOST_LEFT_OUT = 0.1
+"""Share of outliers beyond which a fit is doubted; assumed."""
 GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
-no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain."""
+no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
+assumed."""
 DECISIVE = 12.0
-"""By how much -2 ln posterior must be better for another reading of a column to count: odds of 400."""
+"""By how much -2 ln posterior must be better for another reading of a column to count: odds of 400. Assumed."""
 HUBER, MOST_STATES = 3.0, 60
+"""Whitened residuals beyond count linearly, and the most states that are tried with other readings; assumed."""
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
 POUND, KILOGRAM = 4.44822, 9.80665
-"""Newtons of a pound and a kilogram of force."""
+"""Newtons of a pound (0.45359237 kg) and of a kilogram of force, exact by definition, the first to six digits."""
 OTHER_SIGNS: tuple[tuple[str, float, str], ...] = (
     ("slip_ratio", -1.0, "its sign turned: slip is positive where the rim is faster than the wheel travels"),
     ("drawbar_pull_n", -1.0, "its sign turned: a pull forward is positive, a resistance negative"),

@@ -15,10 +15,11 @@ from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.tables import table_rows
 
 STEP_NM, LOWEST_NM, HIGHEST_NM = 20.0, 450.0, 2450.0
-"""Channels that are compared: features of minerals are ten times as wide."""
+"""Channels that are compared: features of minerals are ten times as wide. Assumed."""
 NEEDED_NM = (750.0, 2300.0)
+"""What a spectrum must reach over, from one side of the 1 um band to the 2 um band; assumed."""
 FARTHEST_NM = 5.0
-"""How far means of one channel may lie apart where spectra are compared together."""
+"""How far means of one channel may lie apart where spectra are compared together; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +89,7 @@ OPAQUE = "opaque"
 OPAQUE_REFLECTANCE = 0.062
 """Flat within 0.007 from 400 to 2500 nm: ilmenite HS231.3B of the USGS library (Kokaly et al. 2017, 10.3133/ds1035)."""
 REACH_NM = (450.0, 2450.0)
+"""Outside, no end member has channels; it is the range of the table, `end_members.csv`, assumed wide enough."""
 KEPT_GRIDS = 8
 
 

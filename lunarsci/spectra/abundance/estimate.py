@@ -20,7 +20,7 @@ LEVELS = (0.6827, 0.95)
 LEAST_SIGMA = 0.01
 """No share that is sought is taken as known better; assumed."""
 ABSENT = 0.005
-"""Below this an interval is taken to begin at 0."""
+"""Below this an interval is taken to begin at 0; assumed."""
 MOST_STRANGE = 0.15
 """Misfit and strain together, per channel, up to which spectra count as mixtures of the end members; assumed."""
 
@@ -109,12 +109,13 @@ def shortest_interval(draws: FloatArray, level: float) -> tuple[FloatArray, Floa
 
 
 MODEL_ERROR = 0.03
-"""Standard deviation of ln R on channels of 20 nm that stands for end members unlike the mixture's own; with it 68 %
-intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the library."""
+"""Standard deviation of ln R on channels of 20 nm that stands for end members unlike the mixture's own; measured:
+with it 68 % intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the
+library."""
 UNTESTED = "shares beside opaques or submicroscopic iron were compared with no measured mixture"
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
 SUM_TOLERANCE = 0.02
-"""How far known shares may miss a sum of 1."""
+"""How far known shares may miss a sum of 1; assumed."""
 
 
 def estimate_series(

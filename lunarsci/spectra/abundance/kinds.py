@@ -33,9 +33,11 @@ WINDOWS_NM = {
     "um1_96": (1850.0, 2060.0),
     "um2_30": (2220.0, 2380.0),
 }
-"""Where the features are taken: the blue and visible slopes, both sides of the 1 um band, and the 2 um band."""
+"""Where the features are taken: the blue and visible slopes, both sides of the 1 um band, and the 2 um band.
+Assumed."""
 VISIBLE_BLUE = 0.35
-"""Share of `blue` in the line from 475 to 750 nm at 565 nm less rounding; `visible` is the distance from that line."""
+"""`visible` is ln R at 565 nm less this share of `blue`, both relative to 750 nm: what the slope does not explain.
+Assumed."""
 LAB_TO_LAB = {"level": 0.2} | dict.fromkeys([name for name in WINDOWS_NM if name != "level"], 0.04) | {"visible": 0.02}
 """Standard deviation of each feature between instruments, packings and geometries; assumed."""
 SHRINKAGE = 0.15
@@ -44,14 +46,15 @@ FREEDOM = 10.0
 """Degrees of freedom of the tails; assumed."""
 LEAST_FEATURES = 6
 SURE = {"powder-mixture": 0.9, "dark-rock-powder": 0.8, "weathered-soil": 0.8, "solid-rock": np.inf}
-"""Probability from which a kind is named."""
+"""Probability from which a kind is named; assumed."""
 WEATHERED = 0.5
-"""Probability of a surface that space has weathered, soil or rock, from which it counts as one."""
+"""Probability of a surface that space has weathered, soil or rock, from which it counts as one; assumed."""
 STRANGE = 0.01
-"""Probability of a spectrum of the kind lying farther from its mean, below which one is a stranger."""
+"""Probability of a spectrum of the kind lying farther from its mean, below which one is a stranger; assumed."""
 CONTRADICTED = 0.02
-"""Probability of a stated kind below which the spectrum is a stranger to it."""
+"""Probability of a stated kind below which the spectrum is a stranger to it; assumed."""
 SCALED, BRIGHTEST = 1e-6, 1.1
+"""How near 1 a reflectance is that was scaled to it, and above what none is that of a powder; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,7 +141,7 @@ def _h(x: float, gamma: FloatArray) -> FloatArray:
 
 LEAST, MOST = 1e-5, 1.0 - 1e-5
 BRIGHTEST = 0.999
-"""Reflectance from which on a powder counts as this bright: absorbance must stay above 0."""
+"""Reflectance from which on a powder counts as this bright: absorbance must stay above 0. Assumed."""
 
 
 class MixingLaw(Protocol):

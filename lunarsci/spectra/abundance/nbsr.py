@@ -29,14 +29,14 @@ NORMAL_95 = 1.96
 SEEN_SIGMAS, APART_SIGMAS = 3.0, 2.0
 """Standard errors from which another mineral absorbs, and a composition lies outside; assumed."""
 UNLIKE_SIGMAS = 2.5
-"""Scatter of the line's own powders by which bands may differ from theirs; 16 of 20 of these, each left out of what it
-is compared with, are within in every number."""
+"""Scatter of the line's own powders by which bands may differ from theirs; measured: 16 of 20 of these, each left out
+of what it is compared with, are within in every number."""
 DEPTH_MARGIN = 1.25
 """Factor by which the 1 um band may be shallower or deeper than in any of the line's powders; assumed."""
 OTHER_MINERALS = {*MINERALS.values()} - {*PYROXENES}
 GRID_NM = np.arange(750.0, 2451.0, 5.0)
 RANGES_NM = {"um1": (850.0, 1150.0), "um2": (1600.0, 2450.0)}
-"""Where the deepest absorption of a region is looked for."""
+"""Where the deepest absorption of a region is looked for; assumed."""
 NAMES = {
     "um1_centroid_nm": "centroid at 1 um",
     "um2_centroid_nm": "centroid at 2 um",

@@ -39,7 +39,8 @@ quarter: the angle hardly changes below."""
 LEVELS = {"": 0.6827, "95": 0.95}
 MOLAR_MASS = {"sio2": 60.084, "tio2": 79.866, "al2o3": 101.961, "feo": 71.844, "mgo": 40.304, "cao": 56.077,
               "na2o": 61.979}  # fmt: skip
-"""g/mol, IUPAC."""
+"""Of the oxides, from the atomic weights of the IUPAC: Meija et al. (2016), Pure Appl. Chem. 88, 265,
+10.1515/pac-2015-0305. [g/mol]"""
 DENSITY = {"plagioclase": 2.72, "diopside": 3.35, "hypersthene": 3.45, "olivine": 3.55}
 """g/cm3, of lunar compositions; assumed."""
 SODA_WT, REST_WT = 0.45, 1.0

@@ -42,7 +42,7 @@ TELLING = 0.6
 LEAST_SIGMA = 0.03
 """No share is taken as known better; assumed."""
 LIKELY = 0.5
-"""Probability from which a rock counts as an ordinary chondrite."""
+"""Probability from which a rock counts as an ordinary chondrite; assumed."""
 UNTESTED = "what was stated to be dark was compared with no measured mixture"
 CENTRAL = np.array([0.16, 0.84])
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")

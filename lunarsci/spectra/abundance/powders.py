@@ -16,7 +16,7 @@ MOST_SHAPES = 8
 SPARE = 3
 """Shapes are fewer than the end members by this many."""
 LEADING_SHAPES, RIDGE = 5, 0.1
-"""Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them."""
+"""Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them. Assumed."""
 OWN_LEVEL = 0.5
 """Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
 SINGLE_LEVEL = 0.05
@@ -26,6 +26,7 @@ REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
 SMOOTH, SMOOTH_NM, SMOOTH_KEPT = 0.05, 150.0, 0.999
 """Standard deviation, width and share kept of what t of a real powder has beside its shapes; assumed."""
 UNUSUAL_WEIGHT = 0.3
+"""Weight of such an end member; assumed."""
 SPECIMEN_POWER = 0.7
 """Powders of one specimen weigh together as their number to the power 1 - 0.7; assumed."""
 USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.6)}

@@ -30,6 +30,7 @@ OPAQUE_ALBEDO, RED_POWER = (0.04, 0.2), (0.2, 1.0)
 """Range of the albedo of opaque phases at 1 um, and of the power of wavelength with which that of metal and troilite
 rises; Britt & Pieters (1994), 10.1016/0016-7037(94)90288-7 show both; the ranges are assumed."""
 GLASS_ALBEDO, GLASS_POWER, GLASS_DEPTH = (0.3, 0.7), (0.2, 0.8), (0.0, 0.3)
+"""Albedo of glass at 1 um, power of wavelength with which it rises, and depth of its bands; assumed."""
 GLASS_BANDS_UM = ((1.08, 0.16, 1.0), (1.9, 0.3, 0.6))
 """Centre, standard deviation and relative depth of the bands of iron in glass: Bell, Mao & Weeks (1976), Proc. Lunar
 Sci. Conf. 7, 2543; widths and ranges assumed."""

@@ -103,7 +103,7 @@ NM_PER_KELVIN = {"bc2000": 0.2, "bc1000": 0.0}
 """Shift of the band centres of ordinary chondrites with temperature, Sanchez et al. (2012), Icarus 220, 36,
 10.1016/j.icarus.2012.04.008: BC2000 at 300 K is BC2000 + 60 nm - 0.2 nm/K T, BC1000 hardly moves."""
 RATIO_PER_KELVIN = -0.00075
-"""The same of the area ratio: at room temperature it is ratio + 0.00075 T - 0.23."""
+"""The same of the area ratio, Sanchez et al. (2012): at room temperature it is ratio + 0.00075 T - 0.23."""
 
 Predictors = Mapping[str, tuple[Any, Any]]
 

@@ -122,16 +122,18 @@ OLIVINE_NM = (1046.0, 1090.0)
 """Minimum of the 1 um band of 26 olivines, Fo 92-0; measured on RELAB and USGS spectra, upper hull."""
 CPX_NM = 1016.0
 """From here on, Wo about 30, the centres no longer tell clinopyroxenes apart by calcium: they scatter about the end of
-the trend."""
+the trend; measured as the trend was."""
 PYROXENE_TOLERANCE_NM = 30.0
-"""How far the 1 um centre of a pyroxene may lie from the trend; see `tests/spectra/chemistry/test_laboratory.py`."""
+"""How far the 1 um centre of a pyroxene may lie from the trend; measured in
+`tests/spectra/chemistry/test_laboratory.py`."""
 OPX_LINE = (5.81, -3425.0)
 """2 um centre of synthetic orthopyroxenes by that at 1 um: 5.81 BC1000 - 3425 nm; measured as the trend was."""
 OPX_TOLERANCE_NM = 60.0
+"""How far a 2 um centre may lie from that line; assumed."""
 OPX_MOST_FS = 55.0
 """Fs of an orthopyroxene from which the lines of Gaffey et al. must not be used, which end at Fs 50; assumed."""
 OPX_MOST_NM = 2065.0
-"""2 um centre of synthetic ferrosilite, the most that an orthopyroxene has."""
+"""2 um centre of synthetic ferrosilite, the most that an orthopyroxene has; measured as the line was."""
 OLIVINE_SHIFT_NM = 8.0
 """Olivine moves the 1 um centre of a chondrite above that of its pyroxene by at least this much; assumed."""
 WEAK_SHARE = 0.1

@@ -26,9 +26,10 @@ NO_DATA, LEFT_OUT, MISSING, SATURATED, NOT_POSITIVE = (1 << k for k in range(len
 SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
 DELETED_BELOW = -1e30
-"""ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near."""
+"""ENVI and USGS write -1.23e34 for a deleted channel (Kokaly et al. 2017, 10.3133/ds1035); no reflectance is anywhere
+near."""
 MOST_REFLECTANCE = 2.0
-"""A median above this is no reflectance: percent, numbers of a detector, or radiance."""
+"""A median above this is no reflectance: percent, numbers of a detector, or radiance. Assumed."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
 MOST_ON_A_LINE = 50_000_000

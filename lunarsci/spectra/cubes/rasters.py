@@ -6,7 +6,7 @@ GDAL opens a file with the driver that its content names and with no other.
 import math
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -189,18 +189,28 @@ def netcdf(path: str) -> Any:
 @lru_cache(maxsize=4)
 def _netcdf(path: str, engine: str, *_version: int) -> Any:
     try:
-        import h5netcdf  # noqa: F401
+        import h5netcdf
         import xarray
     except ImportError as error:
         raise ParameterError(HINT) from error
     with _netcdf_errors(path):
+        if engine == "h5netcdf":  # what is packed may be far larger than its file, and xarray reads axes as it opens it
+            with h5netcdf.File(path) as file:
+                for name, item in file.variables.items():
+                    _check_size(path, name, item.shape, item.chunks or (), item.dtype.itemsize)
         found = xarray.open_dataset(path, engine=engine, decode_times=False)
     for name, item in found.variables.items():
-        if item.ndim < 2 and item.size > MOST_ON_AN_AXIS:
-            raise DataError(f"{path}: '{name}' has {item.size} numbers, too many for an axis; fetch or write it again")
-        if math.prod(item.encoding.get("chunksizes") or ()) * item.dtype.itemsize > MOST_BLOCK_BYTES:
-            raise DataError(f"{path}: '{name}' is packed in chunks too large to be read; write it in smaller ones")
+        _check_size(path, name, item.shape, (), item.dtype.itemsize)
     return found
+
+
+def _check_size(path: str, name: Any, shape: Sequence[int], chunks: Sequence[int], item_bytes: int) -> None:
+    if len(shape) < 2 and math.prod(shape) > MOST_ON_AN_AXIS:
+        raise DataError(
+            f"{path}: '{name}' has {math.prod(shape)} numbers, too many for an axis; fetch or write it again"
+        )
+    if math.prod(chunks) * item_bytes > MOST_BLOCK_BYTES:
+        raise DataError(f"{path}: '{name}' is packed in chunks too large to be read; write it in smaller ones")
 
 
 @contextmanager
@@ -366,6 +376,8 @@ def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
     lines, _ = split_lines(text(source))
     separator = separator_of(lines)
     cells = [split_fields(line, separator, f"{file}: line {n}") for n, line in lines]
+    if not any(cells):
+        raise DataError(f"{file}: no wavelengths in it; give a line for each band of {layout.name}")
     names = [] if number(cells[0][0]) is not None else [name.lower() for name in cells.pop(0)]
     place = next((k for k, name in enumerate(names) if "wave" in name or name in ("nm", "um")), 0)
     columns = {"wavelength": place} | {

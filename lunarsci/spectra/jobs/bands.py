@@ -29,6 +29,34 @@ CHEMISTRY = (
     "Sanchez et al. (2012), Icarus 220, 36, 10.1016/j.icarus.2012.04.008 (temperature)",
     "Adams (1974), J. Geophys. Res. 79, 4829, 10.1029/JB079i032p04829 (the plane of the centres)",
 )
+SHORT = {
+    "fs": "Fs",
+    "wo": "Wo",
+    "en": "En",
+    "fo": "Fo",
+    "fa": "Fa",
+    "ol_share": "olivine share",
+    "opx_share": "opx share",
+}
+METHODS = {
+    "gaffey": "Gaffey 2002",
+    "burbine": "Burbine 2009",
+    "trend": "synthetic opx",
+    "dunn": "Dunn 2010",
+    "cloutis": "Cloutis 1986",
+    "bc1000": "1 µm centre",
+}
+
+
+def regression(key: str) -> str:
+    """The name of a regression.
+
+    >>> regression("fs_burbine_bc2000"), regression("fo_bc1000")
+    ('Burbine 2009, 2 µm', '1 µm centre')
+    """
+    name = next(text for part, text in METHODS.items() if part in key)
+    band = "" if name == METHODS["bc1000"] else ", 1 µm" if "bc1000" in key else ", 2 µm" if "bc2000" in key else ""
+    return name + band
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

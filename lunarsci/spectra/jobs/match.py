@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
-BEYOND_LAW_KM = 2729.0
+BEYOND_LAW_KM = 2729.0  # assumed: a quarter of the way round the Moon; the laws are those of a flat surface
 BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
 

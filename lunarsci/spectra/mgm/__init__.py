@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-__all__ = ["DEFAULT_CONTINUUM", "MgmContinuum"]
+__all__ = ["DEFAULT_CONTINUUM", "PERCENT_OF", "MgmContinuum"]
 
 MgmContinuum = Literal[
     "wavelength",
@@ -18,3 +18,10 @@ MgmContinuum = Literal[
 DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
 """Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
 10.1016/j.icarus.2011.03.002; Han et al. (2020), arXiv:2003.07856 (not found when looked up again)."""
+PERCENT_OF = {
+    "fo": "Fo of olivine",
+    "fs": "Fs of orthopyroxene",
+    "wo": "Wo of clinopyroxene",
+    "fs_cpx": "Fs of clinopyroxene",
+}
+"""Compositions that band centres speak for, in mol %, by their keys."""

@@ -28,8 +28,11 @@ from lunarsci.spectra.mgm.uncertainty import composition_moments, follow_shifts
 NOT_FITTED = 3
 """Status of a row without a fit, beside those of the kernel."""
 AMBIGUOUS_CHI2 = 4.0
+"""Rise of the objective within which another minimum competes, odds of 7 to 1 at most; assumed."""
 AMBIGUOUS_SIGMAS = 2.0
+"""Standard errors apart from which it is another answer; assumed."""
 STRAINED_SIGMAS = 3.0
+"""Standard deviations of its prior beyond which a band is strained; assumed."""
 MOST_ROWS = 256
 """Rows worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
 

@@ -1,18 +1,17 @@
 """Compositions of minerals that the band centres of fits speak for."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
 from lunarsci.spectra.mgm.assemblages import CompositionPrior
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.result import MgmFit
 
 PRESENT_SIGMAS = 2.0
-"""A mineral has a composition to speak of where a band of it is this many standard errors deep."""
-UNMOVED = 0.9
-"""Share of the prior's standard deviation above which a composition is the prior's; assumed."""
+"""A mineral has a composition to speak of where a band of it is this many standard errors deep; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,12 @@ class MineralComposition:
     @property
     def told(self) -> bool:
         """Whether the spectrum, and not the prior alone, says what it is."""
-        return self.sigma is not None and self.sigma <= UNMOVED * self.prior_sigma
+        return not from_prior(self.sigma, self.prior_sigma)
+
+    @property
+    def doubt(self) -> str:
+        """Why it should not be used, or that it is the prior's; '' where it may be."""
+        return doubt_about(asdict(self)) or ("" if self.told else PRIORS_OWN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ MAX_ITERATIONS = 100_000
 """The program has no limit; the slowest of 25 fits of laboratory spectra took it 4179."""
 HALVINGS = 15
 MEANINGLESS_NM = 2000.0
-"""Standard error of a centre or width as wide as the spectrum."""
+"""Standard error of a centre or width as wide as the spectrum; assumed."""
 STEEPEST = 1e100
 """Derivative, in the kernel's units, that belongs to no spectrum; its square must be a number."""
 RANK_TOLERANCE = 1e-13

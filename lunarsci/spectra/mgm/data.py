@@ -13,8 +13,9 @@ from lunarsci.spectra.noise import deepest_below_hull, scatter_noise_rows
 from lunarsci.spectra.spectrum import Spectrum
 
 FIT_RANGE_NM = (400.0, 2600.0)
+"""What is fitted of a spectrum: the silicates' electronic bands; assumed."""
 REQUIRED_NM = (800.0, 1300.0)
-"""Without the 1 um region there is nothing that tells the three minerals apart."""
+"""Without the 1 um region there is nothing that tells the three minerals apart; assumed."""
 MIN_CHANNELS = 40
 
 
@@ -91,7 +92,9 @@ channels, which weighs like an independent error several times larger. With this
 centres hold 82-98 % of the differences between grain sizes of one mineral (PE-CMP-034, -040, -041, PP-CMP-027,
 PO-CMP-032), those of NBSR 36-71 % of 14 mixtures about their line, which both fall with a smaller share."""
 MISFIT_SPACING_NM = 5.0
+"""Spacing of the channels that `MISFIT_FLOOR` and `MISFIT_SHARE` were measured on. [nm]"""
 DEPTH_RANGE_NM = (600.0, 2500.0)
+"""Where the deepest absorption is looked for, off the edges of the range; assumed."""
 
 
 def deepest_absorption(wavelength_nm: FloatArray, reflectance: FloatArray) -> FloatArray:

@@ -27,13 +27,13 @@ CONTINUA: dict[str, tuple[MgmContinuum, ...]] = {
     "N": ("none",),
 }
 """By letter: what it may become, by degree, whose coefficients of 0 are held. Files of straight lines say T and S."""
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d++\.?+\d*+|\.\d++)([eEdD][+-]?\d+)?", re.ASCII)
 FIRST_BAND_LINE = 10
 LONGEST_SHOWN = 40
 LARGEST, LEAST = 1e15, 1e-6
 """Beyond these no number of a file, and no centre or width, belongs to a spectrum."""
 LEAST_NM = 10.0
-"""Below it a wavelength is taken for one in um."""
+"""Below it a wavelength is taken for one in um; assumed."""
 Numbers = tuple[float, ...]
 
 

@@ -14,7 +14,8 @@ from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
 MGM_CONTINUA: tuple[MgmContinuum, ...] = get_args(MgmContinuum)
 
 RANGE_NM = (400.0, 2600.0)
-"""The polynomials are written on this interval, mapped to -1 to 1, so that coefficients compare between spectra."""
+"""The polynomials are written on this interval, mapped to -1 to 1, so that coefficients compare between spectra: see
+`FIT_RANGE_NM`."""
 _DEGREES = {"quadratic": 2, "cubic": 3, "none": -1}
 
 
@@ -42,7 +43,9 @@ def continuum_basis(name: MgmContinuum, wavelength_nm: FloatArray) -> FloatArray
 
 
 BOUND_SIGMAS = 4.0
+"""Standard deviations of the priors within which bands are bound; assumed."""
 MIN_FWHM_UM = 0.05
+"""No band of a mineral is narrower; assumed."""
 KINDS = ("center_nm", "fwhm_nm", "strength")
 NM_PER_UM = 1e3
 

@@ -201,9 +201,9 @@ COARSE_DOUBT = 3.0
 MAX_ROUNDS = 4
 FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
 COMPETING_CHI2 = 5.0
-"""A minimum higher by this or more is no competing of the best."""
+"""A minimum higher by this or more is no competing of the best; assumed."""
 SAME_SIGMAS = 0.5
-"""Minima within this of each other, in posterior standard deviations, are one."""
+"""Minima within this of each other, in posterior standard deviations, are one; assumed."""
 
 
 class Multistart:

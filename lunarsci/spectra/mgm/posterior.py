@@ -25,8 +25,12 @@ COARSE_UM = 0.015
 CONTINUUM_SPREAD = 0.5
 """Standard deviation of the continuum coefficients at the start, in units of the continuum."""
 MOST_R_HAT, LEAST_EFFECTIVE, LEAST_ACCEPTANCE = 1.1, 100.0, 0.3
+"""Beyond which draws are doubted; R-hat as of Gelman & Rubin (1992), Stat. Sci. 7, 457, 10.1214/ss/1177011136; the
+others assumed."""
 LOWER_BY = 1.0
+"""By how much an objective below the fit's says that the fit is not the minimum; assumed."""
 MISFIT = 1.5
+"""Reduced chi-square above which errors are too small for a posterior; assumed."""
 PROBABILITIES = (0.5, 0.15865, 0.84135, 0.025, 0.975)
 
 

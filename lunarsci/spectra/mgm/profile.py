@@ -100,7 +100,9 @@ NARROW = 1e-3
 """Of the standard error: a bracket narrower than this holds a jump of the profile, from one valley to another."""
 MOST_STEPS = 30
 LOWER_BY = 0.1
+"""By how much an objective below the fit's says that the fit is not the minimum; assumed."""
 MISFIT = 1.5
+"""Reduced chi-square above which intervals are too narrow; assumed."""
 TOLERANCE, MAX_ITERATIONS = 1e-4, 300
 NO_HOPS = np.zeros((0, 2))
 

@@ -24,7 +24,8 @@ from lunarsci.spectra.mgm.result import MgmFit
 NORMAL_95 = 1.96
 """Standard deviations in an uncertainty of the file: 95 % of a normal law."""
 LIMITS = (2e-3, 1e-6)
-"""Rms of ln R, and improvement of it, at which a fit stops in the files that have been published."""
+"""Rms of ln R, and improvement of it, at which a fit stops in published files of the program of Sunshine, Pieters &
+Pratt (1990)."""
 PLOT_AXIS = (-170.0, 25.0, 10.0)
 WAVENUMBER_NM = 1e7
 """Wavenumber [cm^-1] times wavelength [nm]."""
@@ -33,7 +34,7 @@ FLATTEST = 1e9
 """Standard deviation, um or ln R, beyond which a wider one changes nothing but rounding."""
 ASSEMBLAGE = "fit file"
 REGIONS = (("uv", 400.0), ("visible", 750.0), ("um1", 1500.0), ("um2", math.inf))
-"""Regions and their upper ends. [nm]"""
+"""Regions and their upper ends; assumed. [nm]"""
 UNSEEN = 1e-9
 """A fixed continuum coefficient that changes the reflectance by less is none. [-]"""
 HELD = 1e-150

@@ -155,13 +155,13 @@ def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, h
 
 DETAIL_FLOOR, DETAIL_SHARE = 0.008, 0.04
 """Standard deviation of ln R of what Gaussians and priors do not know of natural minerals: a floor, and a share of the
-deepest absorption; see `choose`."""
+deepest absorption; see `choose`. Assumed."""
 DETAIL_NM = 60.0
-"""Length over which it hangs together: its correlation is that of Matern's law of order 3/2."""
+"""Length over which it hangs together: its correlation is that of Matern's law of order 3/2. Assumed."""
 WHITE_SHARE = 0.1
 """Of it that does not hang together; assumed."""
 COARSE_NM = 20.0
-"""Channels are put together to about this: a third of that length."""
+"""Channels are put together to about this: a third of that length. Assumed."""
 START_ERROR = 0.03
 """Share of the depth as an independent error, with which the minima are looked for; assumed."""
 FIRST_DAMPING, STEPS = 1e-3, 8
@@ -169,8 +169,9 @@ TEMPER, PENALTY = 0.57, 2.04
 """Weight of ln evidence, and what every mineral must add, in the logarithm of the probability; see `choose`.
 `python tests/benchmarks/choices.py` learns them: 0.57 and 2.02 from the priors and fits as they are now."""
 CREDIBLE, MOST_TOGETHER = 0.93, 4
-"""Probability that the assemblages named together hold, and how many of them still say something."""
+"""Probability that the assemblages named together hold, and how many of them still say something; assumed."""
 LEAST_DEPTH, LEAST_ERROR = 0.03, 0.003
+"""Depth of the deepest absorption that is reckoned with at least, and error of ln R; assumed."""
 DEFAULT_CHOICE_STARTS = 3
 
 

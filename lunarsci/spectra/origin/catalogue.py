@@ -1,7 +1,5 @@
 """Candidate craters: where they are on the Moon (a sphere), how large and old, and what their ejecta are made of."""
 
-import csv
-import io
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -71,7 +69,11 @@ TABLE = "source_craters.csv"
 UNKNOWN_AGE_MA = (1.0, 4200.0)
 """Age of a crater of which nothing is known; assumed. [Ma]"""
 OLDEST_MA = 4560.0
+"""Nothing on the Moon is older than the solar system: 4567.3 Ma, Connelly et al. (2012), Science 338, 651,
+10.1126/science.1226919, rounded down. [Ma]"""
 LARGEST_KM = 2600.0
+"""Larger than the South Pole-Aitken basin, 2400 by 2050 km (Garrick-Bethell & Zuber 2009, Icarus 204, 399,
+10.1016/j.icarus.2009.05.032). [km]"""
 FEWEST_TO_DOUBT = 3
 """Craters whose positions, all small enough to be radians, are doubted. One point of the Moon in 1000 is so small."""
 REQUIRED = ("name", "latitude_deg", "longitude_deg", "diameter_km")
@@ -140,11 +142,11 @@ def read_catalogue(source: InputFile) -> tuple[Crater, ...]:
     lines = [(n, line) for n, line in enumerate(inputs.text(source).splitlines(), 1) if _counts(line)]
     if not lines:
         raise DataError(f"{source.name}: holds no craters; the first line must be {','.join(REQUIRED)}")
-    names = [name.strip() for name in next(csv.reader(io.StringIO(lines[0][1])))]
+    names = [name.strip() for name in next(inputs.csv_rows(source.name, [lines[0][1]]))]
     _check_header(names, source.name)
     rows = []
     for number, line in lines[1:]:
-        cells = next(csv.reader(io.StringIO(line)))
+        cells = next(inputs.csv_rows(f"{source.name}: line {number}", [line]))
         if len(cells) != len(names):
             raise DataError(
                 f"{source.name}: line {number}: has {len(cells)} cells, the header {len(names)}; correct it"

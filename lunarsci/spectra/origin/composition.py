@@ -21,9 +21,9 @@ from lunarsci.tables import table_rows
 
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
-"""Band centres, and the range outside which a value is no such centre. [nm]"""
+"""Band centres, and the range outside which a value is no such centre; assumed. [nm]"""
 LARGEST_SUM = 1.1
-"""Modes that add up to more are in the wrong unit or wrong: published ones of 102 % exist."""
+"""Modes that add up to more are in the wrong unit or wrong: published ones of 102 % exist. Assumed."""
 SMALLEST_SIGMA = 1e-4
 """Standard deviation of a mode is taken as at least this, that a covariance can be inverted."""
 
@@ -136,6 +136,7 @@ class Rock:
 
 FIT, BANDS_SCHEMA = "lunarsci/spectra-fit/", "lunarsci/spectra-bands/"
 LARGEST_RATIO_SIGMA = 1.0
+"""A ratio of two shares that is less sure says nothing; assumed."""
 
 
 def read_rocks(source: InputFile) -> list[Rock]:
@@ -280,7 +281,8 @@ def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
 
 
 def _combined(record: Mapping[str, Any], keys: Iterable[str], what: str) -> float:
-    sigma = math.sqrt(sum(float(record[key]) ** 2 for key in keys if record.get(key) is not None))
+    parts = [float(record[key]) for key in keys if record.get(key) is not None]
+    sigma = math.sqrt(sum(part * part for part in parts))
     if not (math.isfinite(sigma) and sigma > 0):
         raise ParameterError(f"{what} has no error above 0")
     return sigma

@@ -34,7 +34,7 @@ LARGEST_SIDE = 4096
 """A window with more pixels a side than this is read at a lower resolution."""
 LONGITUDE_LATITUDE = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
 PERCENT_FROM = 1.5
-"""A map with more than this in a ring is in percent."""
+"""A map with more than this in a ring is in percent; assumed."""
 LAYER = "share_{}"
 """Name of the layer of a mineral in what `spectra map` writes."""
 
@@ -99,8 +99,9 @@ def _rings_of(file: str, mineral: str) -> Iterator[Callable[[Crater, tuple[float
     if not start_of(file).startswith(HDF):
         with opened(file, "GTiff") as dataset:
             names = [name or "" for name in dataset.descriptions]
-            band = names.index(LAYER.format(mineral)) + 1 if LAYER.format(mineral) in names else 1
-            check_map(dataset, file, one_of_many=band > 1)
+            layer = LAYER.format(mineral)
+            band = names.index(layer) + 1 if layer in names else 1
+            check_map(dataset, file, one_of_many=layer in names)
             yield partial(ring_values, dataset, file=file, band=band)
         return
     data, name = netcdf(file), LAYER.format(mineral)

@@ -29,6 +29,7 @@ SURVIVAL_SOURCE = "Basilevsky, Head & Hoerz (2013), Planet. Space Sci. 89, 118, 
 MEASURED_SIZE_M = 2.0
 """Boulders of this size and more were counted by Basilevsky et al. (2013). [m]"""
 NEARLY_ALL_GONE = 0.99
+"""Share that is destroyed after the longer of the two times: Basilevsky et al. (2013), 10.1016/j.pss.2013.07.011."""
 LIFE_RATIO = 3.75
 """Time to destroy 99 % of boulders over that to destroy half: 150-300 Ma over 40-80 Ma, Basilevsky et al. (2013)."""
 
@@ -79,7 +80,7 @@ LAW_SOURCES: dict[EjectaLaw, str] = {
     "mcgetchin": "McGetchin, Settle & Head (1973), Earth Planet. Sci. Lett. 20, 226, 10.1016/0012-821X(73)90162-3",
     "pike": "Pike (1974), Earth Planet. Sci. Lett. 23, 265, 10.1016/0012-821X(74)90114-9",
     "housen": "Housen, Schmidt & Holsapple (1983), J. Geophys. Res. 88, 2485, 10.1029/JB088iB03p02485",
-    "xie": "Xie, Liu & Xu (2020), J. Geophys. Res. Planets 125, Ballistic sedimentation of impact crater ejecta",
+    "xie": "Xie, Liu & Xu (2020), J. Geophys. Res. Planets 125, e2019JE006113, 10.1029/2019JE006113",
 }
 
 SIMPLE_TO_COMPLEX_KM = 18.7
@@ -87,6 +88,7 @@ SIMPLE_TO_COMPLEX_KM = 18.7
 SIMPLE_SHRINKAGE = 0.84
 """Transient over rim diameter of a simple crater, Melosh (1989), Impact Cratering, Oxford University Press."""
 COLLAPSE_EXPONENT = 0.15
+"""Of the rim diameter, as it widens by collapse: Croft (1985), 10.1029/JB090iS02p0C828."""
 LAUNCH_ANGLE_DEG = 45.0
 """Launch from the horizontal; assumed, as in Xie et al. (2020)."""
 

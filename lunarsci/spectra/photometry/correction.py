@@ -16,9 +16,12 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.photometry.phase import STANDARD, Geometry, PhaseFunction, phase_function
 
 LOMMEL_SEELIGER_INCIDENCE_DEG = 65.0
+"""Above, Lommel-Seeliger counts as too slow; assumed, within the 57-77 deg at which `lommel_seeliger` says that it
+is."""
 MCEWEN_PHASE_DEG = 103.9
-"""Where the polynomial of `mcewen_weight` goes through zero. [deg]"""
+"""Where the polynomial of `mcewen_weight` goes through zero: McEwen (1996), Lunar Planet. Sci. XXVII, 841. [deg]"""
 GRAZING_DEG = 80.0
+"""Above, no disk function was compared with measurements; assumed."""
 
 
 def lommel_seeliger(geometry: Geometry) -> float:

@@ -18,7 +18,7 @@ from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, se
 from lunarsci.tables import table_rows
 
 _LIMITS_DEG = {"incidence": 90.0, "emission": 90.0, "phase": 180.0}
-_ROUNDING_DEG = 0.5  # labels give the three angles rounded, or at slightly different points
+_ROUNDING_DEG = 0.5  # assumed: labels round the angles, or give them at slightly different points
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,17 +75,19 @@ def phase_angle_deg(incidence_deg: float, emission_deg: float, azimuth_differenc
 
 
 STANDARD = Geometry(30.0, 0.0, 30.0)
-"""The geometry that lunar reflectances are usually reduced to."""
+"""The geometry that lunar reflectances are usually reduced to, as those of M3 (Besse et al. 2013, Icarus 222, 229)."""
 
 
 TABLE = "selene_sp_phase.csv"
 PHASE_FUNCTIONS = ("flat", "sp-low", "sp-mid", "sp-high")
 FITTED_DEG = (5.0, 85.0)
-"""Phase angles of the observations that the SELENE parameters were fitted to. [deg]"""
+"""Phase angles of the observations that the SELENE parameters were fitted to: Yokota et al. (2011),
+10.1016/j.icarus.2011.07.028. [deg]"""
 COMPARED_DEG = 112.0
-"""Largest phase angle at which they were compared with others: 23 Chang'E-4 spectra of lunar day 10. [deg]"""
+"""Largest phase angle at which they were compared with others, measured: 23 Chang'E-4 spectra of lunar day 10. [deg]"""
 _DEGREE = 2
 _SHORTEST_NM = 100.0
+"""Below it a wavelength is one in um; assumed."""
 
 
 class PhaseFunction(Protocol):

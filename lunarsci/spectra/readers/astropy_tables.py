@@ -3,7 +3,6 @@
 A FITS binary table has one channel per row, or one row whose cells are whole spectra.
 """
 
-import csv
 import io
 import re
 import warnings
@@ -172,7 +171,7 @@ def _check_names(text: str, file: str) -> None:
     # astropy renames the second of two columns of one name and says nothing.
     header = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
     delimiter = "," if _COMMA.search(text) else " "
-    names = next(csv.reader([header], delimiter=delimiter), [])
+    names = next(inputs.csv_rows(file, [header], delimiter=delimiter), [])
     twice = [name for name, count in Counter(names).items() if name and count > 1]
     if twice:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")

@@ -3,8 +3,6 @@
 Tables that say something of spectra by their ids.
 """
 
-import csv
-import io
 import re
 import warnings
 from collections import Counter
@@ -39,11 +37,8 @@ def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
     if not lines:
         raise DataError(f"{source.name}: holds only comments; check how it was made")
     separator = separator_of(lines)
-    reader = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, strict=True)
-    try:
-        header, *body = [[cell.strip() for cell in row] for row in reader]
-    except csv.Error as error:
-        raise DataError(f"{source.name}: cannot be split into cells ({error}); check its quotes") from error
+    reader = inputs.csv_rows(source.name, [f"{line}\n" for _, line in lines], delimiter=separator, strict=True)
+    header, *body = [[cell.strip() for cell in row] for row in reader]
     names = [name.casefold() for name in header]
     if "id" not in names:
         raise DataError(f"{source.name}: has no column 'id', only {', '.join(map(quoted, header[:5]))}; name it so")

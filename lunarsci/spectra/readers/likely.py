@@ -10,12 +10,12 @@ from lunarsci.spectra.collection import SpectrumRows
 LARGE_ERROR = 0.3
 """Of the value, in more than half of the channels. Assumed. [-]"""
 BRIGHTEST = 1.0
-"""Median reflectance factor; that of a perfectly white, diffuse surface. [-]"""
+"""Median reflectance factor; that of a perfectly white, diffuse surface, by definition. [-]"""
 LONE_STEP = 0.5
 """How far ln R of a single channel lies from both its neighbours, to the same side: a factor of 1.65. Assumed; no
 channel of 560 measured spectra of the Moon, of meteorites and minerals does. [-]"""
 IN_STEPS = 10.0
-"""And by how many median steps between neighbours, so that noise is not taken for single channels. [-]"""
+"""And by how many median steps between neighbours, so that noise is not taken for single channels; assumed. [-]"""
 FEWEST = 10
 """Usable channels of a spectrum that is judged at all."""
 _AT_ONCE = 256

@@ -26,7 +26,7 @@ from lunarsci.spectra.rows import (
 )
 from lunarsci.spectra.solar import COVERED_NM, SolarSpectrum
 
-_INTEGRAL_W_M2 = 1157.0  # of ASTM G173 over COVERED_NM; ASTM E490 gives 1159
+_INTEGRAL_W_M2 = 1157.0  # of ASTM G173 (2003) over COVERED_NM; ASTM E490 (2000) gives 1159
 _REFUSED_OFF, _REMARKED_OFF = 0.2, 0.03  # assumed: the standards differ by 0.2 %, the Sun's distance changes 7 %
 _NM = {"nm": 1.0, "um": 1000.0}
 _IRRADIANCE = {"W m-2 nm-1": 1.0, "W m-2 um-1": 1e-3}

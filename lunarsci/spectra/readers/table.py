@@ -106,12 +106,16 @@ _MEDIANS_AT_ONCE = 4096
 _FACTOR_NM = {"nm": 1.0, "um": 1000.0}
 _SYMBOL = {"nm": "nm", "um": "µm"}
 _PLAUSIBLE_NM = (50.0, 200_000.0)
+"""Wavelengths of a reflectance spectrum, from the ultraviolet to the far infrared; assumed."""
 _SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
+"""Values that can only be meant in that unit; assumed."""
 _SCALE = {"fraction": 1.0, "percent": 0.01}
 _MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 _MIN_PERCENT = 1.0
+"""A median below this is no reflectance in percent; assumed."""
 _MAX_PERCENT = 200.0
+"""A median above this is no reflectance in percent; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

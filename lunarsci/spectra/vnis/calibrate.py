@@ -53,6 +53,7 @@ _FLAT = 0.04
 _GAINS, _STEPS = (0.6, 1.6), (0.7, 1.4)
 """Factors beyond which two spectra are not of one target with one instrument; assumed."""
 _IMAGE_NM = 750.0
+"""Channel that is shown as the picture of the ground; assumed, bright and free of noise."""
 
 
 class _Notes:

@@ -15,11 +15,12 @@ from lunarsci.spectra.vnis.channels import SUB_BAND_STEP_NM, VNIR_SUB_BANDS_NM, 
 _SHIFTS = (-2, -1, 1, 2)
 _LARGEST_SHIFT = 2
 _CLIPPED = 4.0
-"""Second differences beyond so many times their median are single outliers."""
+"""Second differences beyond so many times their median are single outliers; assumed."""
 _CLEARER, _SURE = 0.1, 4.0
 """How much better lines of the Sun must fit elsewhere, as a difference of correlations, and how well: in standard
-deviations of what noise of n channels gives, 1 / sqrt(n). Of the 88 spectra all fit best where they are, VNIR by 0.059
-at least, SWIR by 0.019. Shifted by a channel up or down, 85 and 85 of 88 are found in VNIR, 79 and 77 in SWIR. [-]"""
+deviations of what noise of n channels gives, 1 / sqrt(n). Measured: of the 88 spectra all fit best where they are, VNIR
+by 0.059 at least, SWIR by 0.019. Shifted by a channel up or down, 85 and 85 of 88 are found in VNIR, 79 and 77 in SWIR.
+[-]"""
 _LEAST = 40
 """Channels that are needed to tell; assumed."""
 
@@ -64,11 +65,11 @@ _EDGES: dict[Detector, tuple[_Edge, ...]] = {
     "vnir": (_Edge(5, 0.21, 9.0, 0.08),),
     "swir": (_Edge(5, 0.09), _Edge(8, 0.065)),
 }
-"""Largest of the 88 spectra: VNIR 0.185 and 8.2 times the median, SWIR 0.077 with 5 channels on either side and 0.054
-with 8; of 409 laboratory spectra at 5 nm 0.025 and 0.041. [-]"""
+"""Measured, largest of the 88 spectra: VNIR 0.185 and 8.2 times the median, SWIR 0.077 with 5 channels on either side
+and 0.054 with 8; of 409 laboratory spectra at 5 nm 0.025 and 0.041. [-]"""
 _SITES_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM,)}
 _AROUND_NM = 30.0
-"""Around the ends of sub-bands, where steps are usual, none is looked for. [nm]"""
+"""Around the ends of sub-bands, where steps are usual, none is looked for; assumed. [nm]"""
 
 
 def scale_step(detector: Detector, wavelength_nm: FloatArray, reflectance: FloatArray) -> tuple[float, float]:

@@ -11,22 +11,24 @@ from lunarsci.tables import table_rows
 Detector = Literal["vnir", "swir"]
 
 VNIR_NM: FloatArray = np.arange(450.0, 946.0, 5.0)
-"""The 100 channels of the CMOS imager. [nm]"""
+"""The 100 channels of the CMOS imager: Li et al. (2019), Rev. Sci. Instrum. 90, 10.1063/1.5089737, and the product
+labels. [nm]"""
 SWIR_NM: FloatArray = np.arange(900.0, 2396.0, 5.0)
-"""The 300 channels of the single-pixel detector. [nm]"""
+"""The 300 channels of the single-pixel detector: Li et al. (2019), 10.1063/1.5089737, and the product labels. [nm]"""
 JOIN_NM = 900.0
-"""First channel that the spliced spectrum takes from the SWIR detector. [nm]"""
+"""First channel that the spliced spectrum takes from the SWIR detector; assumed. [nm]"""
 SPLICED_NM: FloatArray = np.arange(450.0, 2396.0, 5.0)
-"""The 390 channels of a spliced spectrum: 90 of the imager, 300 of the SWIR detector. [nm]"""
+"""The 390 channels of a spliced spectrum: 90 of the imager, 300 of the SWIR detector; see `JOIN_NM`. [nm]"""
 SUB_BAND_STEP_NM = 1377.5
-"""Between 1375 and 1380 nm the SWIR filter changes its sub-band. [nm]"""
+"""Between 1375 and 1380 nm the SWIR filter changes its sub-band, as its channels' times in the labels (CNSA 2020) and
+`vnis_fwhm.csv` show. [nm]"""
 VNIR_SUB_BANDS_NM = (632.5, 757.5)
-"""So does that of VNIR, twice. [nm]"""
+"""So does that of VNIR, twice: measured, as steps of the 88 public spectra. [nm]"""
 CUBE_SHAPE = (100, 256, 256)
 """Bands, lines, samples of the image cube."""
 FOOTPRINT = (127.0, 97.0, 53.8)
 """Line and sample (from 0) of the centre and radius of the SWIR field of view in the VNIR image, as the product labels
-state it (line 128, sample 98, counted from 1). [px]"""
+state it (CNSA 2020, Lunar and Planetary Data Release System; line 128, sample 98, counted from 1). [px]"""
 
 TABLES = ("vnis_fwhm.csv", "vnis_noise.csv")
 _FWHM, _NOISE = TABLES

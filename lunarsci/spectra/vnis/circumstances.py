@@ -13,11 +13,12 @@ from lunarsci.spectra.vnis.label import Label
 from lunarsci.sun import sun_incidence_deg
 
 LANDING_SITE = (177.5991, -45.4446)
-"""Longitude and latitude of Chang'E-4, for labels without a place of the rover; it has stayed within 0.1 deg. [deg]"""
+"""Longitude and latitude of Chang'E-4, Liu et al. (2019), Nat. Commun. 10, 4229, 10.1038/s41467-019-12278-3, for labels
+without a place of the rover; it has stayed within 0.1 deg. [deg]"""
 SUN_DEG, WRONG_SUN_DEG = 0.3, 3.0
 """An incidence further than the first from the Sun's is in doubt, than the second is wrong: the two labels of
 observation 136 agree with the Sun to 0.01 deg, which moves by 0.5 deg in an hour. 0.3 deg change the reflectance by 1 %
-at 64 deg and by 2 % at 77 deg. [deg]"""
+at 64 deg and by 2 % at 77 deg. Assumed. [deg]"""
 _SESSION_SLACK = timedelta(minutes=10)
 _WRONG_SESSION = timedelta(days=1)
 """A product's name has the times of the session that it was measured in; the one public observation whose times are

@@ -40,7 +40,8 @@ from lunarsci.spectra.vnis.channels import (
 from lunarsci.spectra.vnis.label import Label
 
 IN_FLIGHT_VERSION = 2.0
-"""`version_id` of products whose radiance rests on the calibration target seen in flight (since 2019-07-09)."""
+"""`version_id` of products whose radiance rests on the calibration target seen in flight, by the dates of products
+since 2019-07-09 (CNSA 2019, Lunar and Planetary Data Release System)."""
 
 _CHANNELS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 _FACTOR_RANGE = (0.2, 5.0)
@@ -192,6 +193,8 @@ _NOISY = 1.4
 """A sub-band whose channels scatter more than so many times the instrument's figures has its errors enlarged; assumed.
 Without excess the estimate itself scatters by 0.1 to 0.2."""
 _SUB_BANDS_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM, 1997.5)}
+"""Where the filters change their sub-bands: see `SUB_BAND_STEP_NM`; that at 1997.5 nm only splits the scatter,
+assumed."""
 
 WAVELENGTHS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 
@@ -295,12 +298,12 @@ _RANGE = (0.001, 2.0)
 """Reflectance factors that lit lunar ground may have; assumed. [-]"""
 _NEIGHBOURS = 5
 _FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
-"""ln R this far from its neighbours is no rock: 88 Chang'E-4 spectra have up to 0.29 in VNIR, at 455 nm, and 0.09 in
-SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
+"""ln R this far from its neighbours is no rock; measured: 88 Chang'E-4 spectra have up to 0.29 in VNIR, at 455 nm, and
+0.09 in SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
 _FAR_MEDIANS, _SCATTER = 9.0, 15
-"""In noise, this many times the median of so many channels on either side: six standard deviations."""
+"""In noise, this many times the median of so many channels on either side: six standard deviations. Assumed."""
 _JUMP = 0.3
-"""ln R of blocks of five channels: 88 Chang'E-4 spectra have up to 0.27, at 635 nm. [-]"""
+"""ln R of blocks of five channels; measured: 88 Chang'E-4 spectra have up to 0.27, at 635 nm. [-]"""
 _SIDE = 5
 
 

@@ -32,8 +32,9 @@ CUBE_BYTES = 4 * int(np.prod(CUBE_SHAPE))
 _AXES = tuple(zip(("band", "line", "sample"), CUBE_SHAPE, strict=True))
 _TYPES = {"ieee754lsbsingle": "<f4", "ieee754msbsingle": ">f4"}
 _PLAUSIBLE = (1e-8, 1e3)
-"""Radiance of sunlit ground is some 1e-4 to 1 W m-2 sr-1 nm-1; numbers far from it are not radiance. [same]"""
+"""Radiance of sunlit ground is some 1e-4 to 1 W m-2 sr-1 nm-1; numbers far from it are not radiance. Assumed. [same]"""
 _WORST_SHARE = 0.5
+"""Share of good values below which a channel is bad altogether; assumed."""
 
 
 def read_cube(source: InputFile, label: Label) -> Cube:
@@ -83,7 +84,7 @@ _SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radianc
 _VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
 _CLOCK_SLACK = timedelta(minutes=10)
 """The first row of a scan may precede the time its label states; assumed."""
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d{1,3})?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d++\.?+\d*+|\.\d++)([eEdD][+-]?\d{1,3})?", re.ASCII)
 _NO_NUMBER = {"NAN", "+NAN", "-NAN", "INF", "+INF", "-INF"}
 _CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
 

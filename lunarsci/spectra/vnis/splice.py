@@ -42,12 +42,13 @@ class StepSite:
 
 
 SWIR_STEP = StepSite(SUB_BAND_STEP_NM, 12, 0.0021, 0.015)
-"""With 16 channels on either side the model error is 0.0033; with 8 the noise of the step is a quarter larger."""
+"""Measured on the 88 public spectra: with 16 channels on either side the model error is 0.0033; with 8 the noise of the
+step is a quarter larger."""
 VNIR_STEPS = tuple(
     StepSite(at, 8, *errors) for at, errors in zip(VNIR_SUB_BANDS_NM, ((0.0015, 0.065), (0.0030, 0.050)), strict=True)
 )
-"""Sub-bands of the imager. What is found depends on the window (at 632.5 nm 5.5 % with 8 channels on either side, 3.3 %
-with 12): the spectra are disturbed over some tens of nanometres there, not only displaced."""
+"""Sub-bands of the imager, measured alike. What is found depends on the window (at 632.5 nm 5.5 % with 8 channels on
+either side, 3.3 % with 12): the spectra are disturbed over some tens of nanometres there, not only displaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,16 +85,19 @@ def find_step(site: StepSite, wavelength_nm: FloatArray, reflectance: FloatArray
 
 
 GAIN_LIMIT = 0.17
-"""A gain further from 1 than this is worth a warning: twice the calibration errors of 5 % and 7 % together."""
+"""A gain further from 1 than this is worth a warning: twice the calibration errors of 5 % and 7 % together, see
+`CALIBRATION`."""
 STEP_LIMIT = 0.05
 """So is a larger step between the sub-bands of SWIR; assumed."""
 OVERLAP_ERROR = 0.01
-"""What the overlap does not tell about the rest of VNIR: on 88 Chang'E-4 spectra scaled to SWIR at 900 nm the jump that
-remains at 897.5 nm is 1.45 % in the median. [-]"""
+"""What the overlap does not tell about the rest of VNIR, measured: on 88 Chang'E-4 spectra scaled to SWIR at 900 nm the
+jump that remains at 897.5 nm is 1.45 % in the median. [-]"""
 
 _FEWEST_GAINS = 5
 _UNLIKE = 0.05
+"""Share by which a gain may be off the median of its batch unsaid; assumed."""
 _TIMES = 5.0
+"""Robust standard deviations by which it may be off; assumed."""
 
 
 def usual_gains(gains: Sequence[float]) -> list[float | None]:

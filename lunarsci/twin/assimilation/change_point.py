@@ -166,6 +166,7 @@ SIMULATIONS = 999
 MODEL_M = 3.0
 """Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
 MOST_CORRELATED = 0.95
+"""Correlation of neighbouring bins that is reckoned with at most: what is left of a mean must not vanish; assumed."""
 MARGIN = 1.0
 """Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
 within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""

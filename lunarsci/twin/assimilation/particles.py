@@ -82,7 +82,7 @@ def fit_emulator(
 FIRST, EACH, ROUNDS = 192, 128, 4
 """Drives of the first round and of each later one, and rounds at most."""
 GOOD = 0.3
-"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
+"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough; assumed."""
 FREEDOM = 6.0
 """Degrees of freedom of the Student law of the first round; assumed: tails heavier than a posterior's."""
 CHAIN, TUNED = 600, 200

@@ -21,7 +21,7 @@ from lunarsci.twin.assimilation.residuals import HUBER, POSITION, DriveResiduals
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
 CHANCE = 0.01
-"""That a variance as large as found comes from the errors alone; below it, errors are widened."""
+"""That a variance as large as found comes from the errors alone; below it, errors are widened. Assumed."""
 MEDIAN_VARIANCE = np.pi / 2
 """Of the median of n normal values, times n over theirs."""
 

@@ -42,7 +42,7 @@ stress integrals on the same soil, measured once, over nine hidden soils, with t
 
 
 SHARED = 0.5**0.5
-"""Of an error's share for the part that is constant, and for the one that goes with the quantity."""
+"""Of an error's share for the part that is constant, and for the one that goes with the quantity; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,15 +157,16 @@ MODEL_ERRORS = {
 """Assumed, beside the measured errors: what the twin may be off by where a measured error is next to nothing.
 Side slip in bends is off by 0.04 deg at a time step of 0.1 s."""
 FIX_ERROR_M = 0.0015
-"""What the time step of 0.1 s puts the end of the embedded plan off by, and more than the interpolation between
-samples does; over obstacles it is more. [m]"""
+"""Measured: what the time step of 0.1 s puts the end of the embedded plan off by, and more than the interpolation
+between samples does; over obstacles it is more. [m]"""
 STEP_S, SAMPLE_M = 0.1, 0.1
 """Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
 FARTHEST = 4.0
 """Standard deviations of the first laws that a soil may be from their centre; assumed."""
 POSITION = "position"
 HUBER = 4.0
-"""Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance."""
+"""Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance;
+assumed."""
 
 
 def robust_cost(white: FloatArray) -> FloatArray:

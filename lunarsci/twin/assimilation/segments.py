@@ -39,7 +39,8 @@ WITHIN_95 = 7.35
 """Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
 10.1111/1468-0262.00124."""
 FALSE_ALARMS = 0.01
-"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
+"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors;
+assumed."""
 MODEL_SHARE = 2.0
 """Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
 enough for what is left of the time step's errors."""
@@ -49,7 +50,7 @@ MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
 """Of a stretch, assumed; with fewer it stays as it was believed to be."""
 TOLD = 1.0
-"""Steps of a measured quantity that are named, in its errors."""
+"""Steps of a measured quantity that are named, in its errors; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

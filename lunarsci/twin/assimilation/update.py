@@ -46,6 +46,7 @@ UNEXPLAINED = 0.8
 """Root mean square of what the best soil leaves of a quantity, as a share of that of the quantity, from which on the
 twin explains nothing of it, as with a wrong sign or unit; of a position, as a share of the way, a tenth. Assumed."""
 UNEXPLAINED_OF_WAY = 0.1
+"""See `UNEXPLAINED`."""
 SLIGHT = {
     "sinkage_m": 0.002,
     "slip_ratio": 0.03,
@@ -60,7 +61,7 @@ MOST_OF_A_WHEEL = 0.3
 assumed."""
 LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
 LEAST_FLOOR = 0.05
-"""Multiple of `MODEL_ERRORS` that is always added, so that a force of 0 measured to 3 % has an error."""
+"""Multiple of `MODEL_ERRORS` that is always added, so that a force of 0 measured to 3 % has an error; assumed."""
 FOLLOWED = 2.0**0.5
 """By which the miss of an end is taken larger than what the soil that was found with it leaves: the variance that held
 for returns in an independent simulator; assumed elsewhere."""
@@ -68,7 +69,7 @@ SETTLED, SURPRISING = 0.3, 2.0
 """Autocorrelation of particles above which they have not spread out; prior shift above which the ground differs;
 assumed."""
 STILL = 1.1
-"""Factor of the errors that is no longer worth another round."""
+"""Factor of the errors that is no longer worth another round; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.ensemble import Prediction
 
 CONFIDENCE = 0.95
-"""Of each of the two bounds of a chance."""
+"""Of each of the two bounds of a chance; assumed."""
 UNFINISHED = "unfinished"
 
 

@@ -20,7 +20,7 @@ Progress = Callable[[int, int], None]
 Preference: TypeAlias = Literal["energy", "length", "time", "teaching", "risk"]
 
 ROUNDS = (0.25, 0.5, 1.0)
-"""Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
+"""Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation. Assumed."""
 LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
 ANEW = 7919

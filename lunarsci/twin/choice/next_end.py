@@ -17,7 +17,7 @@ that it does not tell. The pair is taken that predicts members left out best."""
 LEAST_M = 1e-3
 """Errors below count as this much where they are compared; assumed. [m]"""
 CHANCE = 0.05
-"""That any of the drives compared counts as a better teacher by the draws alone."""
+"""That any of the drives compared counts as a better teacher by the draws alone; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -22,8 +22,9 @@ from lunarsci.twin.comparison.scores import (
 from lunarsci.twin.judgement.endpoint import ErrorEllipse
 
 REGIONS = (0.5, 0.9, 0.95, 0.99)
+"""Shares of a prediction that regions hold; assumed."""
 LATE_S = 1.0
-"""A position this long before the plan ends still counts as one of its end: the rover slows down there."""
+"""A position this long before the plan ends still counts as one of its end: the rover slows down there. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +160,7 @@ def region_ellipse(members: FloatArray, error: FloatArray, probability: float) -
 
 ALL = "all"
 NOMINAL = 0.9
+"""Share of drives that the region of a check should hold; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,8 @@ LEAST_TIMES = 4
 BY_WHEEL = ("sinkage_m",)
 """Measured of each wheel by itself; slip and forces follow from the motion of the one body, and share its errors."""
 CLEARLY = 2.0
-"""Times the variance of independent errors: from 16 values, an estimate is that large by chance in 1 of 100."""
+"""Times the variance of independent errors: from 16 values, an estimate is that large by chance in 1 of 100.
+Assumed."""
 LEAST_FREE = 8
 """Values beyond those that the smooth course takes, below which their scatter is not asked."""
 

@@ -101,7 +101,8 @@ ALARM = 0.01
 """Probability below which a drive is none of those that were predicted. All tests together raise a false alarm in 2 to
 5 of 100 drives, measured with 64 members; most where the belief is as wide as the priors, and drives differ most."""
 ALARM_OF_CHANGE = 0.003
-"""The same for a change of the ground: how well the measured means are known is estimated from the drive itself."""
+"""The same for a change of the ground: how well the measured means are known is estimated from the drive itself.
+Assumed."""
 FAR, SELDOM = 5.0, 0.05
 """Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
 hides more than it says, and how seldom it must be among the members; assumed."""

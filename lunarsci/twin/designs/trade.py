@@ -21,7 +21,7 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
 CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
-"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6. [-]"""
+"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6, see `MAX_VALID_SLIP`. [-]"""
 Drive = Callable[[int, dict[str, Any]], Prediction]
 """Drives plan number k of the mission with some of its inputs replaced."""
 

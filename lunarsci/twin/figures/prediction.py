@@ -64,7 +64,7 @@ def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None =
     length = f"{prediction.plan.length_m:.2f} m"
     figure.suptitle(
         synthetic_title(
-            f"{verdict.verdict.upper()} for the drive of {length}, {members}, on {as_label(terrain.name)}",
+            f"{verdict.verdict.upper()} for the drive of {length}, {members},\non {as_label(terrain.name)}",
             terrain.synthetic,
         ),
         color=LIMIT if verdict.verdict == "no-go" else INK,

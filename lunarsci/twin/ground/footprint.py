@@ -12,7 +12,7 @@ from lunarsci.twin.rover import Rover
 
 BoolMap = BoolArray
 OVERHANG = 1.05
-"""The discs that cover the rectangle are at most so many half widths in radius."""
+"""The discs that cover the rectangle are at most so many half widths in radius; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -97,6 +97,7 @@ TILE = 512
 WIDEST_STEP = 2.0
 """A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
 COST_CAP = 100.0
+"""Of a node that is no obstacle; assumed, so that no ground counts as much as an obstacle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -33,7 +33,7 @@ WHITE_SHARE = 0.05
 HURST = (0.3, 0.95)
 """Range of the exponent H; real ground has 0.5 to 0.9 (Turcotte 1997)."""
 LONGEST_LAG_M = 1.0
-"""Over which differences of heights are looked at; longer ones are craters. [m]"""
+"""Over which differences of heights are looked at; longer ones are craters. Assumed. [m]"""
 SAMPLED = 200_000
 """Pairs of nodes that are looked at for each distance."""
 FILLED_M = 0.06

@@ -14,7 +14,7 @@ from lunarsci.projections import MapProjection
 from lunarsci.twin.ground.terrain import Terrain
 
 ROUND = 0.6
-"""Share of the circle about a polygon that it must fill to be taken for that circle."""
+"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
 FINEST = 64
 """Squares along the longer side of a polygon, at most, that circles stand for."""
 NEAR_M = 3.0

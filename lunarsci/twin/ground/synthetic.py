@@ -22,6 +22,7 @@ SMALLEST_M, LARGEST_M = 0.1, 2.0
 HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1
+"""Of the ground that rocks may cover; assumed, some fifty times that of the site."""
 
 
 def rocks_per_m2(share: float, diameter_m: npt.ArrayLike) -> FloatArray:
@@ -90,8 +91,8 @@ CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
 # Wu et al. (2021), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
 DEPTH_TO_DIAMETER = 0.06
 # Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen
-# with the places of the craters for the published slopes of the route, 8.86 deg at most and 5.38 deg at the end, as the
-# tilt of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
+# with the places of the craters for the slopes of the route in Ding et al. (2024), 8.86 deg at most and 5.38 deg at the
+# end, as the tilt of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
 REGIONAL = (-0.04, 0.0064)
 STEP = (6.895, 1.5, 0.1877)
 
@@ -163,6 +164,7 @@ def synthetic_longji(
 
 MOST_NODES = 4_000_000
 SMALLEST_CRATER_M = 1.0
+"""Diameter of the smallest craters that are laid; assumed, smaller ones are roughness."""
 
 
 def synthetic_terrain(

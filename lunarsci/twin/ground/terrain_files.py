@@ -4,7 +4,6 @@ Maps of a terrain as files: a NumPy archive, and a GeoTIFF with a band for each 
 """
 
 import io
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,8 +14,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.documents import json_document
-from lunarsci.errors import DataError, LunarSciWarning, OutputError
-from lunarsci.grids import ERROR_LAYERS, HeightGrid, geotiff_bytes, read_grid
+from lunarsci.errors import DataError, OutputError
+from lunarsci.grids import ERROR_LAYERS, HeightGrid, check_relief, geotiff_bytes, read_grid
 from lunarsci.projections import known_projection
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import MadeFor
@@ -59,14 +58,6 @@ def maps_geotiff(surface: Traversability) -> bytes:
 
 
 LEFT = "_left_of_prior"
-STEEPEST_DEG = 45.0
-"""Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. [deg]"""
-LONE_STEP = 10.0
-"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down. [spacings]"""
-LARGEST_STEP = 100.0
-"""From a node to a neighbour; walls may be steep, but not so high. [spacings]"""
-_SLOPES_OF = 1_000_000
-"""Nodes at most that the median slope is taken of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,44 +113,10 @@ def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
     grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread)
     try:
         read = _read_terrain(grid, soil)
-        _check_ground(read.terrain.height_m, grid.spacing_m)
     except (TypeError, ValueError, MemoryError) as error:
         raise DataError(f"{path}: {error}") from error
-    if steep := steep_nodes(read.terrain.height_m, grid.spacing_m):
-        warnings.warn(
-            f"{path}: nodes {LONE_STEP:g} spacings and more off both neighbours, or {LARGEST_STEP:g} off one: {steep}; "
-            "are they without data, or in another unit?",
-            LunarSciWarning,
-            stacklevel=2,
-        )
+    check_relief(path, read.terrain.height_m, grid.spacing_m)
     return read
-
-
-def _check_ground(height_m: FloatArray, spacing_m: float) -> None:
-    """Raises DataError where more than half of the ground is steeper than any that is loose."""
-    skip = 1 + height_m.size // _SLOPES_OF
-    rows = height_m[:-1:skip]
-    along, across = np.diff(rows, axis=1), (height_m[1::skip] - rows)[:, :-1]
-    slope = np.degrees(np.arctan(np.hypot(along, across) / spacing_m))
-    known = slope[np.isfinite(slope)]
-    if known.size and np.median(known) > STEEPEST_DEG:
-        raise DataError(
-            f"a median slope of {np.median(known):.0f} deg at a spacing of {spacing_m:g} m, steeper than soil can lie; "
-            "are heights in another unit?"
-        )
-
-
-def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
-    """How many nodes lie `LONE_STEP` off both neighbours of a row or column, or `LARGEST_STEP` off one. [-]"""
-    steep = np.zeros(height_m.shape, dtype=bool)
-    for heights, found in ((height_m, steep), (height_m.T, steep.T)):
-        step = np.diff(heights, axis=0) / spacing_m
-        with np.errstate(invalid="ignore"):
-            far, beyond = np.abs(step) > LONE_STEP, np.abs(step) > LARGEST_STEP
-            found[1:-1] |= far[:-1] & far[1:] & (step[:-1] * step[1:] < 0)
-        found[:-1] |= beyond
-        found[1:] |= beyond
-    return int(steep.sum())
 
 
 def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:

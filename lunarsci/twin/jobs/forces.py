@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.simulation.ensemble import Prediction
 
+TOGETHER = (
+    "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still "
+    "depends on the assumed soil"
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriveForces(Result):

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ACCEPTED = 0.05
-"""Chance that a mission is not kept that is accepted where none is given."""
+"""Chance that a mission is not kept that is accepted where none is given; assumed."""
 WIDER = 2.0
-"""Circles to keep out of grow by so many standard errors of a localised position."""
+"""Circles to keep out of grow by so many standard errors of a localised position; assumed."""
 LOOKED_AT_M = 0.5
 """Between places of a leg about which ground is looked for. [m]"""
 ALTERNATIVES = 8

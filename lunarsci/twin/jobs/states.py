@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
+DEEPEST = "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
 

@@ -24,7 +24,7 @@ from lunarsci.twin.rover import Rover
 
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
-share of themselves, in a round that has converged."""
+share of themselves, in a round that has converged; assumed."""
 OPPOSITE, NOT_SMALLER = -0.5, 0.8
 """Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
 least where the rounds do not calm down; assumed."""

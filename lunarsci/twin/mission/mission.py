@@ -15,6 +15,7 @@ from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.plans.plan import Fixes
 
 LONGEST_LEG_M, SHORTEST_LEG_M = 25.0, 0.5
+"""Between two localisations of a rover; assumed: longer legs are not planned on what cameras show."""
 MOST_TARGETS = 100
 T = TypeVar("T")
 

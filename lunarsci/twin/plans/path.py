@@ -125,9 +125,10 @@ def _blended(legs: tuple[Leg, ...], values: list[float], distance_m: npt.ArrayLi
 
 
 SLOWEST_RIM = 0.02
-"""Share of the rover's speed below which no rim falls while it drives: at zero the slip ratio has no meaning."""
+"""Share of the rover's speed below which no rim falls while it drives: at zero the slip ratio has no meaning.
+Assumed."""
 CREEP = 2e-2
-"""Share of the plan's speed from which a start speeds up, and to which a stop slows down."""
+"""Share of the plan's speed from which a start speeds up, and to which a stop slows down; assumed."""
 CREEP_M_S = 5e-5
 """Rim speed that stands for none where a slip ratio is wanted all the same. [m/s]"""
 STILL_M_S = 1e-9

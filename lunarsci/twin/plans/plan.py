@@ -33,9 +33,9 @@ QUANTITIES = {
 AT_LEAST = ("clearance_m", "keep_out_m", "battery_charge")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
 _KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out", "target")
-LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0
-# Slower, the creep of a halt is no longer small, and shear follows the wheel faster than any time step.
+LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
 SLOWEST_M_S = 0.001
+"""Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
 
 
 @dataclass(frozen=True, slots=True)

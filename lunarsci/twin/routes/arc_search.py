@@ -14,7 +14,7 @@ from lunarsci.twin.plans.path import arc_end
 from lunarsci.twin.routes.search_ground import Window, drive_arcs, drive_course
 
 LARGEST_TURN = 0.75 * np.pi
-"""No closing arc turns further than this. [rad]"""
+"""No closing arc turns further than this; assumed. [rad]"""
 
 
 def close_on_point(poses: FloatArray, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -64,7 +64,7 @@ LENGTHS = 8
 HALVINGS = 5
 """and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
 LONGEST = 2.5
-"""A course is at most this many distances of the target long, and two tightest turns."""
+"""A course is at most this many distances of the target long, and two tightest turns; assumed."""
 TURNING_M2 = 0.5
 """Cost of a change of curvature by 1/m: assumed. [m2]"""
 ARC_M = 0.1
@@ -72,6 +72,7 @@ ARC_M = 0.1
 BEST, NEARLY = 5, 8
 """How many courses of each number of arcs are refined, and how many that do not keep the clearance if none does."""
 SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
+"""Shortest arc of a course, and steps along it that are looked at; assumed, about a footprint's error."""
 SAME_PER_M = 1e-5
 """Arcs whose curvatures differ by less are one."""
 PENALTY = 1e3

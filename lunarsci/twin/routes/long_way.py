@@ -30,8 +30,9 @@ AS_CHEAP = 1.02
 MOST_NODES = 2_000_000
 """Of a larger map every second, third ... node is searched."""
 END_M = 2.0
-"""Finer ground so near to start or target is looked at for whether a rover can be there. [m]"""
+"""Finer ground so near to start or target is looked at for whether a rover can be there; assumed. [m]"""
 MARGIN_SHARE, MARGIN_M = 0.5, 50.0
+"""Ground beyond both ends that is searched, as a share of their distance and beside it [m]; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

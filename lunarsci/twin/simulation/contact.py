@@ -34,8 +34,8 @@ AT_REST, DRIVEN, HELD = 0, 1, 2
 # Travel over which the bearing takes up a change of slip [m]: at a creep it does not follow at once. Assumed, short
 # against the contact, so that a step under way passes it.
 TAKE_UP_M = 1e-3
-# A rim whose speed changes by less than this share in a step is under way.
 STEADY = 0.02
+"""A rim whose speed changes by less than this share in a step is under way; assumed."""
 
 
 def steadied(v: Any, rim: Any, travel: Any, slid: Any, forces: Any, slopes: Any) -> Any:

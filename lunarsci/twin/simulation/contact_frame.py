@@ -7,12 +7,13 @@ from lunarsci.lanes import arcsin, choose, cosine, highest, lowest, root, sine
 from lunarsci.regolith.forces import contact_forces
 from lunarsci.twin.lanes import WHEEL, cross, dot, plus, times
 
-# The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant.
 DEEPEST = 0.9
+"""The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant:
+assumed."""
 # Below this sinkage [m] the contact angles round to nothing.
 SHALLOWEST = 1e-9
-# Range of |s| that the source states for the model.
 VALID_SLIP = 0.6
+"""Range of the slip ratio, to either side: see `MAX_VALID_SLIP`."""
 # Speeds [m/s] below this are none; a rim as slow as that stands still.
 SLOWEST = 1e-9
 

@@ -37,11 +37,11 @@ class DrawnDiscrepancy:
 
 
 ALIKE_M = 5.0
-"""Way over which the physics is off by much the same share; the likelihood of the returns that set
-`physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
+"""Way over which the physics is off by much the same share; assumed, as measured: the likelihood of the returns that
+set `physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
 ALWAYS = 0.1
-"""Share of the way that counts like a way lost, so that drives without slip are not taken for exact: that likelihood
-hardly tells 0.02 from 0.08, and this is the largest that keeps the spread named with `FIRST`."""
+"""Share of the way that counts like a way lost, so that drives without slip are not taken for exact; assumed, as that
+likelihood hardly tells 0.02 from 0.08, and this is the largest that keeps the spread named with `FIRST`."""
 
 
 def _left(steps: FloatArray) -> FloatArray:

@@ -40,15 +40,15 @@ from lunarsci.twin.lanes import (
 from lunarsci.twin.simulation.contact import add_wheel
 from lunarsci.twin.simulation.ruts import read_ruts
 
-# Cosine of 60 deg, as the outcome says.
 COS_OVERTURNED = 0.5
+"""Cosine of 60 deg, as the outcome says; assumed."""
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
-# Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon. [m/s]
 FALLING = 1.0
-# Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes down
-# at more than this speed [m/s], 3 mm of free fall on the Moon.
+"""Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon; assumed. [m/s]"""
 MOST_LOAD, IMPACT = 2.0, 0.1
+"""Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes
+down at more than this speed [m/s], 3 mm of free fall on the Moon; assumed."""
 # Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning;
 # assumed: 3 cm for a wheel of 15 cm, more than any rounding and less than a jump.
 MOST_EXCESS = 0.2

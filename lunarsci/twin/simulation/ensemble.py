@@ -35,7 +35,8 @@ STATE_COLUMNS = (
     "valid",
 )
 LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
-"""Beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between samples."""
+"""Measured: beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between
+samples."""
 MOST_MEMBERS = 100_000
 UNDER_WAY = 0.95
 """Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""

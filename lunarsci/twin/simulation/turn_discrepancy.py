@@ -15,7 +15,7 @@ TURNS = VarianceLaw(5.0, 0.2)
 `tests/benchmarks/spot_turns.py`, of other physics, turned farther or less far than the twin by a share of that size,
 alike within a tenth for turns of 30 to 180 deg to either side."""
 ALWAYS = 0.1
-"""Share of a turn that counts like an angle lost, as for the way."""
+"""Share of a turn that counts like an angle lost, as for the way; assumed."""
 STILL_M = 1e-9
 """A step of the planned path that is shorter is one of a turn or a halt. [m]"""
 

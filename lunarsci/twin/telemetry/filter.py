@@ -29,6 +29,7 @@ EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02)
 assumed, as wide as soils drawn from the default priors differ (0.4 to 2.2, 0.8 to 5, -0.1 to 0, and -0.01 to 0 in
 drives by the twin)."""
 START_M, START_RAD = 10.0, 1.0
+"""Of a rover whose place is not known yet, in position and heading; assumed wide."""
 LOOSE_M = 1.0
 """Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
 POSITION_M_PER_STEP = 2e-4

@@ -214,8 +214,9 @@ def twist_at(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
 
 
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
-"""What is left where all sensors are all but perfect: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up drives over
-ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds 0.06 deg."""
+"""What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
+drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
+0.06 deg."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

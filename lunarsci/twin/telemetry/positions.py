@@ -210,7 +210,7 @@ def _hanging(yaw: FloatArray, sigma: FloatArray, turned_deg: FloatArray, known: 
 
 
 ALIKE_DEG = 0.3
-"""Readings that differ by less are told apart by their order."""
+"""Readings that differ by less are told apart by their order; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,7 +150,7 @@ ALONG = 0.5
 MOST_ODD = 0.2
 """Share of the depths that may be odd without doubt; assumed."""
 ABOVE = -3.0
-"""Standard errors by which a rut may lie above the ground."""
+"""Standard errors by which a rut may lie above the ground; assumed."""
 
 
 def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain) -> DriveStates:

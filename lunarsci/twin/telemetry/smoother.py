@@ -32,10 +32,11 @@ from lunarsci.twin.telemetry.reading import Findings
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
-it, to much more where the ground is smooth. [m]"""
+it, to much more where the ground is smooth. Assumed. [m]"""
 AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15)
-"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m."""
+"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m. Assumed."""
 SHARES = np.array([1.0, 1.0, 0.3])
+"""How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
 LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
 """What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
 long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with stress
@@ -272,8 +273,10 @@ def _squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) 
 
 
 OUTLIER = 20.0
-"""Mahalanobis distance squared from which a position is left out: once in 22 000 by chance (chi-square, 2 degrees)."""
+"""Mahalanobis distance squared from which a position is left out: once in 22 000 by chance (chi-square, 2 degrees).
+Assumed."""
 MOST_OUTLIERS = 0.2
+"""Share of the positions left out beyond which the result is in doubt; assumed."""
 WORST_CHI_SQUARE = 4.0
 """Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
 LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4

@@ -26,6 +26,7 @@ APART = 0.5
 MISFIT = 0.25
 """Share of the expected turn, and [deg] `MISFIT_DEG`, by which an encoder's step may differ from its rate; assumed."""
 MISFIT_DEG = 3.0
+"""See `MISFIT`."""
 CLOCK_SHARE = 0.4
 """Share of a step between rows by which the clock may differ from all wheels unsaid; assumed."""
 STUCK_ROWS = 4

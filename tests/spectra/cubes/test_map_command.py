@@ -42,6 +42,15 @@ def test_json_says_what_was_mapped_and_the_file_is_named(tmp_path: Path, capfd: 
     assert (found["cube"]["format"], found["cube"]["bad_channels"]) == ("m3", 2)
     assert (found["map"]["lines"], found["map"]["samples"], found["pixels"]["pixels"]) == (3, 3, 9)
     assert {"bc1000_nm", "bc1000_sigma_nm", "pixel_flags"} <= {layer["name"] for layer in found["layers"]}
+    (tmp_path / "map.json").write_text(told.out)
+    assert main(["report", str(tmp_path / "map.json")]) == 0
+    said = capfd.readouterr().out
+    assert re.search(r"Of 9 pixels \d could be used\. Centre of the 1000 nm band: 9\d\d nm is the median", said), said
+    assert "standard error" not in said
+    assert main(["spectra", "map", str(path), "--spectrum", "1,2", "--json", "-q"]) == 0
+    (tmp_path / "pixel.json").write_text(capfd.readouterr().out)
+    assert main(["report", str(tmp_path / "pixel.json")]) == 0
+    assert re.search(r"The spectrum of .*, \d+ of \d+ channels", capfd.readouterr().out)
 
 
 @pytest.mark.parametrize(

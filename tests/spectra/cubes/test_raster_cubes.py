@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lunarsci.errors import DataError
+from lunarsci.grids import read_grid
 from lunarsci.spectra.cubes.cube import NO_DATA, SATURATED, Stated
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.readers import read_spectra
@@ -183,3 +185,52 @@ def test_an_image_of_vnis_is_as_bright_as_its_calibrated_spectrum(
     # Splicing scales the spectrum of the image to that of SWIR: one factor, near 1.
     assert ratio[:80].std() < 0.01
     assert abs(ratio[:80].mean() - 1) < 0.05
+
+
+def declared(path: Path, samples: int, chunks: tuple[int, int, int] = (1, 1, 1000), *, axis: bool = False) -> str:
+    """A NetCDF cube of eight channels and three lines in whose chunks nothing was ever written: some kB of file."""
+    h5netcdf = pytest.importorskip("h5netcdf")
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = {"wavelength": 8, "y": 3, "x": samples}
+        wave = file.create_variable("wavelength", ("wavelength",), float, data=500.0 + 100 * np.arange(8))
+        wave.attrs["units"] = "nm"
+        file.create_variable("reflectance", ("wavelength", "y", "x"), "f4", chunks=chunks)
+        if axis:
+            file.create_variable("x", ("x",), float, chunks=(1000,))
+    assert path.stat().st_size < 20_000
+    return str(path)
+
+
+@pytest.mark.parametrize("samples", [10_000_001, 4_000_000_000])
+def test_axes_of_netcdf_too_long_to_be_read_are_refused_unread(samples: int, tmp_path: Path) -> None:
+    """The second would take 32 GB."""
+    with pytest.raises(DataError, match=f"'x' has {samples} numbers, too many for an axis"):
+        open_cube(declared(tmp_path / "long.nc", samples, axis=True))
+    assert open_cube(declared(tmp_path / "sound.nc", 1000, axis=True)).shape == (3, 1000)
+
+
+def test_chunks_of_netcdf_too_large_to_be_unpacked_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="'reflectance' is packed in chunks too large"):
+        open_cube(declared(tmp_path / "chunks.nc", 6_000_000, (8, 3, 3_400_000)))
+
+
+def test_lines_too_long_for_the_memory_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="6250001 samples of 8 bands on a line, and at most 50 million"):
+        open_cube(declared(tmp_path / "long.nc", 6_250_001))
+
+
+def test_blocks_of_rasters_too_large_to_be_unpacked_are_refused(tmp_path: Path) -> None:
+    """A picture of 50 x 50 in one tile of 339 MB, in which nothing was written."""
+    how: dict[str, Any] = {"driver": "GTiff", "count": 6, "dtype": "float32", "SPARSE_OK": True, "tiled": True}
+    how["transform"] = rasterio.Affine(1, 0, 0, 0, -1, 0)
+    for side, refused in ((9_200, True), (64, False)):
+        tiles = {"blockxsize": side, "blockysize": side}
+        with rasterio.open(tmp_path / f"{side}.tif", "w", height=50, width=50, **tiles, **how) as file:
+            for band in range(1, 7):
+                file.set_band_description(band, f"{400 + 100 * band} nm")
+        if refused:
+            for read in (open_cube, read_grid):
+                with pytest.raises(DataError, match=f"packed in blocks of {side} x {side}, too large to be read"):
+                    read(str(tmp_path / f"{side}.tif"))
+        else:
+            assert open_cube(str(tmp_path / f"{side}.tif")).shape == (50, 50)

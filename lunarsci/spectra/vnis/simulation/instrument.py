@@ -35,6 +35,7 @@ from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposi
 
 SHAPE = CUBE_SHAPE[1:]
 BLOB_SCALE_PX = 24.0
+"""Size of the patches of brighter and darker ground; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 INTEGRATION_MS = 54.2
+"""As in the product of observation 136 of Chang'E-4, CNSA (2020), Lunar and Planetary Data Release System."""
 ELEVATION_CODE, QUALITY_CODE = "0xc1", "0x00"
 """Codes as in the public table; what the first one counts is not published."""
 

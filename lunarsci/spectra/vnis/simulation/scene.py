@@ -43,20 +43,26 @@ SHAPES_NM = {
 laboratory spectra, widths assumed. Not from the table of priors, so that a simulation does not know what a fit expects.
 [nm]"""
 ALBEDO_AT_NM = 750.0
+"""Where the albedo of a material is stated, as that of the Moon mostly is; assumed."""
 
 SITE = (177.585, -45.44)
-"""Longitude and latitude of the Chang'E-4 rover in 2020. [deg]"""
+"""Longitude and latitude of the rover: by the labels of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release System).
+[deg]"""
 _NEAR_DEG = 0.1
-"""So much the Sun may stand off the incidence of a scene at that site. [deg]"""
+"""So much the Sun may stand off the incidence of a scene at that site; assumed. [deg]"""
 
 SWIR_STEP = timedelta(seconds=1.068)
+"""See `VNIR_STEP`."""
 SWIR_BREAK = timedelta(seconds=21.944)
-"""Extra pause after channel 95, where the filter changes its sub-band."""
+"""Extra pause after channel 95, where the filter changes its sub-band: see `VNIR_STEP`."""
 VNIR_DELAY = timedelta(seconds=49.5)
+"""See `VNIR_STEP`."""
 VNIR_STEP = timedelta(seconds=0.806)
-"""Clock of a measurement, about that of observation 136 of Chang'E-4: the short-wave scan first, then the images."""
+"""Clock of a measurement, about that of observation 136 of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release
+System): the short-wave scan first, then the images."""
 SWIR_MORE_INCIDENCE_DEG = 0.0334
-"""The sun rises between the scans: 64.445 deg in the short-wave label of observation 136, 64.412 deg in the other."""
+"""The sun rises between the scans: 64.445 deg in the short-wave label of observation 136 (CNSA 2020), 64.412 deg in the
+other."""
 
 
 def _within(what: str, value: float, low: float, high: float, unit: str = "") -> None:
@@ -113,6 +119,7 @@ class Material:
 
 
 SOIL = Material(SceneComposition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
+"""A soil as there might be at the Chang'E-4 site; assumed."""
 ROCK = Material(SceneComposition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
 """A soil and a rock as there might be at the Chang'E-4 site; assumed."""
 

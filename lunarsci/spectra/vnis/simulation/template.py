@@ -21,12 +21,16 @@ Node = tuple[str, "str | list[Node]"]
 """Element name, with its attributes where it has some, and its text or children."""
 
 SUN_AZIMUTH_DEG = 60.0
+"""Of a label that is made up; assumed."""
 LANDER = (177.5991, -45.4446)
+"""Longitude and latitude of Chang'E-4: Liu et al. (2019), 10.1038/s41467-019-12278-3. [deg]"""
 ROVER_XYZ_M = (-287.5, 127.3, -1.7)
+"""From the lander; assumed."""
 ARM_M = (0.96, -0.90, 0.30)
 """From the ground in the centre of the image to the rover's origin; azimuth, place and arm are assumed."""
 HALF_IMAGE = 0.5 * CUBE_SHAPE[2] * 0.025 / 43.0
-"""Tangent of half the field of view of the imager: 256 pixels of 25 um behind a lens of 43 mm."""
+"""Tangent of half the field of view of the imager: 256 pixels of 25 um behind a lens of 43 mm, by the product labels
+(CNSA 2020, Lunar and Planetary Data Release System)."""
 MARK = "SYNTHETIC, made by lunarsci: not a measurement"
 NAMESPACES = (
     'xmlns="http://pds.nasa.gov/pds4/pds/v1" xmlns:pds="http://pds.nasa.gov/pds4/pds/v1" '
