@@ -34,6 +34,7 @@ _ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=\n\n|\Z)", re.DOTALL | re.MU
 
 UNITS = {
     "torque_nm": "N m",
+    "moment_nm": "N m",
     "kpa_m_n": "",
     "per_um": "1 / um",
     "per_m": "1 / m",

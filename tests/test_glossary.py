@@ -1,6 +1,7 @@
 """The glossary names what is there, with the units that the names end in."""
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,3 +47,19 @@ def test_symbols_of_one_table_are_not_used_twice() -> None:
         symbols = [s for line in part.splitlines() if line.startswith("| ") and "symbol" not in line
                    for s in line.split("|")[1].strip().split(", ") if s != "-"]  # fmt: skip
         assert len(symbols) == len(set(symbols)), part[:20]
+
+
+def test_keys_of_the_main_results_are_described(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At least nine of ten on the page of JSON keys, made of this glossary and of what classes say."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs/_extension"))
+    import pages_of_commands
+
+    tables = re.split(r"^## `lunarsci (.+)`$", pages_of_commands.keys_text(), flags=re.MULTILINE)
+    shown = dict(zip(tables[1::2], tables[2::2], strict=True))
+    areas = {"spectra": ("bands", "fit", "unmix"), "regolith": ("identify", "infer"), "twin": ("states", "update")}
+    for command in (f"{area} {name}" for area, names in areas.items() for name in names):
+        rows = [line for line in shown[command].splitlines() if line.startswith("| `")]
+        blank = [row for row in rows if not row.strip("| ").split(" | ")[2:]]
+        assert len(rows) > 50 and len(blank) < 0.1 * len(rows), (command, blank)
+    for name in ("pages_of_commands", "pages_of_code"):
+        sys.modules.pop(name, None)

@@ -18,10 +18,50 @@ PAGES = [
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 SCHEMES = ("http://", "https://", "mailto:")
 COMMAND_PAGES = ROOT / "docs/reference/commands"
+NO_PROSE = re.compile(r"^ *(`{3,}|:{3,}|\$\$).*?\1[ .,]*$", re.DOTALL | re.MULTILINE)
+"""Blocks of code, directives and equations."""
+BLOCK, LONG = "(block)", 90
+"""What stands for such a block; characters from which on a sentence is not to be said twice."""
 
 
 def name_of(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
+
+
+def paragraphs(page: Path) -> list[str]:
+    """Headings, tables, lists and paragraphs in their order; a block of code or an equation is one word."""
+    text = NO_PROSE.sub(f"\n{BLOCK}\n", page.read_text("utf-8"))
+    return [part.strip() for part in re.split(r"\n\s*\n", text) if part.strip()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_paragraph_is_whole(page: Path) -> None:
+    """It begins as a sentence does and has an end; a colon is followed by what it announces."""
+    parts = paragraphs(page)
+    for part, after in zip(parts, [*parts[1:], "# "], strict=True):
+        assert not part[0].islower() or part.startswith("lunarsci "), part
+        assert not part.endswith((",", ";")), part
+        assert not part.endswith(":") or re.match(r"[(|\-*`!<\[]|\d\.", after), (part, after)
+        assert part.startswith(("#", "- ", "1. ")) or re.search(r"[.:?!)|>`*\"\]]$", part), part
+
+
+def test_no_sentence_stands_in_two_pages() -> None:
+    """What is said twice is changed once; the other place links to it."""
+    pages: dict[str, str] = {}
+    for page in PAGES:
+        for part in paragraphs(page):
+            for sentence in re.split(r"(?<=[.:;?]) ", " ".join(part.split())) if part[0] not in "#|" else ():
+                if len(sentence) >= LONG and sentence.count(" ") > 8:
+                    assert pages.setdefault(sentence, name_of(page)) == name_of(page), sentence
+
+
+PRIVATE = re.compile(r"(?<![`\w])(suites?|vouch\w*|lopsided|stranger|hangs? together|of the norm|filed by)\b")
+"""Words of our own for what the field has a word for: `docs/project/style.md`."""
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "style.md"], ids=name_of)
+def test_pages_use_the_words_of_the_field(page: Path) -> None:
+    assert PRIVATE.findall(page.read_text("utf-8")) == []
 
 
 def test_make_targets_exist() -> None:
@@ -50,6 +90,7 @@ def test_options_named_in_pages_exist(
     for command in known:
         assert main([*command.split(), "--help"]) == 0
     told = capfd.readouterr().out
+    assert PRIVATE.findall(told) == []
     others = {"--repo", "--create-namespace", "--generate-name", "--scheduler-file", "--nworkers", "--nthreads"}
     others |= {"--extra-index-url", "--strict", "--write", "--small", "--seed", "--first", "--soils"}
     for page in PAGES:

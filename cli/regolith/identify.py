@@ -130,7 +130,7 @@ def _site_table(result: IdentifiedSoil) -> TextTable:
     default = " (the default; another by --rover)" if result.rover == IdentifyRequest().rover else ""
     title = (
         f"The site from {count} state{'s' if count > 1 else ''} with the wheel of {result.rover}{default}, "
-        f"{found.draws} draws each, reading '{found.reading}'"
+        f"{found.draws} draws each, sign convention '{found.reading}'"
     )
     notes = ["errors are those of one state, as states scatter; how well all fix one soil: `lunarsci regolith infer`"]
     return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title, notes=notes)

@@ -106,13 +106,13 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
     for name in found.names:
         label, unit = LABELS[name]
         median, low, high, low95, high95 = ends[name]
-        known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} % of the prior"
+        known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} %"
         ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
         rows.append([label, significant(median), *ranges, unit, known])
     notes = [*_fit(found), *_combinations(found)]
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
-    headers = ["parameter", "median", "68 %", "95 %", "unit", "from the states"]
+    headers = ["parameter", "median", "68 %", "95 %", "unit", "width left of the prior's"]
     table = TextTable(headers, rows, title=f"All states together, intervals {HOW[found.how]}", notes=notes)
     return [table, *_laws(soil), *_predicted(soil)]
 
@@ -163,5 +163,8 @@ def _combinations(found: "SoilPosterior") -> Sequence[str]:
     for left, weights in found.combinations()[:MOST_SHOWN]:
         if left < SHOWN_SHARE:
             terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
-            lines.append(f"known to {100 * left:.0f} % of the prior: {' '.join(terms)} (in units of the prior's sd)")
+            lines.append(
+                f"well-known combination: {' '.join(terms)}, each over its prior's error; "
+                f"known to {100 * left:.0f} % of the prior's"
+            )
     return lines

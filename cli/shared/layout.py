@@ -22,10 +22,10 @@ RANKS: Mapping[str, int] = {
         "95 % of drives, kept, *, bias, wheel, in 90 % bands, median, 68 %, value, status, mineral, share, F_N, F_DP, "
         "slip, sinkage, F_N balanced, F_DP balanced, F_L balanced, determined, states",
         3: "area1000, area2000, spread at 1 µm, spread at 2 µm, rms ln R, shrinkage of centre, margin, p50, channels, "
-        "range, ejecta, brought up by, Sun, step, gain, F_N assumed, F_DP assumed, F_L assumed, rms, plan, surprise, "
+        "range, ejecta, main route, Sun, step, gain, F_N assumed, F_DP assumed, F_L assumed, rms, plan, surprise, "
         "ground's own 68 %, F_N from p05 to p95, F_DP from p05 to p95, F_L from p05 to p95, M_R from p05 to p95, "
         "sinkage from p05 to p95, slip from p05 to p95, side slip from p05 to p95, picture, truth, x, y",
-        4: "shrinkage of FWHM, continuum at 1 µm, continuum at 2 µm, azimuth, limit is, worth, n, CRPS, "
+        4: "shrinkage of FWHM, continuum at 1 µm, continuum at 2 µm, azimuth, limit from, worth, n, CRPS, "
         "source, quantity, forgotten before, what, remark, rms sd",
     }.items()
     for header in headers.split(", ")

@@ -24,7 +24,7 @@ OPTIONS = {
         "conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
     ),
     "smooth_nm": option("Savitzky-Golay window in nm, at most 300 (half of a band); 0 for none.", min=0),
-    "smooth": option("The same in channels, odd, instead: so many median steps of a spectrum.", min=0),
+    "smooth": option("Window as an odd number of channels, of the median spacing, in place of --smooth-nm.", min=0),
     "smooth_order": option("Order of the smoothing polynomial.", min=0),
     **UNITS,
     **ONLY,
@@ -125,7 +125,7 @@ def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
         if item
     ]
     notes = ["errors: the regression's, on laboratory minerals, and the band's; temperature: --json, caveat"]
-    return TextTable(["from the bands", "by", "value", "holds"], rows, notes=notes)
+    return TextTable(["from the bands", "by", "value", "valid only"], rows, notes=notes)
 
 
 def _many_chemistries(records: Sequence[Mapping[str, Any]], examples: Mapping[str, Mapping[str, Any]]) -> TextTable:

@@ -26,14 +26,14 @@ MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
     "assemblage": option(
         "Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the most "
-        "probable and names those that cannot be told apart (with an error of its own, not --model-error).",
+        "probable and names those that cannot be told apart (with its own model error, not --model-error).",
         panel=MODEL,
     ),
     "continuum": option(
         "Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.", panel=MODEL
     ),
     "composition": option(
-        "What is known of Fo, Fs, Wo in mol %, such as fo=70:5; moves the bands along their trends.",
+        "What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.",
         panel=MODEL,
         metavar="KEY=MEAN:ERROR,…",
     ),
@@ -51,7 +51,7 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
         metavar="NUMBER=OPX,…",
     ),
     "prior": option(
-        "map: priors count as measurements; damping: they only shorten steps, along the path of the RELAB MGM program.",
+        "map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.",
         panel=MODEL,
     ),
     "model_error": option(
@@ -135,13 +135,13 @@ def _not_shown(found: MgmFits) -> list[str]:
 
 def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
     if fit.prior == "damping":
-        error = "errors hold the residuals"
+        error = "errors include the residuals"
     else:
-        error = f"errors hold noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
+        error = f"errors include noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
     shared = _shared_in_ratios(record, with_shared=len(fit.data.shifts) > 0)
     missing = None in (record["nbsr"] or {None: None}).values()
     why = "NBSR -: a pyroxene is not in the assemblage, its band not in the spectrum, or the ratio not determined"
-    lines = [f"{error}, no other minimum or continuum", *([why] if missing else []), *shared]
+    lines = [f"{error}; not other minima and other continua (--continuum-spread)", *([why] if missing else []), *shared]
     return [*lines, *_composition_notes(fit)]
 
 

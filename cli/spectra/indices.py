@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 OPTIONS = {
     "index": option("Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.", metavar="NAME"),
-    "smooth_nm": option("Savitzky-Golay window in nm before all, of order 2; 0 for none.", min=0),
+    "smooth_nm": option("Savitzky-Golay window in nm, of second order, before computing; 0 for none.", min=0),
     **UNITS,
     **ONLY,
 }
@@ -36,7 +36,7 @@ def add_to(app: typer.Typer) -> None:
 def indices(files: Files, request: IndicesRequest) -> Report:
     """Spectral indices: IBD1000, IBD2000, R540, R1580, slopes, olivine, spinel, OMAT, FeO and TiO2.
 
-    They take reflectance factors at 30, 0, 30 deg; centre, depth, area and asymmetry of bands: spectra bands.
+    Expects reflectance factors at 30, 0, 30 deg; centre, depth, area and asymmetry of bands: spectra bands.
     """
     from lunarsci.spectra.jobs.indices import indices
 

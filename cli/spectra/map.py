@@ -59,7 +59,10 @@ OPTIONS = {
         panel=SETTINGS,
     ),
     "contest_every": option(
-        "Lines and samples from one pixel to the next at which all starts are tried.", panel=SETTINGS, min=1, max=32
+        "Every Nth line and sample is fitted from all starting points, the others from their neighbours.",
+        panel=SETTINGS,
+        min=1,
+        max=32,
     ),
     "kind": option("Kind of target of unmix; auto: found in each pixel.", panel=SETTINGS),
     "craters": option("Table of craters of match, as --craters of `spectra match`.", panel=SETTINGS, metavar="FILE"),

@@ -38,7 +38,7 @@ OPTIONS = {
     ),
     "bands": option("Its band centres, bc1000 and bc2000, in nm.", panel=ROCK, metavar="bc1000=NM:ERROR,…"),
     "kind": option(
-        "What these modes were unmixed from: errors are then at least those measured of it. Left out: as quoted.",
+        "Kind of target of --modes; errors are raised to those known for this kind. Left out: errors as given.",
         panel=ROCK,
     ),
     "name": option("Name of that rock.", panel=ROCK),
@@ -115,8 +115,9 @@ def result_tables(result: "Matches") -> list[TextTable]:
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
         told = (
-            "ln BF: composition alone, against a rock of any composition; brought up by: the impact itself (direct), "
-            "or small local craters (gardened), with its share; assumed or known:"
+            "ln BF: composition alone, against a rock of any composition; main route to the surface: the impact itself "
+            "(direct), the fall of younger ejecta (stirred) or small local craters (gardened), with its share; assumed "
+            "or known:"
         )
         return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
     shown = matches[:SHOWN]
@@ -134,7 +135,7 @@ def _best(match: "RockMatch") -> float:
 def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
     from lunarsci.spectra.origin.match import OTHER
 
-    headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "brought up by", "ln BF", "prior", "posterior"]
+    headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]
     headers.append("compared")
     ordered = sorted(match.craters, key=lambda item: item.posterior, reverse=True)
     rows = [_crater_row(item) for item in ordered]

@@ -27,7 +27,7 @@ SHORT = {
     "solid-rock": "rock",
 }
 """Kinds of target as headers of columns."""
-NORMATIVE = {"plagioclase_wt": "plagioclase of the norm", "feo_wt": "FeO", "tio2_wt": "TiO2"}
+NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
 OPTIONS = {
     "kind": option(
         "What is looked at. auto finds it for each spectrum: powder-mixture, minerals ground and mixed; "
@@ -37,8 +37,8 @@ OPTIONS = {
         metavar="KIND",
     ),
     "method": option(
-        "Mixing law: hapke, of the albedo of single scattering; absorbance, of -ln R; both, by evidence; auto, both "
-        "with --together, hapke one by one.",
+        "Mixing law: hapke, of the albedo of single scattering; absorbance, of -ln R; both, by evidence; auto: hapke "
+        "for single spectra, both with --together.",
         panel=MIXTURE,
     ),
     "library": option(
@@ -49,8 +49,8 @@ OPTIONS = {
         panel=MIXTURE,
     ),
     "known": option(
-        "Table of id and one column per mineral, in shares of 1, of mixtures whose modes are known; empty cells are "
-        "sought, a 0 beside them is absent. Implies --together.",
+        "Table of id and one column per mineral, in shares of 1, of mixtures whose shares are known; an empty cell is "
+        "solved for, 0 means that the mineral is absent. Implies --together.",
         panel=MIXTURE,
         metavar="FILE",
     ),
@@ -80,9 +80,9 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 
     The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well. What is dark is
     weighed and reported beside the shares. Shares of which a spectrum says too little are not determined: they have an
-    interval and no value. Intervals and `in_domain` come from the errors of measured suites of the same kind of target.
+    interval and no value. Intervals and `in_domain` come from the errors of sample series of the same kind of target.
 
-    A surface that space has weathered is not unmixed (exit code 3): plagioclase of its norm, FeO and TiO2 are given
+    A surface that space has weathered is not unmixed (exit code 3): normative plagioclase, FeO and TiO2 are given
     instead, by regression.
     """
     with progress("unmixing", quiet=output.quiet) as update:
@@ -166,7 +166,7 @@ def normative_table(found: UnmixedSpectra) -> list[TextTable]:
     records = [record for record in found.records if record["normative"]]
     rows = [[record["id"], *(_ranged(record["normative"][name]) for name in NORMATIVE)] for record in records]
     notes = counted([record["normative"]["status"] for record in records], len(records), "spectra")
-    title = "composition by regression, with 68 and 95 % intervals; no modes of minerals"
+    title = "composition by regression; no shares of minerals"
     headers = ["spectrum", *(f"{text} [wt %]" for text in NORMATIVE.values())]
     return [TextTable(headers, rows, title=title, notes=notes)] if rows else []
 
@@ -174,5 +174,5 @@ def normative_table(found: UnmixedSpectra) -> list[TextTable]:
 def _ranged(item: Mapping[str, float] | None) -> str:
     if item is None:
         return "-"
-    wide = f"{item['low95']:.0f} to {item['high95']:.0f}"
-    return f"{item['value']:.0f}, {item['low']:.0f} to {item['high']:.0f}, {wide}"
+    ends = f"68 %: {item['low']:.0f} to {item['high']:.0f}; 95 %: {item['low95']:.0f} to {item['high95']:.0f}"
+    return f"{item['value']:.0f} ({ends})"

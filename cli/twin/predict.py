@@ -87,7 +87,7 @@ HEADERS = (
     "margin",
     "unit",
     "verdict",
-    "limit is",
+    "limit from",
 )
 
 

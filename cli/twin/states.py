@@ -23,7 +23,7 @@ OPTIONS = {
     "interpolation": INTERPOLATION,
     "positions": option(
         "Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, "
-        "xy_m2, yy_m2, with xx_before_m2 and so on where errors hang together. They take the place of the telemetry's.",
+        "xy_m2, yy_m2, with xx_before_m2 and so on where errors are correlated. They replace the telemetry's.",
         kind=str | None,
         metavar="FILE",
     ),
@@ -88,8 +88,8 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     notes = [
         f"{result['positions']} positions over {result['duration_s']:.4g} s; they scatter about the motion with a "
         f"reduced chi-square of {result['reduced_chi_square']:.2f}",
-        f"beside what slopes do, slip changes by {changes['amplitude']:.2g} (times or by "
-        f"{changes['amplitude_factor']:.2g}) within {changes['length_m']:.2g} m",
+        f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "
+        f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
         DEEPEST if result["sinkages"] else "no sinkage: give the depth of the track with --track",
     ]
     if not found.planned:

@@ -112,7 +112,7 @@ def ground_table(found: TerrainSurvey) -> TextTable:
         f"may be driven on: {result['traversable_share']:.1%}; hazards {result['hazard_share']:.1%}; "
         f"unknown, near holes or the edge, {result['unknown_share']:.1%}",
         f"slope and roughness under {maps.baseline_m:g} m x {maps.baseline_m:g} m"
-        + (f", steps beside that slope within {maps.wheel_window_m:g} m" if maps.shows_steps else ""),
+        + (f", step heights, slope removed, within {maps.wheel_window_m:g} m" if maps.shows_steps else ""),
         *([f"in shadow: {result['sun']['shadow_share']:.1%}"] if "sun" in result else []),
         *result["notes"],
     ]

@@ -130,7 +130,7 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     found = learned.found
     notes = [
         f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
-        f"surprise {found.prior_shift:.2f}",
+        f"surprise {found.prior_shift:.2f} sd of what was believed",
     ]
     if found.prediction.ruts:
         notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")

@@ -1,11 +1,14 @@
 """Reference of files and their keys, as Markdown, from the classes that read them and our own files."""
 
+import ast
 import dataclasses
 import importlib
 import re
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from lunarsci.rovers import known_rovers, known_wheels, read_rover
@@ -33,7 +36,12 @@ def _class(path: str) -> Any:
 
 def attributes(kind: Any) -> dict[str, str]:
     """Attribute to what its class says of it."""
-    text = (kind.__doc__ or "").partition("Attributes")[2]
+    return attributes_in(kind.__doc__ or "")
+
+
+def attributes_in(docstring: str) -> dict[str, str]:
+    """Attribute to what a docstring says of it."""
+    text = docstring.partition("Attributes")[2]
     found: dict[str, str] = {}
     names: list[str] = []
     for line in text.splitlines()[2:]:
@@ -45,6 +53,19 @@ def attributes(kind: Any) -> dict[str, str]:
             found.update({name: f"{found[name]} {line.strip()}" for name in names})
         elif names:
             break
+    return found
+
+
+@cache
+def attributes_of(area: str) -> dict[str, tuple[str, str]]:
+    """Name to unit and meaning, as the classes of `lunarsci/AREA` say it, those of its jobs first."""
+    folder = Path(__file__).parents[2] / "lunarsci" / area
+    found: dict[str, tuple[str, str]] = {}
+    for path in sorted(folder.rglob("*.py"), key=lambda path: (path.parent.name != "jobs", path)):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ClassDef) and (text := ast.get_docstring(node, clean=False)):
+                for name, said in attributes_in(text).items():
+                    found.setdefault(name, _unit_and_meaning(said))
     return found
 
 

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import typer
 from lunarsci.cli import command_line
+from pages_of_code import attributes_of
 
 from lunarsci.result import UNITS, unit_of
 
@@ -126,18 +127,109 @@ ENDINGS = {
     "_high95": "upper end of 95 %",
     "_calibration": "what errors that all channels share add",
 }
+PARTS = {
+    "value": "the value",
+    "sigma": "its standard deviation",
+    "sd": "its standard deviation",
+    "low": "lower end of its 68 % interval",
+    "high": "upper end of its 68 % interval",
+    "low68": "lower end of its 68 % interval",
+    "high68": "upper end of its 68 % interval",
+    "low90": "lower end of its 90 % interval",
+    "high90": "upper end of its 90 % interval",
+    "low95": "lower end of its 95 % interval",
+    "high95": "upper end of its 95 % interval",
+    "ground_median": "median of the ground's own value, wider known than the effective one",
+    "ground_low_68": "lower end of 68 % of the ground's own value",
+    "ground_high_68": "upper end of 68 % of the ground's own value",
+    "ground_low_95": "lower end of 95 % of the ground's own value",
+    "ground_high_95": "upper end of 95 % of the ground's own value",
+    "low_68": "lower end of its 68 % interval",
+    "high_68": "upper end of its 68 % interval",
+    "low_95": "lower end of its 95 % interval",
+    "high_95": "upper end of its 95 % interval",
+    "range_low": "lower end of the range in which it was made",
+    "range_high": "upper end of the range in which it was made",
+    "mean": "mean",
+    "median": "median",
+    "min": "smallest",
+    "max": "largest",
+    "p5": "value that 5 % do not exceed",
+    "p05": "value that 5 % do not exceed",
+    "p50": "median: value that 50 % do not exceed",
+    "p95": "value that 95 % do not exceed",
+    "count": "how many",
+    "degrees": "degrees of freedom",
+    "correlation": "correlation matrix, in the order of the keys beside it",
+    "unit": "its unit",
+    "name": "its name",
+    "title": "its name in words",
+    "id": "name of the spectrum, state or row",
+    "status": "`ok`, or what is wrong or not determined, in a sentence",
+    "reason": "why a value is missing, or empty",
+    "reasons": "why, each in a sentence",
+    "notes": "remarks, each in a sentence",
+    "caveat": "what the error does not include",
+    "assumed": "whether no source gives it; or what was assumed, by name",
+    "assumed_of_rover": "numbers of the rover that no source gives",
+    "source": "publication, or input file",
+    "solved": "whether it was found from the data, not given",
+    "synthetic": "whether it is made up",
+    "published": "value in the literature",
+    "remarks": "remarks, each in a sentence",
+    "why": "why, in a sentence",
+    "sha256": "SHA-256 of the file",
+    "probability": "its probability",
+    "opx": "share of orthopyroxene in both pyroxenes",
+    "cpx": "share of clinopyroxene in both pyroxenes",
+    **{mineral: f"of {mineral}" for mineral in ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")},
+    "none": "probability that there is none",
+    "opaque": "probability of an opaque phase",
+    "metal-troilite": "probability of metal and troilite",
+    "glass": "probability of glass",
+    "nanophase": "probability of iron below 50 nm",
+    "larger": "probability of larger iron",
+    "drawn": "how many were drawn",
+    "replaces_of_terrain": "soil parameters of the terrain that it takes the place of",
+    "quantity": "which quantity the row is about",
+    "mineral": "mineral that it belongs to",
+    "method": "how it was found",
+    "domain": "kind of target that it holds for",
+    "wavelengths_nm": "wavelengths that it is made of",
+    "interpolation": "what another interpolation would change",
+    "calibration": "what errors that all channels share add",
+    "rover": "rover, by name or file",
+    "terrain": "terrain, by name or file",
+    "plan": "plan, by name or file",
+    "soil": "soil, by name or file",
+    "drives": "how many drives it rests on",
+    "determined": "whether the data determine it",
+    "soils_missed_by_median": "median error on soils of known composition",
+    "soils_missed_by_most": "largest error on soils of known composition",
+    "of_soils": "how many soils of known composition were tried",
+}
+"""Keys that mean the same wherever they stand, of what their parent key names."""
+NUMBER = re.compile(r"value|published|sigma|sd|mean|median|min|max|p\d+|(ground|range|soils)_.*|(low|high)_?\d*")
+"""Those of them that have the unit of their parent."""
 
 
-def _meaning(key: str, known: dict[str, tuple[str, str]]) -> tuple[str, str]:
-    name = key.rsplit(".", 1)[-1].removesuffix("[]")
+def _meaning(key: str, known: dict[str, tuple[str, str]], said: dict[str, tuple[str, str]]) -> tuple[str, str]:
+    """Unit and meaning of a key: of the glossary, of its ending, of what is said in the code, or of its part."""
+    parts = [part.removesuffix("[]") for part in key.split(".")]
+    name = parts[-1]
     if name in known:
-        unit, meaning = known[name]
-        return unit, meaning
+        return known[name]
     for ending, text in ENDINGS.items():
         for bare in (name.removesuffix(ending), name.replace(ending + "_", "_", 1)):
-            if bare != name and bare in known:
-                return known[bare][0], f"{text}: {known[bare][1]}"
-    return unit_of(name) or "", ""
+            if bare != name and (found := known.get(bare) or said.get(bare)):
+                return found[0], f"{text}: {found[1]}"
+    above = next((one for one in reversed(parts[:-1]) if one in known or unit_of(one)), "")
+    name = name if name in PARTS else re.sub(r"^(p5|p05|p50|p95)_\w+$", r"\1", name)
+    if name in PARTS:
+        unit = unit_of(parts[-1]) or (unit_of(above) if NUMBER.fullmatch(name) else "")
+        return unit, f"{PARTS[name]} (of `{above}`)" if above else PARTS[name]
+    unit, meaning = said.get(name, ("", ""))
+    return unit_of(name) or unit, meaning
 
 
 def keys_text() -> str:
@@ -155,9 +247,9 @@ def keys_text() -> str:
             found.setdefault(path, {}).update(dict.fromkeys(_keys(answer["result"])))
     parts = []
     for path in sorted(found):
-        rows = []
+        rows, said = [], attributes_of(path.split()[0])
         for key in sorted(found[path]):
-            unit, meaning = _meaning(key, known)
+            unit, meaning = _meaning(key, known, said)
             rows.append(f"| `{key}` | {unit} | {meaning} |")
         parts.append(
             f"## `lunarsci {path}`\n\n| key of `result` | unit | meaning |\n| --- | --- | --- |\n" + "\n".join(rows)

@@ -34,7 +34,7 @@ LUCEY = "Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1
 
 
 MEDIAN_OF_NORMAL = 0.6745
-"""Median distance from the mean of a normal law, in standard deviations."""
+"""Median distance from the mean of a normal law, in standard deviations: the quantile of 75 %, by definition."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -82,7 +82,7 @@ def test_what_is_dark_is_weighed_beside_the_shares(run: Run, mixtures: Path) -> 
     assert suites / (suites + 1) == pytest.approx(modes["calibration"]["certified"])
     text = run("spectra", "unmix", mixtures, *OPTIONS).out
     assert "what is dark beside the minerals" in text
-    assert "suites vouch for levels up to" in text
+    assert "intervals were tested on" in text
 
 
 def test_the_picture_has_a_page_of_shares(run: Run, mixtures: Path, tmp_path: Path) -> None:

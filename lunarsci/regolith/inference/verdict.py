@@ -189,8 +189,8 @@ def _assumed(mode: Mode, given: bool, states: WheelStates, reduced: float | None
     if not states.stated:
         said.append("errors of measurement as Ding et al. (2024) state them, as the file gives none")
     if not given:
-        said.append(f"errors of the model normal, a share of the load, so much alike that {mode.alike:.1f} "
-                    "states count as one")  # fmt: skip
+        said.append(f"normal errors of the model, a share of the load; {mode.alike:.1f} neighbouring states "
+                    "count as one independent state")  # fmt: skip
     if reduced is not None and reduced < REDUCED[0]:
         said.append(f"errors that the states do not show (reduced chi-square {reduced:.2g}), so intervals are wide")
     if reduced is None:

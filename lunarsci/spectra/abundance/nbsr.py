@@ -120,8 +120,8 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows, calibration: s
     shares = np.column_stack([opx, 1.0 - opx])
     ends = np.clip(shares[:, :, None] + error[:, None, None] * np.array([-1.0, 1.0, -NORMAL_95, NORMAL_95]), 0.0, 1.0)
     ends[~inside] = [0.0, 1.0, 0.0, 1.0]
-    why = f"not determined: the powders of line {calibration} are no measure for it: "
-    statuses = [why + "; ".join(found) if found else f"line {calibration}, by weight" for found in reasons]
+    why = f"not determined: the powders of the calibration {calibration} are unlike it: "
+    statuses = [why + "; ".join(found) if found else f"calibration {calibration}, by weight" for found in reasons]
     return PyroxeneShares(told, inside, shares, ends, statuses)
 
 
@@ -235,7 +235,7 @@ def _reasons(
     part = batch.part(own)
     kinds = dark_or_weathered(*features_of_rows(*rows.seen(own)))
     texts = (
-        ["it is no mixture of powders, but dark or weathered" if other else "" for other in kinds.tolist()],
+        ["it looks dark or weathered, no mixture of powders" if other else "" for other in kinds.tolist()],
         _unlike(part, ratio[own], line),
         *_other_compositions(part, line),
         *_other_minerals(part),
@@ -254,7 +254,7 @@ def _other_compositions(batch: FitBatch, line: Mapping[str, str]) -> Iterator[li
             outside = (column.mean < float(low) - reach) | (column.mean > float(high) + reach)
             numbers = zip(column.mean.tolist(), column.sigma.tolist(), outside.tolist(), strict=True)
             yield [
-                f"{key} {mean:.0f} +- {sigma:.0f} mol %, made at {low}-{high}" if apart else ""
+                f"{key} {mean:.0f} +- {sigma:.0f} mol % (calibrated for {low} to {high})" if apart else ""
                 for mean, sigma, apart in numbers
             ]
 
@@ -286,7 +286,8 @@ def _unlike(batch: FitBatch, ratio: FloatArray, line: Mapping[str, str]) -> list
     texts = []
     for how, far, apart, inside in zip(worst.tolist(), farthest.tolist(), depth.tolist(), deep.tolist(), strict=True):
         if not inside:
-            texts.append(f"its 1 um band is {apart:.2f} deep in ln R, made at {ends[0]}-{ends[1]}")
+            calibrated = " to ".join(f"{float(end):.2g}" for end in ends)
+            texts.append(f"its 1 um band is {apart:.2f} deep in ln R (calibrated for {calibrated})")
         elif far <= UNLIKE_SIGMAS:
             texts.append("")
         else:

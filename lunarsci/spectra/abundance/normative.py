@@ -273,7 +273,7 @@ def _unfit(kind: KindVerdict) -> str:
 
 
 PER_PAGE = 40
-TITLES = {"plagioclase_wt": "plagioclase of the norm [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
+TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
 
 
 def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterator[Figure]":

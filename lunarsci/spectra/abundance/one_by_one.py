@@ -269,7 +269,8 @@ def _status(known: KindCalibration, told: BoolArray, minerals: Sequence[str], do
         parts.append("an ordinary chondrite: means of its class, own shares not determined")
     elif open_ones:
         parts.append(f"not determined: {', '.join(open_ones)}")
-    parts.append(f"{len(known.suites)} suites vouch for levels up to {100 * known.certified:.0f} %")
+    tests = f"intervals were tested on {len(known.suites)} sample series"
+    parts.append(f"{tests}, enough for {100 * known.certified:.0f} % at most")
     return "; ".join(parts)
 
 

@@ -371,8 +371,7 @@ def start_of(path: str) -> bytes:
 
 def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
     """With those of a table: a column of wavelengths, and where wanted `fwhm` and `good` (0 or 1) beside it."""
-    file = str(said.wavelengths)
-    source = read_input(file)
+    source = read_input(file := str(said.wavelengths))
     lines, _ = split_lines(text(source))
     separator = separator_of(lines)
     cells = [split_fields(line, separator, f"{file}: line {n}") for n, line in lines]

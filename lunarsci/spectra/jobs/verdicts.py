@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 SEEN = 2.0
-"""A band is seen where its strength is this many standard errors off 0."""
+"""A band is seen where its strength is this many standard errors off 0; assumed."""
 SURE = 0.93
-"""Probability from which something is called sure, as of `Choice.family`."""
+"""Probability from which something is called sure, as of `Choice.family`; assumed."""
 NAMES = {
     "fo": "Fo of olivine",
     "fs": "Fs of orthopyroxene",

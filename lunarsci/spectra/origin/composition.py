@@ -212,7 +212,7 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
     given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     told = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
-    remarks: list[str] = ["modes are those of `abundance`"]
+    remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
     tables: tuple[str, ...] = ()
     if modes and not told:
         return Rock(name, Composition(), (f"its shares decide nothing: {abundance.get('status', 'not determined')}",))

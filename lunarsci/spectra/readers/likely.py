@@ -20,7 +20,8 @@ FEWEST = 10
 """Usable channels of a spectrum that is judged at all."""
 TOO_SMOOTH = 5.0
 """Times the scatter from channel to channel that errors are, in the median, before it is said that they cannot be
-independent. 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard deviation."""
+independent; assumed. Measured: 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard
+deviation."""
 _AT_ONCE = 256
 SAID = {
     "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",

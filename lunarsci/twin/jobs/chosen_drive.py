@@ -141,8 +141,8 @@ class ChosenDrive(TerrainSurvey):
         fresh = f"{self.fresh_members} fresh soils" if self.choice.fresh else "the same soils: there are no others"
         return [
             *TerrainSurvey.notes(self),
-            f"risks are {counted}counted on {self.members} soils, promised ones on {fresh}; bounds hold the number "
-            "of drives alone, not what soils, ground and physics are wrong about beyond what is drawn",
+            f"risks are {counted}counted on {self.members} soils, promised ones on {fresh}; bounds reflect "
+            "the number of drives alone, not errors of soils, ground and physics beyond what is drawn",
         ]
 
 

@@ -50,7 +50,7 @@ class Leg:
         180 backwards. [deg]
     turn_deg : spot turn, positive to the left, -360 to 360. [deg]
     stop_s : time at a standstill, 1 s to an hour. [s]
-    wheel_test : a wheel that slips on purpose along an arc; None where none does.
+    wheel_test : a wheel that slips on purpose along an arc; left out where none does.
 
     Raises ParameterError unless exactly one of length_m, turn_deg and stop_s is given.
     """
