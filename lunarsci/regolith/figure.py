@@ -237,8 +237,8 @@ def posterior_figure(
         panel.fill_between(values, before, color=INK, alpha=0.15, linewidth=0, label="prior")
         panel.plot(values, after, color=OWN, label="posterior")
         foot = -0.07 * max(after.max(), before.max())
-        panel.plot([row["low95"], row["high95"]], [foot] * 2, color=OWN, linewidth=1, label="95 %")
-        panel.plot([row["low68"], row["high68"]], [foot] * 2, color=OWN, linewidth=3, label="68 %")
+        panel.plot([row["low95"], row["high95"]], [foot] * 2, color=OWN, linewidth=2, label="95 %")
+        panel.plot([row["low68"], row["high68"]], [foot] * 2, color=OWN, linewidth=4, label="68 %")
         panel.plot(row["median"], foot, "o", color=OTHER, markersize=4, label="median")
         panel.set_xlabel(PARAMETER_LABELS.get(name, name))
         panel.set_yticks([])
@@ -251,7 +251,7 @@ def posterior_figure(
         known = "determined" if row["determined"] else f"{100 * (1 - row['shrinkage']):.0f} % of the prior's width"
         panel.set_title(known, loc="left")
     legend_below(figure, panels.ravel()[:1], 5)
-    figure.suptitle(title)
+    headline(figure, title)
     return figure
 
 

@@ -428,7 +428,7 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "plane": plane,
     "indices": lambda: measured("indices").plot(),
     "fit": lambda: measured("fit").plot(),
-    "shares": lambda: unmixed().plot(1),
+    "shares": lambda: unmixed().plot(),
     "norm": lambda: unmixed().plot(2),
     "match": lambda: matched().plot(),
     "calibration": lambda: calibrated().plot(),
@@ -446,6 +446,7 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "forces": lambda: lunarsci.wheel_forces(load=36.5, side_slip=2, slip=0.1).plot(),
     "traction": lambda: lunarsci.wheel_forces(load=36.5, side_slip=2, slip="0:0.6:13").plot(),
     "identify": lambda: lunarsci.identify(wheel_table(), lateral_modulus="20").plot(),
+    "posterior": lambda: lunarsci.infer(wheel_table()).plot(),
     "soils": soils,
     "history": lambda: history().plot(),
     "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5").plot(),
@@ -485,7 +486,17 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
 }
 
 MEASURED = {
-    *("cameras", "forces", "traction", "soils", "identify", "reproduce rock", "reproduce soil", "reproduce missions"),
+    *(
+        "cameras",
+        "forces",
+        "traction",
+        "soils",
+        "identify",
+        "posterior",
+        "reproduce rock",
+        "reproduce soil",
+        "reproduce missions",
+    ),
     *("film", "reproduce errors", *(name for name in PICTURES if name.startswith("report"))),
 }
 """Kinds whose example is made of numbers of the literature, or of models alone, pictures of a page that says it, and
