@@ -29,11 +29,18 @@ NO_VALUE = ("beyond_range", "no_channels", "undefined")
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
-    """Write the pictures and the result, then say what was written and what to know about it; the exit code."""
+    """Write the pictures and the result, then say what was written and what to know about it; the exit code.
+
+    Where a picture fails, the other files that were asked for are written before the error is passed on.
+    """
     contents: dict[Path, bytes | Iterable[bytes]] = {}
-    if output.plot:
-        contents[output.plot] = _picture(report.figures, output.plot)
-    contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
+    failed: Exception | None = None
+    try:
+        if output.plot:
+            contents[output.plot] = _picture(report.figures, output.plot)
+        contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
+    except Exception as error:
+        failed = error
     contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
     value, doubt = ("", "") if output.field_path is None else field_of(report.result, output.field_path)
@@ -47,6 +54,8 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     write_files(contents, force=output.force, folder=output.path if output.folder else None)
     for path in (*report.written, *contents):
         say(f"written: {path}", quiet=output.quiet)
+    if failed is not None:
+        raise failed
     if output.folder or not output.path or report.written:
         _print(text)
     for failure in report.failures:

@@ -156,10 +156,13 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     aimed = any(one.plan.target_m is not None for one in choice.candidates[:SHOWN])
+    verdict = f"doubtful: {verdict}" if found.soils.doubt else verdict
     notes = [
+        *([found.soils.doubt] if found.soils.doubt else []),
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
+        f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries",
         "risk: expected, and below what with 95 %; ~ not yet driven on fresh soils; weakest: what is nearest to its "
         "limit, and after how many m",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "

@@ -83,14 +83,17 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     notes = [
         f"{result['positions']} positions over {result['duration_s']:.4g} s; they scatter about the motion with a "
         f"reduced chi-square of {result['reduced_chi_square']:.2f}",
-        f"beside what slopes do, slip changes by {changes['amplitude']:.2g} (times or by "
-        f"{changes['amplitude_factor']:.2g}) within {changes['length_m']:.2g} m",
+        f"apart from slopes, slip changes by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the "
+        f"way (known to a factor of {changes['amplitude_factor']:.2g})",
         "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
         if result["sinkages"]
         else "no sinkage: give the depth of the track with --track",
     ]
+    notes.append(_rolling_note(found, result))
     if not found.planned:
-        notes.append("clock and commands were not compared with a plan: none was given")
+        notes.append("clock, commands and speed were not compared with a plan: none was given")
+    elif found.drive.pace is not None and not found.drive.pace.off:
+        notes.append(found.drive.pace.text)
     if result["synthetic"]:
         notes.append("the telemetry is synthetic")
     if result["terrain"]["synthetic"]:
@@ -98,6 +101,21 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     headers = [head for name in ("slip [-]", "side slip [deg]", "sinkage [mm]") for head in spread_headers(name)]
     title = f"{found.title}; medians ± error of one state"
     return TextTable(["wheel", "states", *headers], rows, title=title, notes=notes)
+
+
+def _rolling_note(found: "MeasuredStates", result: dict[str, Any]) -> str:
+    """Which radius slip is of, and what it would be of the shell's."""
+    wheel = found.drive.rover.wheel
+    rolling, shell = 1e3 * wheel.shearing_radius_m, 1e3 * wheel.radius_m
+    note = f"slip is that of the rolling radius r_s = {rolling:.4g} mm: the wheel's {shell:.4g} mm"
+    if wheel.shearing_radius_m == wheel.radius_m:
+        return note
+    slips = [own["slip_ratio"]["median"] for own in result["wheels"].values() if own["slip_ratio"]["count"]]
+    part = f"{note}, and {wheel.grouser_shear_coefficient:g} of the grousers' {1e3 * wheel.grouser_height_m:.4g} mm"
+    if not slips:
+        return part
+    of_shell = 1.0 - (1.0 - sum(slips) / len(slips)) * rolling / shell
+    return f"{part}; of the wheel's radius alone it would be {of_shell:.3f} on average"
 
 
 def _cells(found: dict[str, Any], factor: float) -> list[str]:

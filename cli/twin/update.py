@@ -130,7 +130,9 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     found = learned.found
     notes = [
         f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
-        f"surprise {found.prior_shift:.2f}",
+        f"surprise {found.prior_shift:.2f} standard deviations of what was believed before",
+        *learned.doubts,
+        *_slip_notes(learned),
     ]
     if found.prediction.ruts:
         notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
@@ -146,6 +148,18 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     if not found.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, EFFECTIVE]
+
+
+def _slip_notes(learned: "LearnedSoil") -> list[str]:
+    """Slip and rates of the wheels, as measured beside the drive that was simulated."""
+    notes, pace = [], learned.pace
+    if (slips := learned.slips) is not None:
+        notes.append(f"median slip ratio: {slips[0]:.3f} measured, {slips[1]:.3f} simulated on the soil found")
+    if pace is None:
+        notes.append("the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)")
+    elif not pace.off:
+        notes.append(pace.text)
+    return notes
 
 
 def _segment_table(segments: "list[Segment]") -> TextTable:

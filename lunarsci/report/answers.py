@@ -7,7 +7,7 @@ from typing import Any
 from lunarsci.errors import DataError
 from lunarsci.report import drive_answers, rock_answers
 from lunarsci.report.documents import Document
-from lunarsci.report.sentences import DOUBT, Result, ResultAnswer
+from lunarsci.report.sentences import DOUBT, STOP, Result, ResultAnswer
 from lunarsci.report.words import counted, measured, number, quantity, unit
 
 
@@ -20,7 +20,16 @@ def answer(document: Document) -> ResultAnswer:
     if made is None:
         return ResultAnswer(f"A result of {document.provenance.get('command', 'lunarsci')}; its numbers are below.")
     with as_written(document):
-        return made(document.result)
+        return _with_doubt(made(document.result), document.result)
+
+
+def _with_doubt(said: ResultAnswer, result: Result) -> ResultAnswer:
+    """An answer with why its soils are doubtful, or what was learned; a no-go stays one."""
+    soil = result.get("soil")
+    doubt = result.get("doubt") or (soil.get("doubt") if isinstance(soil, Mapping) else None)
+    if not isinstance(doubt, str):
+        return said
+    return ResultAnswer(f"{said.text} Doubtful: {doubt}.", STOP if said.tone == STOP else DOUBT)
 
 
 @contextmanager
