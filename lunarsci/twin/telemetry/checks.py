@@ -212,7 +212,7 @@ class WheelPace:
     def of(cls, rim_m_s: FloatArray, times_s: FloatArray, rover: Rover, plan: Plan) -> "WheelPace | None":
         """From rim speeds r_s omega, NaN where not measured (n, wheels), at times (n,); None where too few turn.
 
-        The error is that of the medians within wheels and between them. Speed and radius cannot be told apart: both
+        The error is that of the medians within wheels, or what these scatter by where that is more. Speed and radius cannot be told apart: both
         make the same ratio.
         """
         schedule = make_schedule(plan, rover)
@@ -231,7 +231,7 @@ class WheelPace:
         wheel = rover.wheel
         return cls(
             ratio=float(medians.mean()),
-            sigma=float(np.sqrt(within + between)),
+            sigma=float(np.sqrt(max(within, between))),
             speed_m_s=plan.speed_m_s,
             shell_ratio=wheel.shearing_radius_m / wheel.radius_m,
         )
