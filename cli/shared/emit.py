@@ -118,6 +118,8 @@ def field_of(result: Any, path: str) -> tuple[str, str]:
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
             near = meant(step, value) if isinstance(value, dict) else ""
+            inside = _path_to(steps[-1], _opened(result))
+            near = f"did you mean '{inside}'? " if inside else near
             known = f"{near}there is: {_known(value)}"
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
     found = plain(value)
@@ -128,6 +130,18 @@ def field_of(result: Any, path: str) -> tuple[str, str]:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
     return f"{text}\n", doubt
+
+
+def _path_to(name: str, value: Any, depth: int = 4) -> str:
+    """Where a key is, looked for in the first of each list; empty where it is nowhere."""
+    if not depth or not isinstance(value, dict | list):
+        return ""
+    inner = value.items() if isinstance(value, dict) else [(str(k), one) for k, one in enumerate(value[:1])]
+    opened = [(str(key), _opened(one)) for key, one in inner]
+    if any(key == name for key, _ in opened):
+        return name
+    paths = ((key, _path_to(name, list(one[:1]) if _is_list(one) else one, depth - 1)) for key, one in opened)
+    return next((f"{key}.{path}" for key, path in paths if path), "")
 
 
 def _doubt(value: Any) -> str:

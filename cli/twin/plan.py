@@ -34,7 +34,12 @@ OPTIONS = {
         kind=str,
         show_default=False,
     ),
-    "start": option("Pose of the rover, in m and deg.", panel=PATH, metavar="X,Y,HEADING", kind=str),
+    "start": option(
+        "Pose of the rover, in m and deg, such as the last row of motion.csv of `twin states`.",
+        panel=PATH,
+        metavar="X,Y,HEADING",
+        kind=str,
+    ),
     "lonlat": option(
         "Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.",
         panel=PATH,
@@ -127,7 +132,8 @@ def plan(
     With --risk many drives are compared: round other sides of obstacles, backwards, crabwise, after a spot turn, with
     --fixes also with halts for localisation updates. All are driven on the same soils, and the best again on fresh
     ones; what is promised is counted on these. Exit code 3 says that no drive keeps the risk. With -o DIR plan.toml is
-    the drive to take, candidates.csv has all, plan-NN.toml those that no other beats in risk, length and energy.
+    the drive to take, with the risk that was accepted, which `twin predict` then goes by; candidates.csv has all,
+    plan-NN.toml those that no other beats in risk, length and energy.
 
     With --mission several targets are reached by legs, each planned from where the rover was localised after the one
     before: the chance to keep all limits, when each leg begins, what has to wait for communication, and the last target
@@ -239,6 +245,8 @@ def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
         rows = [[*row, _driven(leg)] for row, leg in zip(rows, path.plan.legs, strict=True)]
     end = path.end
     notes = [
+        f"starts at x {path.plan.x_m:z.3f} m, y {path.plan.y_m:z.3f} m, heading {path.plan.heading_deg:z.1f} deg "
+        "(--start)",
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
         *_place_notes(path, found.light()),

@@ -49,8 +49,8 @@ def predict(
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
-    drive that follows. A plan of `twin plan` is driven by the rover that it was made for, unless --rover says
-    otherwise.
+    drive that follows. A plan of `twin plan` is driven by the rover that it was made for, where this comes with
+    lunarsci; a rover of your own is given with --rover.
 
     The rule is that 95 % of the drives keep each limit, all end, and none enters ground to keep out of or empties the
     battery. A plan of `twin plan --risk` carries the risk that was accepted; it is go where the chance to break any
@@ -81,6 +81,10 @@ def _film(found: PredictedDrives, target: Path, quiet: bool) -> bytes:
         return found.film(target, update)
 
 
+NEXT = (
+    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
+    "(--fixes), or another way (`twin plan --risk`)"
+)
 HEADERS = (
     "quantity (worst of each drive)",
     "p50",
@@ -90,7 +94,7 @@ HEADERS = (
     "margin",
     "unit",
     "verdict",
-    "limit is",
+    "limit from",
 )
 
 
@@ -115,6 +119,7 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
         *_terrain_notes(found),
         *_keep_out_notes(verdict),
         *verdict.reasons,
+        *([NEXT] if verdict.verdict == "no-go" else []),
         *verdict.notes,
         *load_notes(check_loads(prediction)),
         *_energy_notes(found),

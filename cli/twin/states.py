@@ -28,7 +28,8 @@ OPTIONS = {
         metavar="FILE",
     ),
     "track": option(
-        "Depth of the track: CSV with x_m, y_m, rut_m, or the terrain after the drive. No sinkage without it.",
+        "Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the wheels "
+        "and as near to each other; or the terrain after the drive. No sinkage without it.",
         kind=str | None,
         metavar="FILE",
     ),
@@ -37,11 +38,12 @@ Telemetry = Annotated[
     str,
     typer.Argument(
         help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of "
-        "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg."
+        "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg. "
+        "`lunarsci template telemetry` has all columns."
     ),
 ]
 DrivenPlan = Annotated[
-    str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock and commands with.")
+    str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock, commands and speed with.")
 ]
 FACTORS = {"slip_ratio": 1.0, "side_slip_deg": 1.0, "sinkage_m": 1e3}
 
@@ -59,6 +61,9 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     stated; where positions are too few or too coarse to tell, a finding says so. Sinkage follows from the track, for
     the deepest wheel that passed; the others stay blank. What is wrong with the telemetry is listed with what was done
     about it; where the result should not be trusted for it the exit code is 3.
+
+    Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Wheels that turned more than 2 %
+    off the plan's speed are said, with exit code 3: a soil learned with this plan would be another.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin loads` read.

@@ -49,7 +49,11 @@ OPTIONS = {
     "seed": option("Seed of everything random.", min=0),
 }
 States = Annotated[
-    str, typer.Argument(help="Measured wheel states (CSV): time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma.")
+    str,
+    typer.Argument(
+        help="Measured wheel states (CSV), as `twin states -o DIR` writes them: time_s, wheel, sinkage_m, slip_ratio, ..., "
+        "NAME_sigma, rim_m_s."
+    ),
 ]
 SavedBelief = Annotated[
     Path | None,
@@ -99,6 +103,9 @@ def update(
     between changes is learned on its own, and far from all that was driven the map returns to the first priors.
 
     Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
+    A drive that needs errors more than five times as large, or whose wheels turned otherwise than the plan says, leaves
+    a doubtful belief: the exit code is 3, here and wherever it is used, until all is forgotten (--forget 1).
+
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
     from lunarsci.twin.jobs import update as job

@@ -56,7 +56,8 @@ class Wheel:
     ----------
     radius_m, width_m : shell radius r and width b, both > 0. [m]
     grouser_height_m : grouser height h >= 0. [m]
-    grouser_shear_coefficient : lambda_s of Eq. 4, 0 to 1. [-]
+    grouser_shear_coefficient : part of the grousers that counts to the rolling radius r_s = r + lambda_s h, of which
+        slip is: lambda_s of Eq. 4, 0 to 1. [-]
     max_stress_c1, max_stress_c2 : theta_m = (c1 + c2 s) theta_1, Eq. 11. [-]
     exit_c3 : theta_2 = c3 theta_1, Eq. 10. [-]
 

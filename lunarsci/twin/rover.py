@@ -82,8 +82,8 @@ class Rover:
     bogie : `rear` carries middle and rear wheels on a bogie, `front` front and middle ones; `none` is a four-wheeler
         whose front and rear wheels are on the rockers.
     front_wheel_m, middle_wheel_m, rear_wheel_m : wheel centres, from the bogie pivot where they hang on a bogie, else
-        from the rocker pivot; middle_wheel_m is None without bogies. [m]
-    bogie_pivot_m : bogie pivot from the rocker pivot, None without bogies. [m]
+        from the rocker pivot; a rover without bogies has no middle_wheel_m. [m]
+    bogie_pivot_m : bogie pivot from the rocker pivot; a rover without bogies has none. [m]
     joint_damping_n_m_s : viscous friction of each pivot. [N m s]
     steered : which of `front`, `middle`, `rear` are steered.
     steering_offset_m : distance of a wheel from its steering axis, which is inboard of it. [m]
