@@ -28,8 +28,8 @@ OPTIONS = {
         metavar="FILE",
     ),
     "track": option(
-        "Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the wheels "
-        "and as near to each other; or the terrain after the drive. No sinkage without it.",
+        "Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the "
+        "wheels and as near to each other; or the terrain after the drive. No sinkage without it.",
         kind=str | None,
         metavar="FILE",
     ),

@@ -51,8 +51,8 @@ OPTIONS = {
 States = Annotated[
     str,
     typer.Argument(
-        help="Measured wheel states (CSV), as `twin states -o DIR` writes them: time_s, wheel, sinkage_m, slip_ratio, ..., "
-        "NAME_sigma, rim_m_s."
+        help="Measured wheel states (CSV), as `twin states -o DIR` writes them: time_s, wheel, sinkage_m, slip_ratio, "
+        "..., NAME_sigma, rim_m_s."
     ),
 ]
 SavedBelief = Annotated[
