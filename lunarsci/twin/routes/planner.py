@@ -333,7 +333,8 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
     )
     if reason := surface.reason(row, column):
         raise ParameterError(
-            f"the rover cannot be at the {name}: {reason}; give another {name}, or, if it stands there, a limit that lets it leave"
+            f"the rover cannot be at the {name}: {reason}; give another {name}, or, if it stands there, a limit that "
+            "lets it leave"
         )
 
 

@@ -212,8 +212,8 @@ class WheelPace:
     def of(cls, rim_m_s: FloatArray, times_s: FloatArray, rover: Rover, plan: Plan) -> "WheelPace | None":
         """From rim speeds r_s omega, NaN where not measured (n, wheels), at times (n,); None where too few turn.
 
-        The error is that of the medians within wheels, or what these scatter by where that is more. Speed and radius cannot be told apart: both
-        make the same ratio.
+        The error is that of the medians within wheels, or what these scatter by where that is more. Speed and radius
+        cannot be told apart: both make the same ratio.
         """
         schedule = make_schedule(plan, rover)
         told = commands_at(rover, schedule, times_s).speed_m_s
