@@ -382,8 +382,8 @@ def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
             if not any(column in names for column in columns):
                 hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
                 raise DataError(
-                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; of each wheel it takes "
-                    "a turn and a steering (0 if it stays straight): `lunarsci template telemetry` has all columns"
+                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
+                    "turn and a steering (0 if it stays straight): `lunarsci template telemetry` has all columns"
                 )
 
 
