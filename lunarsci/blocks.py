@@ -30,6 +30,8 @@ Progress: TypeAlias = Callable[[int, int], None]
 
 BLOCKS_EACH = 4
 """Blocks for each thread of a cluster: so few are light to send, so many end together, and a dead worker loses one."""
+LEAST_KEPT = 16
+"""Rows of a block that is kept; fewer are computed as soon as written. Assumed."""
 UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _SIZE = re.compile(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?)?b?\s*", re.IGNORECASE)
 
@@ -168,6 +170,17 @@ def rows_in_memory(bytes_a_row: float, most: int) -> int:
         need = (memory_in_use() + blocks * bytes_a_row) / 1e6
         raise RequestError(f"`memory` {here.memory} is too little; give {need * 1.1:.0f}MB or more")
     return min(rows, most)
+
+
+def kept_rows(total: int, most: int) -> int:
+    """Rows of a block of `total` rows, at most `most`: where done blocks are kept, so few that a stop loses little.
+
+    Each thread then has several blocks, so that all cores are busy as they are without.
+    """
+    here = _HERE.get()
+    if here is None or here.keep is None or here.scheduler is not None:
+        return most
+    return min(most, max(LEAST_KEPT, -(-total // (BLOCKS_EACH * here.threads))))
 
 
 def shared_out(total: int, least: int) -> int:

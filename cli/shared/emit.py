@@ -26,11 +26,18 @@ if TYPE_CHECKING:
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
-    """Write the pictures and the result, then say what was written and what to know about it; the exit code."""
+    """Write the pictures and the result, then say what was written and what to know about it; the exit code.
+
+    Where a picture fails, the other files that were asked for are written before the error is passed on.
+    """
     contents: dict[Path, bytes | Iterable[bytes]] = {}
-    if output.plot:
-        contents[output.plot] = _picture(report.figures, output.plot)
-    contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
+    failed: Exception | None = None
+    try:
+        if output.plot:
+            contents[output.plot] = _picture(report.figures, output.plot)
+        contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
+    except Exception as error:
+        failed = error
     contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
     value, doubt = ("", "") if output.field_path is None else field_of(report.result, output.field_path)
@@ -44,6 +51,8 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     write_files(contents, force=output.force, folder=output.path if output.folder else None)
     for path in (*report.written, *contents):
         say(f"written: {path}", quiet=output.quiet)
+    if failed is not None:
+        raise failed
     if output.folder or not output.path or report.written:
         _print(text)
     for failure in report.failures:
@@ -106,6 +115,8 @@ def field_of(result: Any, path: str) -> tuple[str, str]:
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
             near = meant(step, value) if isinstance(value, dict) else ""
+            inside = _path_to(steps[-1], _opened(result))
+            near = f"did you mean '{inside}'? " if inside else near
             known = f"{near}there is: {_known(value)}"
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
     found = plain(value)
@@ -116,6 +127,18 @@ def field_of(result: Any, path: str) -> tuple[str, str]:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
     return f"{text}\n", doubt
+
+
+def _path_to(name: str, value: Any, depth: int = 4) -> str:
+    """Where a key is, looked for in the first of each list; empty where it is nowhere."""
+    if not depth or not isinstance(value, dict | list):
+        return ""
+    inner = value.items() if isinstance(value, dict) else [(str(k), one) for k, one in enumerate(value[:1])]
+    opened = [(str(key), _opened(one)) for key, one in inner]
+    if any(key == name for key, _ in opened):
+        return name
+    paths = ((key, _path_to(name, list(one[:1]) if _is_list(one) else one, depth - 1)) for key, one in opened)
+    return next((f"{key}.{path}" for key, path in paths if path), "")
 
 
 def _opened(value: Any) -> Any:

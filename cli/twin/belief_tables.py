@@ -21,7 +21,7 @@ def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: 
         ]
         for name, row in rows.items()
     ]
-    headers = ["effective value", "median", "68 %", "ground's own 68 %", "left of the prior"]
+    headers = ["effective value", "median", "68 %", "ground's own 68 %", "spread left of the prior"]
     return TextTable(headers, cells, title=title, notes=notes)
 
 

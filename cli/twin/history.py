@@ -101,6 +101,7 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
         return TextTable([], [], title=f"{name} rests on no drive", notes=["it holds the priors"])
     learned = sum(drive["refused"] is None for drive in drives)
     notes = [f"drive {d['drive']} taught nothing: {d['refused']}" for d in drives if d["refused"]]
+    notes += [f"drive {d['drive']} is doubtful: {d['doubt']}" for d in drives if d["doubt"]]
     return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
 
 

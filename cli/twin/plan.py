@@ -34,7 +34,12 @@ OPTIONS = {
         kind=str,
         show_default=False,
     ),
-    "start": option("Pose of the rover, in m and deg.", panel=PATH, metavar="X,Y,HEADING", kind=str),
+    "start": option(
+        "Pose of the rover, in m and deg, such as the last row of motion.csv of `twin states`.",
+        panel=PATH,
+        metavar="X,Y,HEADING",
+        kind=str,
+    ),
     "lonlat": option(
         "Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.",
         panel=PATH,
@@ -127,7 +132,8 @@ def plan(
     With --risk many drives are compared: round other sides of obstacles, backwards, crabwise, after a spot turn, with
     --fixes also with halts for localisation updates. All are driven on the same soils, and the best again on fresh
     ones; what is promised is counted on these. Exit code 3 says that no drive keeps the risk. With -o DIR plan.toml is
-    the drive to take, candidates.csv has all, plan-NN.toml those that no other beats in risk, length and energy.
+    the drive to take, with the risk that was accepted, which `twin predict` then goes by; candidates.csv has all,
+    plan-NN.toml those that no other beats in risk, length and energy.
 
     With --mission several targets are reached by legs, each planned from where the rover was localised after the one
     before: the chance to keep all limits, when each leg begins, what has to wait for communication, and the last target
@@ -161,10 +167,13 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     aimed = any(one.plan.target_m is not None for one in choice.candidates[:SHOWN])
+    verdict = f"doubtful: {verdict}" if found.soils.doubt else verdict
     notes = [
+        *([found.soils.doubt] if found.soils.doubt else []),
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
+        f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries",
         "risk: expected, and below what with 95 %; ~ not yet driven on fresh soils; weakest: what is nearest to its "
         "limit, and after how many m",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
@@ -241,6 +250,8 @@ def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
         rows = [[*row, _driven(leg)] for row, leg in zip(rows, path.plan.legs, strict=True)]
     end = path.end
     notes = [
+        f"starts at x {path.plan.x_m:z.3f} m, y {path.plan.y_m:z.3f} m, heading {path.plan.heading_deg:z.1f} deg "
+        "(--start)",
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
         *_place_notes(path, found.light()),

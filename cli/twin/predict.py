@@ -8,7 +8,7 @@ import typer
 from lunarsci.twin.jobs.predict import PredictedDrives, PredictRequest
 
 from ..shared.command import command
-from ..shared.options import SPREAD, Output
+from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 
 OPTIONS = DRIVE | {
+    "risk": option(
+        "Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both "
+        "95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.",
+    ),
     "ruts": RUTS,
     "before": BEFORE,
     "exact_terrain": EXACT_TERRAIN,
@@ -45,8 +49,12 @@ def predict(
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
-    drive that follows. A plan of `twin plan` is driven by the rover that it was made for, unless --rover says
-    otherwise.
+    drive that follows. A plan of `twin plan` is driven by the rover that it was made for, where this comes with
+    lunarsci; a rover of your own is given with --rover.
+
+    The rule is that 95 % of the drives keep each limit, all end, and none enters ground to keep out of or empties the
+    battery. A plan of `twin plan --risk` carries the risk that was accepted; it is go where the chance to break any
+    limit or not to end is at most that.
 
     On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
     slip, sinkage and forces; the result says how much of the ends' variance that is.
@@ -78,10 +86,14 @@ def _film(found: PredictedDrives, target: Path, quiet: bool) -> bytes:
         return found.film(target, update)
 
 
+NEXT = (
+    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
+    "(--fixes), or another way (`twin plan --risk`)"
+)
 HEADERS = (
     "quantity (worst of each drive)",
     "p50",
-    "95 % of drives",
+    "{share} of drives",
     "worst",
     "limit",
     "margin",
@@ -102,27 +114,32 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
     verdict, prediction = found.verdict, found.prediction
     rows = [_limit_row(limit) for limit in verdict.limits]
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
-    title = f"{verdict.verdict.upper()}: {prediction.plan.name}; {drives} on {prediction.terrain.name}"
+    said = f"{verdict.verdict.upper()}{', doubtful' if found.soils.doubt else ''}"
+    title = f"{said}: {prediction.plan.name}; {drives} on {prediction.terrain.name}"
     notes = [
+        *([found.soils.doubt] if found.soils.doubt else []),
         *found.inputs.soil_notes(prediction.members, len(prediction.parameters)),
         *found.inputs.remarks,
         *_endpoint_notes(verdict),
         *_terrain_notes(found),
         *_keep_out_notes(verdict),
         *verdict.reasons,
+        *([NEXT] if verdict.verdict == "no-go" else []),
         *verdict.notes,
         *load_notes(check_loads(prediction)),
         *_energy_notes(found),
         _worst_note(verdict),
     ]
-    return [TextTable(list(HEADERS), rows, title=title, notes=notes)]
+    share = verdict.limits[0].share if verdict.limits else 0.95
+    headers = [header.format(share=f"{100 * share:g} %") for header in HEADERS]
+    return [TextTable(headers, rows, title=title, notes=notes)]
 
 
 def _limit_row(limit: "Judgement") -> list[str]:
     name, unit, factor = QUANTITIES.get(limit.quantity, (limit.quantity, limit.unit, 1.0))
     return [
         name,
-        *(f"{factor * value:.3g}" for value in (limit.p50, limit.kept_by_95, limit.worst)),
+        *(f"{factor * value:.3g}" for value in (limit.p50, limit.kept, limit.worst)),
         f"{'≤' if limit.sense == 'at most' else '≥'} {factor * limit.limit:.4g}",
         f"{factor * limit.margin:.3g}",
         unit,

@@ -28,7 +28,8 @@ OPTIONS = {
         metavar="FILE",
     ),
     "track": option(
-        "Depth of the track: CSV with x_m, y_m, rut_m, or the terrain after the drive. No sinkage without it.",
+        "Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the "
+        "wheels and as near to each other; or the terrain after the drive. No sinkage without it.",
         kind=str | None,
         metavar="FILE",
     ),
@@ -39,11 +40,12 @@ Telemetry = Annotated[
     str,
     typer.Argument(
         help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of "
-        "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg."
+        "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg. "
+        "`lunarsci template telemetry` has all columns."
     ),
 ]
 DrivenPlan = Annotated[
-    str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock and commands with.")
+    str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock, commands and speed with.")
 ]
 FACTORS = {"slip_ratio": 1.0, "side_slip_deg": 1.0, "sinkage_m": 1e3}
 
@@ -64,6 +66,9 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
 
     Files of any length are read, a piece at a time: where the rover stands for long, only rows beside drives and with a
     new position are kept. --since and --until take a part.
+
+    Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Wheels that turned more than 2 %
+    off the plan's speed are said, with exit code 3: a soil learned with this plan would be another.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin loads` read.
@@ -92,8 +97,11 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
         f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
         DEEPEST if result["sinkages"] else "no sinkage: give the depth of the track with --track",
     ]
+    notes.append(_rolling_note(found, result))
     if not found.planned:
-        notes.append("clock and commands were not compared with a plan: none was given")
+        notes.append("clock, commands and speed were not compared with a plan: none was given")
+    elif found.drive.pace is not None and not found.drive.pace.off:
+        notes.append(found.drive.pace.text)
     if result["synthetic"]:
         notes.append("the telemetry is synthetic")
     if result["terrain"]["synthetic"]:
@@ -101,6 +109,21 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     headers = [head for name in ("slip [-]", "side slip [deg]", "sinkage [mm]") for head in spread_headers(name)]
     title = f"{found.title}; medians ± error of one state"
     return TextTable(["wheel", "states", *headers], rows, title=title, notes=notes)
+
+
+def _rolling_note(found: "MeasuredStates", result: dict[str, Any]) -> str:
+    """Which radius slip is of, and what it would be of the shell's."""
+    wheel = found.drive.rover.wheel
+    rolling, shell = 1e3 * wheel.shearing_radius_m, 1e3 * wheel.radius_m
+    note = f"slip is that of the rolling radius r_s = {rolling:.4g} mm: the wheel's {shell:.4g} mm"
+    if wheel.shearing_radius_m == wheel.radius_m:
+        return note
+    slips = [own["slip_ratio"]["median"] for own in result["wheels"].values() if own["slip_ratio"]["count"]]
+    part = f"{note}, and {wheel.grouser_shear_coefficient:g} of the grousers' {1e3 * wheel.grouser_height_m:.4g} mm"
+    if not slips:
+        return part
+    of_shell = 1.0 - (1.0 - sum(slips) / len(slips)) * rolling / shell
+    return f"{part}; of the wheel's radius alone it would be {of_shell:.3f} on average"
 
 
 def _cells(found: dict[str, Any], factor: float) -> list[str]:

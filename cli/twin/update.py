@@ -49,7 +49,11 @@ OPTIONS = {
     "seed": option("Seed of everything random.", min=0),
 }
 States = Annotated[
-    str, typer.Argument(help="Measured wheel states (CSV): time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma.")
+    str,
+    typer.Argument(
+        help="Measured wheel states (CSV), as `twin states -o DIR` writes them: time_s, wheel, sinkage_m, slip_ratio, "
+        "..., NAME_sigma, rim_m_s."
+    ),
 ]
 SavedBelief = Annotated[
     Path | None,
@@ -99,6 +103,9 @@ def update(
     between changes is learned on its own, and far from all that was driven the map returns to the first priors.
 
     Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
+    A drive that needs errors more than five times as large, or whose wheels turned otherwise than the plan says, leaves
+    a doubtful belief: the exit code is 3, here and wherever it is used, until all is forgotten (--forget 1).
+
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
     from lunarsci.twin.jobs import update as job
@@ -130,7 +137,9 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     found = learned.found
     notes = [
         f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
-        f"surprise {found.prior_shift:.2f} sd of what was believed",
+        f"surprise {found.prior_shift:.2f} standard deviations of what was believed before",
+        *learned.doubts,
+        *_slip_notes(learned),
     ]
     if found.prediction.ruts:
         notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
@@ -146,6 +155,18 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     if not found.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, EFFECTIVE]
+
+
+def _slip_notes(learned: "LearnedSoil") -> list[str]:
+    """Slip and rates of the wheels, as measured beside the drive that was simulated."""
+    notes, pace = [], learned.pace
+    if (slips := learned.slips) is not None:
+        notes.append(f"median slip ratio: {slips[0]:.3f} measured, {slips[1]:.3f} simulated on the soil found")
+    if pace is None:
+        notes.append("the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)")
+    elif not pace.off:
+        notes.append(pace.text)
+    return notes
 
 
 def _segment_table(segments: "list[Segment]") -> TextTable:

@@ -153,6 +153,20 @@ class SoilBelief:
         return bool(self.history and self.history[-1].get("ruts", False))
 
     @property
+    def doubt(self) -> str:
+        """Why predictions from it are doubtful, as was said of its drives; empty where they are not.
+
+        The doubt of a drive stays until all was forgotten before a later one.
+        """
+        told: list[str] = []
+        for entry in self.history:
+            told = [] if entry.get("forgotten") == 1.0 else told
+            if entry.get("doubt"):
+                told.append(f"{entry.get('states', 'a drive')}: {entry['doubt']}")
+        more = f" (and {len(told) - 1} of its other drives)" if len(told) > 1 else ""
+        return f"{told[-1]}{more}" if told else ""
+
+    @property
     def sd_ratio(self) -> dict[str, float]:
         """Standard deviation of each parameter's transform as a share of its prior's. [-]"""
         spread = np.sqrt(np.diag(self.covariance))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lunarsci import records
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.blocks import arrays_in_blocks, rows_in_memory
+from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
 from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
@@ -367,7 +367,7 @@ def measure_batch(
             found = arrays_in_blocks(
                 partial(_measured, wanted=continuum_name, smoothing=used),
                 len(own),
-                rows_in_memory(64.0 * channels.size, most=BLOCK_ROWS),
+                rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
                 stage="bands",
                 about=lambda own=own: {"spectra": own.digest(), "continuum": continuum_name, "smoothing": repr(used)},
                 fetch=lambda block, own=own: own[block.start : block.stop].arrays(),

@@ -433,3 +433,22 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     assert out == b""
     assert err.decode().splitlines()[-1].startswith("interrupted")
     assert not target.exists()
+
+
+def test_a_picture_that_fails_loses_no_other_file(run: Run, rock: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was computed for a long time is written; the command fails all the same."""
+
+    def fails(*_: object) -> bytes:
+        raise ValueError("zip() argument 2 is shorter than argument 1")
+
+    monkeypatch.setattr("lunarsci.figure.picture_bytes", fails)
+    result, picture = rock.parent / "bands.json", rock.parent / "bands.png"
+    done = run("spectra", "bands", rock, "-o", result, "--plot", picture)
+    assert done.code == 1 and done.out == "" and "unexpected ValueError" in done.err[-1]
+    assert json.loads(result.read_text())["result"] and not picture.exists() and f"written: {result}" in done.err
+
+
+def test_a_field_that_lies_deeper_is_named(run: Run, rock: Path) -> None:
+    for asked in ("bc1000_nm", "spectra.bc1000_nm"):
+        done = run("spectra", "bands", rock, "--field", asked)
+        assert done.code == 2 and "did you mean 'spectra.0.bc1000_nm'?" in done.err[0]

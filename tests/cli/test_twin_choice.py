@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -42,6 +43,37 @@ def test_the_best_comes_first_and_its_plan_can_be_predicted(run: Run, belief: Pa
     assert len(table) == len(choice["candidates"]) and table["number"][0] == first["number"]
     driven = run("twin", "predict", folder / "plan.toml", "--terrain", folder / "terrain.npz", "--soil", belief, "-q")
     assert driven.code == 0, driven.out + driven.stderr
+
+
+def test_what_is_accepted_of_a_risk_is_accepted_by_the_prediction(run: Run, belief: Path, tmp_path: Path) -> None:
+    """A drive that misses its end on some soils: go at the risk that the plan took, else no-go."""
+    chosen, plan = tmp_path / "chosen", tmp_path / "chosen" / "plan.toml"
+    on = ("--terrain", chosen / "terrain.npz", "--soil", belief, "--members", "32", "--seed", "3", "-q")
+    taken = run(*BASE, "--risk", "0.2", "--soil", belief, "-o", chosen)
+    assert taken.code == 0 and "holds its plan.toml against the same risk, 20 %" in taken.out
+    assert read_plan(str(plan)).accepted_risk == 0.2
+    # A tolerance that a tenth of the drives miss.
+    run("twin", "predict", plan, *on, "-o", tmp_path / "once")
+    ends = pd.read_csv(tmp_path / "once" / "endpoints.csv")
+    tight = float(np.quantile(ends["miss_m"], 0.9))
+    text = plan.read_text()
+    line = next(one for one in text.splitlines() if one.startswith("endpoint_miss_m"))
+    plan.write_text(text.replace(line, f"endpoint_miss_m = {tight:.6f}"))
+    failed = int((ends["miss_m"] > round(tight, 6)).sum())
+    risk = (failed + 0.5) / 33.0
+
+    accepted, strict = run("twin", "predict", plan, *on, "--json"), run("twin", "predict", plan, *on, "--risk", "0.05")
+    result = json.loads(accepted.out)["result"]
+    assert accepted.code == 0 and result["verdict"] == "go" and result["accepted_risk"] == 0.2
+    assert result["chance"]["failed"] == failed >= 3 and result["chance"]["risk"] == pytest.approx(risk)
+    assert next(one for one in result["limits"] if one["quantity"] == "endpoint_miss_m")["share"] == 0.8
+    assert (
+        strict.code == 3 and f"{failed} of 32 drives break a limit" in strict.out and "5.0 % is accepted" in strict.out
+    )
+    # The rule of a plan that says nothing, and of drives that are too few to promise a risk.
+    plan.write_text(plan.read_text().replace("accepted_risk = 0.2\n", ""))
+    alone = run("twin", "predict", plan, *on)
+    assert alone.code == 3 and "endpoint_miss_m: p95" in alone.out and "95 % of drives" in alone.out
 
 
 def test_the_table_can_be_read_aloud(run: Run, belief: Path) -> None:

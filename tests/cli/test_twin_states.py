@@ -10,6 +10,11 @@ import pandas as pd
 import pytest
 from lunarsci.cli import main
 
+from lunarsci.inputs import read_input
+from lunarsci.twin.assimilation.drive_record import pace_of, read_record
+from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.rover import build_rover
+
 Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 2.5\ncurvature_per_m = 0.15\n"
 
@@ -66,7 +71,17 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
     states = pd.read_csv(found / "states.csv")
     measured = ("sinkage_m", "slip_ratio", "side_slip_deg")
     both = [column for name in measured for column in (name, f"{name}_sigma")]
-    assert list(states.columns) == ["time_s", "distance_m", "wheel", "x_m", "y_m", *both, "valid", "slip_basis"]
+    assert list(states.columns) == [
+        "time_s",
+        "distance_m",
+        "wheel",
+        "x_m",
+        "y_m",
+        *both,
+        "valid",
+        "slip_basis",
+        "rim_m_s",
+    ]
     assert list(pd.read_csv(found / "positions.csv").columns) == ["time_s", "x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]
     forces = run("twin", "loads", "--motion", found / "motion.csv", "-o", tmp_path / "forces.csv")
     assert forces.code == 0, forces.err
@@ -97,6 +112,36 @@ def test_what_is_found_is_listed_and_doubt_is_exit_3(run: Run, plan: Path, sent:
     refused = run("twin", "states", tmp_path / "mirrored.csv", plan, "-o", tmp_path / "none")
     assert (refused.code, refused.out, len(refused.err)) == (1, "", 1)
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize("off", [0.0, 0.03, 0.07, 0.11])
+def test_wheels_that_turn_otherwise_than_planned_are_said(run: Run, sent: Path, tmp_path: Path, off: float) -> None:
+    """The plan is as much slower than what was driven as was planted; states of the same wheels keep their slip."""
+    plan, rover = tmp_path / "slower.toml", build_rover("yutu2")
+    plan.write_text(PLAN.replace("0.05", f"{0.05 / (1.0 + off):.6f}"))
+    done = run("twin", "states", sent / "telemetry.csv", plan, "-o", tmp_path / "found", "-q", "--json")
+    result = json.loads(done.out)["result"]
+    pace, said = result["pace"], [one["what"] for one in result["findings"] if one["kind"] == "wheels against plan"]
+    assert pace["ratio"] == pytest.approx(1.0 + off, abs=4.0 * pace["sigma"] + 1e-4) and 0 < pace["sigma"] < 0.003
+    assert (pace["off"], done.code, len(said)) == ((True, 3, 1) if off else (False, 0, 0)), done.err
+    assert not off or f"{1.0 + off:.3f} ± " in said[0]
+    # What `twin update` finds in the states alone is the same.
+    states = read_record(read_input(str(tmp_path / "found" / "states.csv")), rover)
+    again = pace_of(states, rover, read_plan(str(plan)))
+    assert again is not None and again.off == pace["off"] and again.ratio == pytest.approx(pace["ratio"], abs=0.003)
+    told = float(again.remedy.partition("write speed_m_s = ")[2].split()[0].rstrip(";"))
+    assert told == pytest.approx(0.05, abs=2e-4) and ("r_s / r" in again.remedy) == (off == 0.03)
+
+
+def test_a_plan_of_the_shells_speed_is_told_from_any_other(run: Run, sent: Path, tmp_path: Path) -> None:
+    """Grousers make r_s larger than the wheel; a plan slower by just that is told so, and slip says which radius."""
+    plan = tmp_path / "shell.toml"
+    wheel = build_rover("yutu2").wheel
+    plan.write_text(PLAN.replace("0.05", f"{0.05 * wheel.radius_m / wheel.shearing_radius_m:.6f}"))
+    assert wheel.shearing_radius_m > 1.01 * wheel.radius_m
+    done = run("twin", "states", sent / "telemetry.csv", plan)
+    assert done.code == 3 and "this is r_s / r" in " ".join(done.err) and "write speed_m_s = 0.05" in " ".join(done.err)
+    assert f"rolling radius r_s = {1e3 * wheel.shearing_radius_m:.4g} mm" in done.out
 
 
 def test_telemetry_comes_from_stdin_too(run: Run, sent: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import first_belief
+from lunarsci.regolith.belief import first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
 
 Run = Callable[..., Any]
@@ -47,6 +48,47 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
     assert run("twin", "history", tmp_path / "same.json", "--rollback", "1", "--save", tmp_path / "back.json").code == 0
     back, first = (json.loads(path.read_text()) for path in (tmp_path / "back.json", belief))
     assert all(back[key] == first[key] for key in ("mean", "covariance", "history", "laws"))
+
+
+def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_path: Path) -> None:
+    """Wheels 7 % faster than the plan that is named, no sinkage, positions alone: picture, belief, and its doubt."""
+    driven, plan = tmp_path / "driven.toml", tmp_path / "plan.toml"
+    for path, speed in ((driven, 0.05), (plan, 0.05 / 1.07)):
+        path.write_text(f"[drive]\nspeed_m_s = {speed:.6f}\n[[leg]]\nlength_m = 2.0\n")
+    sent, found, belief = (tmp_path / name for name in ("sent", "found", "belief.json"))
+    assert run("twin", "simulate", driven, "--fix-distance", "0.2", "-o", sent, "-q").code == 0
+    assert run("twin", "states", sent / "telemetry.csv", driven, "-o", found, "-q").code in (0, 3)
+    update = ("twin", "update", found / "states.csv", "--positions", found / "positions.csv", "--particles", "32")
+    done = run(*update, "--plan", plan, "--save", belief, "--plot", tmp_path / "b.png", "--json", "-q")
+    said = json.loads(done.out)["result"]
+    assert done.code == 3 and "times as fast as the plan's speed_m_s" in said["doubt"] and said["pace"]["off"], done.err
+    assert said["slip_ratio"]["measured"] > said["slip_ratio"]["simulated"] + 0.03
+    assert (tmp_path / "b.png").stat().st_size > 5000 and json.loads(belief.read_text())["history"][0]["doubt"]
+    used = ("--soil", belief, "--members", "4", "-q")
+    pred, chosen = tmp_path / "pred", tmp_path / "chosen"
+    choose = ("--target", "1.5,0", "--candidates", "2", "--members", "4", "--risk", "0.4", "--soil", belief, "-q")
+    chain = [
+        run("twin", "predict", driven, *used, "-o", pred),
+        run("twin", "forces", driven, *used),
+        run("twin", "sweep", driven, *used, "--vary", "wheel.radius_m=0.14:0.15:2"),
+        run("twin", "plan", *choose, "-o", chosen),
+        run("twin", "history", belief),
+        run("twin", "compare", pred, found / "states.csv", "--plan", driven),
+        run("twin", "loads", "--motion", found / "motion.csv", "--belief", belief, "--draws", "16", "-q"),
+    ]
+    for number, each in enumerate(chain):
+        assert each.code == 3 and "states.csv: the wheels turned" in " ".join(each.err), (number, each.out, each.err)
+    assert "doubtful" in chain[0].out.splitlines()[0] and "doubtful" in chain[3].out.splitlines()[0]
+    assert "drive 1 is doubtful" in chain[4].out
+    sections = json.loads(run("report", pred, chosen, "--json").out)["result"]["sections"]
+    assert all("Doubtful: " in one["answer"] and one["tone"] in ("doubt", "no-go") for one in sections)
+    assert [one["tone"] for one in sections].count("doubt") >= 1
+    # Only what is forgotten altogether takes the doubt along.
+    forgotten = read_belief(read_input(str(belief)))
+    assert forgotten.doubt
+    later = with_drive(forgotten, forgotten, {"states": "b.csv", "doubt": ""}, forgotten=0.5)
+    assert later.doubt == forgotten.doubt
+    assert with_drive(later, later, {"states": "c.csv", "doubt": ""}, forgotten=1.0).doubt == ""
 
 
 def test_ruts_are_driven_as_options_and_belief_say(run: Run, short_plan: Path, tmp_path: Path) -> None:

@@ -10,11 +10,12 @@ from scipy.stats import beta
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.choice.chances import Chance, verdicts
-from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
+from lunarsci.twin.choice.chances import verdicts
+from lunarsci.twin.choice.choice import DriveChoice, choose
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.judgement.keeping import Chance, least_drives
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
 from lunarsci.twin.rover import Rover

@@ -30,7 +30,7 @@ def test_small_clearances_are_the_bad_ones(driven: Prediction) -> None:
     limit, *_ = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.105, "test", False))).limits
     assert (limit.sense, limit.ok, limit.exceeding, limit.worst_member) == ("at least", True, 1, 0)
     assert (limit.min, limit.p05, limit.p50, limit.p95, limit.max) == pytest.approx((0.10, 0.11, 0.195, 0.28, 0.29))
-    assert limit.margin == pytest.approx(0.005) and limit.judged == limit.kept_by_95 == limit.p05
+    assert limit.margin == pytest.approx(0.005) and limit.judged == limit.kept == limit.p05
     verdict = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.115, "test", False)))
     assert verdict.verdict == "no-go" and "p05 0.11 is less than the limit 0.115" in verdict.reasons[0]
     assert any("2 of 20 drives break" in note for note in verdict.notes)

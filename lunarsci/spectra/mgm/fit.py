@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.blocks import arrays_in_blocks, rows_in_memory
+from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.formulas import LANES
@@ -99,11 +99,11 @@ def _fit_in_blocks(
     found = arrays_in_blocks(
         partial(_columns_of_fits, model=model, starts=starts),
         len(rows.spectra),
-        rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=CHUNK),
+        rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=kept_rows(len(rows.spectra), CHUNK)),
         stage=f"fit {model.assemblage.name} {model.continuum}",
         about=lambda: {
             "spectra": rows.spectra.digest(),
-            "model": _digest(model),
+            "model": model_digest(model),
             "model error": str(rows.model_error),
             "starts": str(starts),
         },
@@ -113,7 +113,8 @@ def _fit_in_blocks(
     return FitBatch(model=model, **found)
 
 
-def _digest(model: MgmModel) -> str:
+def model_digest(model: MgmModel) -> str:
+    """SHA-256 of what a fit by a model depends on."""
     numbers = (model.prior, model.precision, model.lower, model.upper)
     words = (model.assemblage.name, model.continuum, model.names, model.whole)
     return sha256(repr(words).encode() + b"".join(array.tobytes() for array in numbers))

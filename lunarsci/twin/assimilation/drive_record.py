@@ -16,8 +16,10 @@ from lunarsci.arrays import FloatArray, IntArray, samples_about
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
+from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions
 
 if TYPE_CHECKING:
@@ -39,6 +41,8 @@ class DriveRecord:
     fix_time_s, fix_m, fix_covariance_m2 : positions of the rover's origin, and their errors. (f,), (f, 2), (f, 2, 2)
     fix_shared_m2 : covariance of each position's error with that of the one before; None where they are independent.
         (f, 2, 2)
+    rim_m_s : measured speed of each state's rim, NaN where it is not, None where no state has it. (n,) [m/s]
+    doubt : why the states are doubtful, as `twin states` says in their column of that name; empty where they are not.
 
     Raises ParameterError for shapes that do not fit, times that are no numbers or negative, and sigmas below 0.
     """
@@ -51,6 +55,8 @@ class DriveRecord:
     fix_m: FloatArray
     fix_covariance_m2: FloatArray
     fix_shared_m2: FloatArray | None = None
+    rim_m_s: FloatArray | None = None
+    doubt: str = ""
 
     def __post_init__(self) -> None:
         n, f = len(self.time_s), len(self.fix_time_s)
@@ -99,6 +105,8 @@ def read_record(
             fix_m=fixes.place_m,
             fix_covariance_m2=fixes.covariance_m2,
             fix_shared_m2=fixes.shared_m2,
+            rim_m_s=found.numbers("rim_m_s") if "rim_m_s" in found.table else None,
+            doubt="; ".join(found.table["doubt"].dropna().unique()) if "doubt" in found.table else "",
         )
     except ParameterError as error:
         raise DataError(f"{found.file}: {error}") from error
@@ -127,6 +135,16 @@ def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
 
 LATE = 0.05
 """Share of states or positions after the end of a drive beyond which the clock is not its own; assumed."""
+
+
+def pace_of(record: DriveRecord, rover: Rover, plan: Plan) -> WheelPace | None:
+    """How fast the wheels of a record turned beside a plan; None where it does not say."""
+    if record.rim_m_s is None or not len(record.time_s):
+        return None
+    times, row = np.unique(record.time_s, return_inverse=True)
+    rims = np.full((len(times), len(rover.wheels)), np.nan)
+    rims[row, wheel_numbers(record, rover.wheels)] = record.rim_m_s
+    return WheelPace.of(rims, times, rover, plan)
 
 
 def check_clock(record: DriveRecord, end_s: float, spacing_s: float) -> None:

@@ -7,61 +7,11 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.judgement.keeping import broken, limited, limits_judged
+from lunarsci.twin.judgement.keeping import CONFIDENCE, Chance, broken, limited, limits_judged
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.ensemble import Prediction
 
-CONFIDENCE = 0.95
-"""Of each of the two bounds of a chance; assumed."""
 UNFINISHED = "unfinished"
-
-
-@dataclass(frozen=True, slots=True)
-class Chance:
-    """Chance of failing, of so many drives that did.
-
-    Attributes
-    ----------
-    failed, drives : how many of how many broke a limit or did not end.
-
-    With the law of Jeffreys, Beta(failed + 1/2, drives - failed + 1/2): its mean is what is promised, its quantiles 5 %
-    and 95 % are the bounds (Brown, Cai & DasGupta 2001, Statist. Sci. 16, 101, 10.1214/ss/1009213286). These hold the
-    number of drives alone, not what soils, ground and physics of the twin are wrong about beyond what was drawn.
-    """
-
-    failed: int
-    drives: int
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.failed <= self.drives or self.drives < 1:
-            raise ParameterError(f"{self.failed} of {self.drives} drives failed; give at least one, and no more failed")
-
-    @property
-    def risk(self) -> float:
-        """Chance of failing, the mean of its law. [-]"""
-        return (self.failed + 0.5) / (self.drives + 1.0)
-
-    @property
-    def low(self) -> float:
-        """It is above this with 95 %. [-]"""
-        return self._quantile(1.0 - CONFIDENCE) if self.failed else 0.0
-
-    @property
-    def high(self) -> float:
-        """It is below this with 95 %. [-]"""
-        return self._quantile(CONFIDENCE) if self.failed < self.drives else 1.0
-
-    def _quantile(self, share: float) -> float:
-        from scipy.special import betaincinv
-
-        return float(betaincinv(self.failed + 0.5, self.drives - self.failed + 0.5, share))
-
-    def to_dict(self) -> dict[str, float]:
-        """For a result."""
-        return {
-            "drives": self.drives, "failed": self.failed, "probability": 1.0 - self.risk, "risk": self.risk,
-            "risk_low": self.low, "risk_high": self.high,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

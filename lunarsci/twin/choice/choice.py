@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
+from lunarsci.twin.choice.chances import Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
 from lunarsci.twin.judgement.energy import energy_use
-from lunarsci.twin.judgement.keeping import extremes, least_of_95
+from lunarsci.twin.judgement.keeping import Chance, extremes, least_drives, least_of_95
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -204,13 +204,6 @@ def choose(
         progress(race.total, race.total)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
-
-
-def least_drives(risk: float) -> int:
-    """Drives without a failure that are needed to promise a risk. Raises ParameterError for a risk not in (0, 1)."""
-    if not 0 < risk < 1:
-        raise ParameterError(f"risk is {risk:g}; give a chance above 0 and below 1, such as 0.05")
-    return max(1, math.ceil(0.5 / risk - 1.0 - 1e-9))
 
 
 def expected_energy_j(prediction: Prediction) -> float:

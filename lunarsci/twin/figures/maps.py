@@ -226,7 +226,10 @@ def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChan
     known = [k for k in range(len(OBSERVED)) if np.isfinite(found.residuals[:, k]).any()]
     figure = page(0.9 + 1.25 * max(len(known), 1))
     axes: Any = figure.subplots(max(len(known), 1), 1, sharex=True, squeeze=False)[:, 0]
-    for panel, k in zip(axes, known, strict=True):
+    if not known:
+        axes[0].text(0.5, 0.5, "positions alone: no states to draw", transform=axes[0].transAxes, ha="center")
+        axes[0].set_axis_off()
+    for panel, k in zip(axes, known, strict=False):
         values = np.clip(-found.residuals[:, k], -HIGHEST, HIGHEST)
         seen = np.isfinite(values)
         panel.axhline(0.0, color=INK, linewidth=0.6)

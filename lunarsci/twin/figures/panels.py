@@ -210,4 +210,4 @@ def _draw_limit(axes: "Axes", quantity: str, limit: float, unit: str) -> None:
         axes.axhline(0.0, color=INK, linewidth=0.6)
     sense = "at least " if quantity in AT_LEAST else "±" if signed else ""
     where = " at the end" if quantity == "miss_m" else ""
-    axes.set_title(f"limit{where} {sense}{limit:g}{unit}", color=LIMIT, loc="right")
+    axes.set_title(f"limit{where} {sense}{limit:.4g}{unit}", color=LIMIT, loc="right")

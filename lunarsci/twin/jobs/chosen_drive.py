@@ -11,7 +11,7 @@ from lunarsci.errors import RequestError
 from lunarsci.result import MadeFrom
 from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
+from lunarsci.twin.choice.choice import DriveChoice, choose
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.ground.driven_soil import DrivenSoil
@@ -24,6 +24,7 @@ from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
 from lunarsci.twin.jobs.plan import PlanRequest, limits_at
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.judgement.keeping import least_drives
 from lunarsci.twin.plans.plan import Limit, Plan, read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.candidates import MOST, candidate_plans, with_tests
@@ -253,7 +254,14 @@ def candidates_of(
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
     return tuple(
-        replace(plan, made_for=site.made_for, exclusion_zones=zones, sweep=swept, crs=site.terrain.crs)
+        replace(
+            plan,
+            made_for=site.made_for,
+            exclusion_zones=zones,
+            sweep=swept,
+            crs=site.terrain.crs,
+            accepted_risk=asked.risk,
+        )
         for plan, zones in zip(plans, near, strict=True)
     )
 

@@ -81,8 +81,13 @@ class ComparedDrive(Result):
 
     @property
     def untrusted(self) -> str:
-        reasons = self.found.reasons
-        return f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
+        from lunarsci.twin.jobs.drive_inputs import doubt_of
+
+        reasons, predicted = self.found.reasons, str(self.matched.forecast.soil.get("doubt") or "")
+        told = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
+        before = f"predicted from doubtful soils: {predicted}" if predicted else ""
+        learned = "" if predicted else doubt_of("that learns", self.belief)
+        return "; ".join(part for part in (told, before, learned) if part)
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.twin.comparison.matched import miss_of
@@ -179,7 +184,7 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     from lunarsci.twin.plans.plan_files import plan_text
 
     driven, predicted = (
-        plan_text(replace(one, name="", limits=(), sweep=(), exclusion_zones=(), made_for=None))
+        plan_text(replace(one, name="", limits=(), sweep=(), exclusion_zones=(), made_for=None, accepted_risk=None))
         for one in (read_plan(file), forecast.plan)
     )
     if driven != predicted:

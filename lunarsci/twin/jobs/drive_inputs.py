@@ -99,6 +99,11 @@ class GivenSoil:
         return sum(not entry.get("refused") for entry in self.belief.history) if self.belief else 0
 
 
+def doubt_of(name: str, belief: SoilBelief | None) -> str:
+    """Why predictions from a belief of that name are doubtful; empty where they are not."""
+    return f"the belief {name} is doubtful: {belief.doubt}" if belief is not None and belief.doubt else ""
+
+
 def _is_name(name: str) -> bool:
     """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
     return name in known_soils() or not (
@@ -143,7 +148,8 @@ class DriveInputs:
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
-        return soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
+        found = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
+        return found | ({"doubt": self.doubt_of_belief} if self.doubt_of_belief else {})
 
     def soil_notes(self, members: int, drawn: int) -> list[str]:
         """Which soil `members` drives have, where it is not the common one, and what a belief in its place means.
@@ -163,6 +169,14 @@ class DriveInputs:
             f"soil: {members} drawn from the belief {self.given.name}, which rests on {drives}{less}; it takes the "
             "place of the terrain's soil"
         ]
+
+    @property
+    def doubt_of_belief(self) -> str:
+        """Why predictions from the belief, or from the map along the plan, are doubtful; empty where they are not."""
+        belief = self.given.belief
+        if self.given.soil_map is not None:
+            belief = self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
+        return doubt_of(self.given.name, belief)
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""

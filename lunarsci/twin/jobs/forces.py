@@ -56,7 +56,8 @@ class DriveForces(Result):
 
     @property
     def untrusted(self) -> str:
-        return f"not driven to the end: {'; '.join(self.failed)}" if self.failed else ""
+        early = f"not driven to the end: {'; '.join(self.failed)}" if self.failed else ""
+        return "; ".join(part for part in (early, self.soils.doubt) if part)
 
     @property
     def title(self) -> str:

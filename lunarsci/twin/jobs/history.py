@@ -63,12 +63,20 @@ class BeliefHistory(Result):
         files = (self.source, self.other_source)
         return MadeFrom(inputs={file.name: file.sha256 for file in files if file}, sources=SOURCES)
 
+    @property
+    def untrusted(self) -> str:
+        from lunarsci.twin.jobs.drive_inputs import doubt_of
+
+        both = ((self.source, self.belief), (self.other_source, self.other))
+        return "; ".join(text for file, belief in both if file and (text := doubt_of(file.name, belief)))
+
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.regolith.belief_history import parameter_rows
 
         back = self.rolled_back
         return {
             "drives": self.drives,
+            "doubt": self.belief.doubt or None,
             "parameters": parameter_rows(self.belief),
             "discrepancy": self.belief.discrepancy.to_dict(),
             "against": None if self.distance is None else asdict(self.distance),
@@ -139,6 +147,7 @@ def _drives(belief: "SoilBelief") -> list[dict[str, Any]]:
             "reduced_chi_square": _reduced(entry),
             "surprise": entry.get("surprise"),
             "refused": entry.get("refused") or None,
+            "doubt": entry.get("doubt") or None,
             "moved_sd": moved,
             "parameters": None if state is None else parameter_rows(state),
         }

@@ -156,9 +156,9 @@ class UncertainLoads(Result):
     ----------
     known, given : what moved where; the files of motion, states and belief by name of the option.
     states : measured states that get the forces, None where none are given.
-    found : forces of all wheels before and after the balance.
-    turned : forces and soil in turn, None where not asked for.
+    found, turned : forces of all wheels before and after the balance; forces and soil in turn, None where not asked.
     draws, correlation_m, basis, balance_error, seed : what was drawn; what the correlation length rests on.
+    doubt_of_belief : why that is doubtful; empty where it is not.
     """
 
     schema = "twin-forces/1"
@@ -172,6 +172,7 @@ class UncertainLoads(Result):
     basis: str
     balance_error: float
     seed: int
+    doubt_of_belief: str = ""
 
     @property
     def made_from(self) -> MadeFrom:
@@ -185,7 +186,8 @@ class UncertainLoads(Result):
 
     @property
     def untrusted(self) -> str:
-        return self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
+        own = self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
+        return "; ".join(part for part in (own, self.doubt_of_belief) if part)
 
     @property
     def title(self) -> str:
@@ -205,6 +207,7 @@ class UncertainLoads(Result):
             "of": "forces and soil in turn",
             "rounds": len(self.turned.rounds),
             "verdict": self.turned.verdict,
+            "doubt": self.turned.doubt,
         }
         return replace(belief, history=(*belief.history, entry))
 
@@ -292,6 +295,7 @@ def _uncertain(
     progress: Callable[[int, int], None] | None,
 ) -> UncertainLoads:
     from lunarsci.regolith.belief import first_belief, read_belief
+    from lunarsci.twin.jobs.drive_inputs import doubt_of
     from lunarsci.twin.loads.alternating import alternate
     from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
     from lunarsci.twin.loads.prescribed_motion import correlation_length, read_pose_states
@@ -322,6 +326,7 @@ def _uncertain(
         basis=basis,
         balance_error=error,
         seed=seed,
+        doubt_of_belief=doubt_of(files["belief"].name if "belief" in files else "", belief),
     )
 
 
@@ -395,6 +400,4 @@ def _iteration(turned: "AlternatingEstimate") -> dict[str, Any]:
 
 
 def _rms(values: Any) -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.mean(np.square(values))))
+    return float((values**2).mean() ** 0.5)

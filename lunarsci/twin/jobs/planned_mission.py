@@ -12,7 +12,6 @@ from lunarsci.inputs import read_input
 from lunarsci.result import MadeFrom
 from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.chances import Chance
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability
@@ -24,7 +23,7 @@ from lunarsci.twin.jobs.local_ground import LocalGround
 from lunarsci.twin.jobs.plan import PlanRequest, limits_at
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
-from lunarsci.twin.judgement.keeping import kept, least_of_95
+from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, Pose, drive_mission
 from lunarsci.twin.mission.mission import Mission, MissionTarget, read_mission
 from lunarsci.twin.plans.path import poses_along

@@ -104,12 +104,19 @@ class PredictRequest(PoweredRequest):
     exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
         may be off.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
+    risk : chance of failing that is accepted, in place of the plan's; None for the plan's, or for the rule of `judge`.
     """
 
     ruts: bool | None = None
     before: str | None = None
     exact_terrain: bool = False
     keep_out: tuple[str, ...] = ()
+    risk: float | None = None
+
+    def __post_init__(self) -> None:
+        PoweredRequest.__post_init__(self)
+        if self.risk is not None and not 0 < self.risk < 1:
+            raise RequestError(f"`risk` is {self.risk:g}; give a chance above 0 and below 1, such as 0.05")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,6 +171,8 @@ class PredictedDrives(Result):
         swept = prediction.parameters.items()
         return {
             **asdict(self.verdict),
+            "doubt": self.soils.doubt or None,
+            "chance": self.verdict.chance.to_dict(),
             **self.inputs.about(),
             "members": prediction.members,
             "path_length_m": prediction.plan.length_m,
@@ -259,6 +268,8 @@ def predict(
         terrain_errors=not asked.exact_terrain,
         keep_out=asked.keep_out,
     )
+    if asked.risk is not None:
+        inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)

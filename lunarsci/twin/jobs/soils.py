@@ -100,13 +100,14 @@ class Soils:
 
     @property
     def doubt(self) -> str:
-        """Why soils of a fit should not be driven on; empty where they may be."""
-        return "" if self.verdict is None else doubt(self.verdict)
+        """Why soils should not be driven on, by their fit or the drives of their belief; empty where they may be."""
+        fit = "" if self.verdict is None else doubt(self.verdict)
+        return "; ".join(part for part in (fit, self.inputs.doubt_of_belief) if part)
 
     def warn_of_fit(self) -> None:
-        """Say that doubt."""
-        if self.doubt:
-            warnings.warn(self.doubt, LunarSciWarning, stacklevel=3)
+        """Say the doubt of a fit."""
+        if self.verdict is not None and (text := doubt(self.verdict)):
+            warnings.warn(text, LunarSciWarning, stacklevel=3)
 
     @property
     def _origin(self) -> str:

@@ -104,6 +104,8 @@ class MeasuredStates(Result):
             "reduced_chi_square": drive.smoothed.reduced_chi_square,
             "slip_changes": _changes(drive),
             "slope_effects": _slope_effects(drive),
+            "pace": None if drive.pace is None else drive.pace.to_dict(),
+            "rolling_radius_m": drive.rover.wheel.shearing_radius_m,
             "findings": [asdict(entry) for entry in drive.findings.entries],
             "wheels": {wheel: _of_wheel(drive, k) for k, wheel in enumerate(drive.rover.wheels)},
         }

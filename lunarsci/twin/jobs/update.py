@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.ground.soil_map import SoilMap, Zone
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.telemetry.checks import WheelPace
 
 
 SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
@@ -67,12 +68,13 @@ class Before:
     """What was believed before a drive.
 
     `belief` is of the whole drive, forgotten as far as asked; `soil_map` the map, None where the soil is not kept by
-    place; `file` what they come from, None for the priors.
+    place; `file` what they come from, None for the priors; `doubt` why it is doubtful, empty where it is not.
     """
 
     belief: "SoilBelief"
     soil_map: "SoilMap | None"
     file: InputFile | None
+    doubt: str = ""
 
     @classmethod
     def read(cls, asked: UpdateRequest, known: "DriveInputs") -> "Before":
@@ -80,6 +82,7 @@ class Before:
         from lunarsci.regolith.belief import first_belief, read_belief
         from lunarsci.twin.assimilation.change_point import planned_places
         from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, read_soil_map
+        from lunarsci.twin.jobs.drive_inputs import doubt_of
 
         file = None if asked.soil is None else read_input(asked.soil)
         of_map = file is not None and SCHEMA.encode() in file.data
@@ -94,7 +97,9 @@ class Before:
             if asked.correlation is not None:
                 soil_map = replace(soil_map, correlation_m=asked.correlation)
             belief = soil_map.belief_along(planned_places(known.plan, known.rover))
-        return cls(belief=belief.inflated(asked.forget) if asked.forget else belief, soil_map=soil_map, file=file)
+        doubt = "" if file is None or asked.forget == 1.0 else doubt_of(file.name, belief)
+        belief = belief.inflated(asked.forget) if asked.forget else belief
+        return cls(belief=belief, soil_map=soil_map, file=file, doubt=doubt)
 
     def refuse_known(self, states: InputFile) -> None:
         """Raises DataError where the belief has learned from these states: the same drive does not count twice."""
@@ -116,6 +121,7 @@ class LearnedSoil(Result):
     before, found : what was believed before, and what the drive says of one soil.
     changes : of the soil along the way.
     segments, soil_map : stretches with a soil each, and the map with them; None where the soil is not kept by place.
+    pace : how fast the wheels turned beside the plan; None where the states do not say.
     seed : of everything random.
     """
 
@@ -129,6 +135,7 @@ class LearnedSoil(Result):
     segments: "list[Segment] | None"
     soil_map: "SoilMap | None"
     seed: int
+    pace: "WheelPace | None" = None
 
     @property
     def belief(self) -> "SoilBelief":
@@ -147,11 +154,33 @@ class LearnedSoil(Result):
     @property
     def untrusted(self) -> str:
         if self.segments is not None:
-            learned = any(segment.learned for segment in self.segments)
-            return "" if learned else f"nothing was learned: {self.segments[0].why_not}"
-        if not self.found.refused:
-            return self.found.doubt
-        return "; ".join([f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)])
+            if not any(segment.learned for segment in self.segments):
+                return f"nothing was learned: {self.segments[0].why_not}"
+        elif self.found.refused:
+            return "; ".join([f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)])
+        return "; ".join(part for part in (*self.doubts, self.before.doubt) if part)
+
+    @property
+    def slips(self) -> tuple[float, float] | None:
+        """Median slip ratio of the states as measured, and on the soil that explains the drive best; None without."""
+        import numpy as np
+
+        from lunarsci.twin.assimilation.drive_record import OBSERVED, states_at
+
+        column, driven = OBSERVED.index("slip_ratio"), self.found.prediction
+        measured = self.record.values[:, column]
+        known = np.isfinite(measured)
+        if not known.any():
+            return None
+        simulated = states_at(self.record, driven.time_s, driven.states, driven.rover.wheels)[0, known, column]
+        return float(np.median(measured[known])), float(np.median(simulated))
+
+    @property
+    def doubts(self) -> list[str]:
+        """Why what was learned is doubtful, each reason once."""
+        parts = [self.found] if self.segments is None else [one.found for one in self.segments if one.learned]
+        told = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
+        return list(dict.fromkeys(text for text in told if text))
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.regolith.belief_history import parameter_rows
@@ -169,6 +198,9 @@ class LearnedSoil(Result):
             "surprise": found.prior_shift,
             "persistence": found.autocorrelation,
             "refused": found.refused or None,
+            "doubt": "; ".join(self.doubts) or None,
+            "pace": None if self.pace is None else self.pace.to_dict(),
+            "slip_ratio": None if self.slips is None else dict(zip(("measured", "simulated"), self.slips, strict=True)),
             "drives": len(found.belief.history),
             "discrepancy": found.belief.discrepancy.to_dict(),
             "changes": [asdict(change) | {"text": change.text} for change in self.changes],
@@ -252,7 +284,7 @@ def update(
 
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
     """
-    from lunarsci.twin.assimilation.drive_record import read_record
+    from lunarsci.twin.assimilation.drive_record import pace_of, read_record
     from lunarsci.twin.assimilation.segments import drive_segments, find_change
     from lunarsci.twin.assimilation.update import assimilate
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
@@ -271,14 +303,16 @@ def update(
     teach = not before.belief.discrepancy.has_scored(source.sha256)
     drive = (known.rover, known.terrain, known.plan)
     found = assimilate(*drive, record, before.belief, ruts=asked.ruts, teach=teach, **drawing)
-    found = _with_history(found, before, known, source, asked.forget, scored=len(record.fix_time_s) > 0)
+    pace = pace_of(along, known.rover, known.plan)
+    line = _DrivenLine(known=known, states=source, doubts=(along.doubt, pace.doubt if pace else ""))
+    found = _with_history(found, before, line, asked.forget, scored=len(record.fix_time_s) > 0)
     segments, soil_map = None, None
     if before.soil_map is None:
         change = find_change(along, found, seed=asked.seed)
         changes = [] if change is None else [change]
     else:
         segments, changes = drive_segments(*drive, along, found, before.soil_map, forget=asked.forget, **drawing)
-        kept = [_zone(segment, known, source) for segment in segments if segment.learned]
+        kept = [_zone(segment, line) for segment in segments if segment.learned]
         soil_map = before.soil_map.with_zones(kept)
     return LearnedSoil(
         known=known,
@@ -290,46 +324,62 @@ def update(
         segments=segments,
         soil_map=soil_map,
         seed=asked.seed,
+        pace=pace,
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _DrivenLine:
+    """What a line of history says of a drive, whatever was found: its inputs, its states, and why they are doubtful."""
+
+    known: "DriveInputs"
+    states: InputFile
+    doubts: tuple[str, ...]
+
+    def of(self, found: "SoilUpdate") -> Mapping[str, Any]:
+        """The line of history of what was found."""
+        doubts = () if found.refused else (*self.doubts, found.doubt)
+        return {
+            "states": Path(self.states.name).name,
+            "sha256": self.states.sha256,
+            "plan": self.known.plan.name,
+            "values": found.values,
+            "outliers": int(found.outliers.sum()),
+            "chi_square": found.chi_square,
+            "inflation": dict(found.inflation),
+            "ruts": found.prediction.ruts,
+            "surprise": found.prior_shift,
+            "refused": found.refused,
+            "doubt": "; ".join(text for text in doubts if text),
+        } | ({"synthetic": True} if self.known.terrain.synthetic else {})
+
+
 def _with_history(
-    found: "SoilUpdate", before: Before, known: "DriveInputs", states: InputFile, forget: float, *, scored: bool
+    found: "SoilUpdate", before: Before, drive: _DrivenLine, forget: float, *, scored: bool
 ) -> "SoilUpdate":
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
     from lunarsci.regolith.belief_history import with_drive
 
-    belief, law = found.belief, found.belief.discrepancy
+    belief, law, states = found.belief, found.belief.discrepancy, drive.states
     if scored and not found.refused and not law.has_scored(states.sha256):
-        line = {"states": Path(states.name).name, "sha256": states.sha256, "plan": known.plan.name, "how": "own end"}
+        line = {
+            "states": Path(states.name).name,
+            "sha256": states.sha256,
+            "plan": drive.known.plan.name,
+            "how": "own end",
+        }
         belief = replace(belief, discrepancy=law.with_score(**line))
     of_belief = before.file is not None and before.soil_map is None
     parent = before.file.sha256 if of_belief and before.file else None
-    entry = _entry(found, known, states)
+    entry = drive.of(found)
     return replace(found, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forget))
 
 
-def _entry(found: "SoilUpdate", known: "DriveInputs", states: InputFile) -> Mapping[str, Any]:
-    """The line of history of a drive."""
-    return {
-        "states": Path(states.name).name,
-        "sha256": states.sha256,
-        "plan": known.plan.name,
-        "values": found.values,
-        "outliers": int(found.outliers.sum()),
-        "chi_square": found.chi_square,
-        "inflation": dict(found.inflation),
-        "ruts": found.prediction.ruts,
-        "surprise": found.prior_shift,
-        "refused": found.refused,
-    } | ({"synthetic": True} if known.terrain.synthetic else {})
-
-
-def _zone(segment: "Segment", known: "DriveInputs", states: InputFile) -> "Zone":
+def _zone(segment: "Segment", drive: _DrivenLine) -> "Zone":
     from lunarsci.twin.ground.soil_map import Zone
 
-    line = dict(_entry(segment.found, known, states)) if segment.found else {}
+    line = dict(drive.of(segment.found)) if segment.found else {}
     line |= {"from_m": round(segment.from_m, 3), "to_m": round(segment.to_m, 3)}
     belief = replace(segment.belief, history=(*segment.before.history, line))
-    name = f"{known.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"
+    name = f"{drive.known.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"
     return Zone(name=name, place_m=segment.place_m, belief=belief)

@@ -11,7 +11,16 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
-from lunarsci.twin.judgement.keeping import NEVER_BROKEN, broken, extremes, limits_judged, not_judged
+from lunarsci.twin.judgement.keeping import (
+    NEVER_BROKEN,
+    Chance,
+    broken,
+    extremes,
+    kept,
+    least_drives,
+    limits_judged,
+    not_judged,
+)
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import Limit, Plan
@@ -20,6 +29,8 @@ from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
+MOST = 0.95
+"""Of the drives that keep each limit, where no other risk is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +112,10 @@ class Judgement:
     limit : the largest or smallest safe value.
     p05, p50, p95, min, max : over the members. p95 is the smallest value that at least 95 % of the members do not
         exceed, p05 the largest that at least 95 % reach; with fewer than 20 members these are max and min.
-    margin : from the judged value to the limit, negative beyond it. The judged value is p95 for `at most`, p05 for
-        `at least`, and min for those that no drive may break (`NEVER_BROKEN`).
+    share, kept : share of the members that must keep the limit, 0.95 or what an accepted risk leaves; and the value
+        that at least so many keep, p95 or p05 where it is 0.95.
+    margin : from the judged value to the limit, negative beyond it. The judged value is `kept`, and min for those that
+        no drive may break (`NEVER_BROKEN`).
     ok : margin >= 0.
     exceeding : number of members beyond the limit.
     worst_member : the member with the worst value.
@@ -118,6 +131,8 @@ class Judgement:
     p95: float
     min: float
     max: float
+    share: float
+    kept: float
     margin: float
     ok: bool
     exceeding: int
@@ -131,14 +146,9 @@ class Judgement:
         return self.max if self.sense == "at most" else self.min
 
     @property
-    def kept_by_95(self) -> float:
-        """What at least 95 % of the members keep: p95 or p05."""
-        return self.p95 if self.sense == "at most" else self.p05
-
-    @property
     def judged(self) -> float:
         """The value that is held against the limit."""
-        return self.worst if self.quantity in NEVER_BROKEN else self.kept_by_95
+        return self.worst if self.quantity in NEVER_BROKEN else self.kept
 
     @property
     def used(self) -> float:
@@ -174,6 +184,9 @@ class Verdict:
     invalid_share : share of wheel states outside the wheel model's validity (|s| > 0.6, in the air, too deep).
     validity : the same by kind.
     worst : the worst member.
+    failed, members : drives that broke a limit or did not end, of so many.
+    accepted_risk : chance of failing that was accepted, and the rule of the verdict; None where 95 % must keep each
+        limit and all must end. [-]
     keep_outs : circles to keep out of that drives come nearest to, the worst first.
     """
 
@@ -186,7 +199,15 @@ class Verdict:
     invalid_share: float
     validity: Validity
     worst: Worst
+    failed: int
+    members: int
+    accepted_risk: float | None = None
     keep_outs: tuple[Encounter, ...] = ()
+
+    @property
+    def chance(self) -> Chance:
+        """Of failing, on soils drawn as these were."""
+        return Chance(self.failed, self.members)
 
 
 def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
@@ -197,15 +218,25 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     grid, not a probability. Per member the worst value over wheels and distance counts, at the recorded samples.
     Percentiles are over the members that finished. `plan` replaces the plan that was driven, to try other limits and
     circles.
+
+    With an `accepted_risk` of the plan it is `go` when the chance to break any limit or not to end, the mean of
+    Jeffreys' law as `twin plan` counts it, is at most that, and no circle is entered and no battery empty. Fewer
+    members than can promise the risk are held against the first rule.
     """
     prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
     finished = prediction.finished
     limits = limits_judged(prediction) if finished.any() else ()
-    judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit)) is not None)
+    risk = prediction.plan.accepted_risk
+    risk = None if risk is None or prediction.members < least_drives(risk) else risk
+    share = MOST if risk is None else 1.0 - risk
+    judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit, share)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
     }
-    reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
+    chance = Chance(int((~kept(prediction)).sum()), prediction.members)
+    early = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
+    reasons = early if risk is None else _beyond(risk, chance)
+    accepted = [] if risk is None else [_within(risk, chance), *early]
     reasons += [_reason(j, prediction.members) for j in judged if not j.ok]
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
@@ -213,18 +244,38 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     return Verdict(
         verdict="no-go" if reasons else "go",
         reasons=tuple(reasons),
-        notes=_notes(prediction, judged, found),
+        notes=(*accepted, *_notes(prediction, judged, found)),
         limits=judged,
         endpoint=endpoint_spread(prediction) if finished.any() else None,
         outcomes=outcomes,
         invalid_share=found.invalid_share,
         validity=found,
         worst=_worst(prediction, judged),
+        failed=chance.failed,
+        members=chance.drives,
+        accepted_risk=risk,
         keep_outs=near,
     )
 
 
-def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
+def _beyond(risk: float, chance: Chance) -> list[str]:
+    """Why the chance of failing is too large, where it is."""
+    if chance.risk <= risk:
+        return []
+    return [
+        f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, "
+        f"{percent(risk)} is accepted"
+    ]
+
+
+def _within(risk: float, chance: Chance) -> str:
+    return (
+        f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, at "
+        f"most {percent(chance.high)}; {percent(risk)} is accepted, and decides"
+    )
+
+
+def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgement | None:
     values = extremes(prediction, limit.quantity)
     members = np.flatnonzero(prediction.finished & ~np.isnan(values))
     if not members.size:
@@ -232,6 +283,7 @@ def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
     values = values[members]
     sign = 1.0 if limit.sense == "at most" else -1.0
     p95, p05 = (float(s * np.quantile(s * values, 0.95, method="inverted_cdf")) for s in (1.0, -1.0))
+    held = float(sign * np.quantile(sign * values, share, method="inverted_cdf"))
     judgement = Judgement(
         quantity=limit.quantity,
         unit=limit.unit,
@@ -242,6 +294,8 @@ def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
         p95=p95,
         min=float(values.min()),
         max=float(values.max()),
+        share=share,
+        kept=held,
         margin=math.nan,
         ok=False,
         exceeding=int(broken(limit, values).sum()),
@@ -254,6 +308,8 @@ def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
 
 
 def _reason(judgement: Judgement, members: int) -> str:
+    up = judgement.sense == "at most"
+    name = f"p{100.0 * (judgement.share if up else 1.0 - judgement.share):02.3g}"
     if judgement.quantity == "keep_out_m":
         return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
     if judgement.quantity == "battery_charge":
@@ -262,11 +318,11 @@ def _reason(judgement: Judgement, members: int) -> str:
     if judgement.quantity == "motor_load":
         return (
             f"motor_load: in {judgement.exceeding} of {members} drives a wheel needs more torque than its motor gives "
-            f"for long at its rate, p95 {judgement.p95:.3g} times as much"
+            f"for long at its rate, {name} {judgement.kept:.3g} times as much"
         )
     if judgement.sense == "at least":
-        return f"{judgement.quantity}: p05 {judgement.p05:.3g} is less than the limit {judgement.limit:g}"
-    return f"{judgement.quantity}: p95 {judgement.p95:.3g} exceeds the limit {judgement.limit:g}"
+        return f"{judgement.quantity}: {name} {judgement.kept:.3g} is less than the limit {judgement.limit:g}"
+    return f"{judgement.quantity}: {name} {judgement.kept:.3g} exceeds the limit {judgement.limit:g}"
 
 
 def _crossed(one: Encounter, members: int) -> str:

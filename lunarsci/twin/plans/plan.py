@@ -164,6 +164,7 @@ class Plan:
     target_m : x, y of where the drive shall end, where that is not the end of the legs: against a drift that is
         expected, a plan aims off. None for the end of the legs. [m]
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
+    accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
     """
 
     name: str
@@ -182,8 +183,11 @@ class Plan:
     own_limits: bool = field(default=True, compare=False)
     crs: str = ""
     target_m: tuple[float, float] | None = None
+    accepted_risk: float | None = None
 
     def __post_init__(self) -> None:
+        if self.accepted_risk is not None and not 0 < self.accepted_risk < 1:
+            raise ParameterError(f"the plan's accepted_risk is {self.accepted_risk:g}; give more than 0, less than 1")
         if not self.legs:
             raise ParameterError("the plan has no leg; its length is zero, so there is nothing to drive")
         if self.length_m > LONGEST_M:
@@ -235,16 +239,12 @@ def check_plan(plan: Plan, rover: Rover) -> None:
 def parse_sweep(text: str) -> Sweep:
     """Read `NAME=LOW:HIGH:N`, for example `friction_angle_deg=25:55:9`. Raises ParameterError."""
     name, _, rest = text.partition("=")
-    parts = rest.split(":")
     try:
-        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
-    except (IndexError, ValueError) as error:
-        raise ParameterError(
-            f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9"
-        ) from error
-    if len(parts) != 3:
-        raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9")
-    return Sweep(name.strip(), low, high, count)
+        low, high, count = rest.split(":")
+        numbers = float(low), float(high), int(count)
+    except ValueError as error:
+        raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, as friction_angle_deg=25:55:9") from error
+    return Sweep(name.strip(), *numbers)
 
 
 def parse_fixes(text: str) -> Fixes:
@@ -284,7 +284,7 @@ def parse_plan(text: str, origin: str) -> Plan:
         _check_keys(document, _KEYS, "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
         _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
-        _check_keys(drive, ("speed_m_s", "blend_m"), "[drive]")
+        _check_keys(drive, ("speed_m_s", "blend_m", "accepted_risk"), "[drive]")
         if "speed_m_s" not in drive:
             raise ParameterError("[drive] has no speed_m_s")
         limits = _table(document, "limits") if "limits" in document else _default_limits()

@@ -19,6 +19,7 @@ def plan_text(plan: Plan) -> str:
         "",
         "[drive]",
         *(f"{name} = {float(getattr(plan, name))!r}" for name in ("speed_m_s", "blend_m")),
+        *([] if plan.accepted_risk is None else [f"accepted_risk = {float(plan.accepted_risk)!r}"]),
     ]
     for leg in plan.legs:
         values = ((name, float(getattr(leg, name))) for name in Leg.__slots__ if name != "wheel_test")

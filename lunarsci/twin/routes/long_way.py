@@ -119,7 +119,10 @@ def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -
             f"{terrain.x_m[0]:g} to {terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m"
         )
     if reason := surface.reason(row, column):
-        raise ParameterError(f"the rover cannot be at the {name}: {reason}; give another {name}, or other limits")
+        raise ParameterError(
+            f"the rover cannot be at the {name}: {reason}; give another {name}, or, if it stands there, a limit that "
+            "lets it leave"
+        )
 
 
 def _strip(surface: Traversability, rover: Rover, ends_m: FloatArray) -> Strip:

@@ -332,7 +332,10 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
         round((value - first) / terrain.spacing_m) for value, first in ((x, terrain.x0_m), (y, terrain.y0_m))
     )
     if reason := surface.reason(row, column):
-        raise ParameterError(f"the rover cannot be at the {name}: {reason}; give another {name}, or other limits")
+        raise ParameterError(
+            f"the rover cannot be at the {name}: {reason}; give another {name}, or, if it stands there, a limit that "
+            "lets it leave"
+        )
 
 
 def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> PlannedPath:

@@ -180,6 +180,106 @@ def _mend(telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, told: 
                 measured[rows, k] = told[rows, k]
 
 
+PACE = 0.02
+"""Share by which wheels may turn faster or slower than the plan says, unsaid: it is a slip of as much; assumed."""
+PACE_ERRORS = 3.0
+"""And in errors of the ratio; assumed."""
+SHELL = 0.01
+"""How near the ratio must come to r_s / r for the plan's speed to be taken for that of the shell; assumed."""
+FEWEST_RATES = 5
+AGAINST_PLAN = "wheels against plan"
+"""Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class WheelPace:
+    """How fast the wheels turned beside the plan that is said to have been driven.
+
+    Attributes
+    ----------
+    ratio, sigma : rim speed measured over planned, the mean of the wheels' medians, and its standard error. [-]
+    speed_m_s : of the plan. [m/s]
+    shell_ratio : r_s / r of the wheels. [-]
+    """
+
+    ratio: float
+    sigma: float
+    speed_m_s: float
+    shell_ratio: float
+
+    @classmethod
+    def of(cls, rim_m_s: FloatArray, times_s: FloatArray, rover: Rover, plan: Plan) -> "WheelPace | None":
+        """From rim speeds r_s omega, NaN where not measured (n, wheels), at times (n,); None where too few turn.
+
+        The error is that of the medians within wheels, or what these scatter by where that is more. Speed and radius
+        cannot be told apart: both make the same ratio.
+        """
+        schedule = make_schedule(plan, rover)
+        told = commands_at(rover, schedule, times_s).speed_m_s
+        inside = (times_s >= 0.0) & (times_s <= schedule.duration_s)
+        turning = np.isfinite(rim_m_s) & inside[:, None] & (rim_m_s * told > 0.0)
+        turning &= np.abs(told) > 0.3 * np.abs(told).max()
+        turning &= np.abs(rim_m_s) > 0.3 * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
+        shares = [rim_m_s[turning[:, k], k] / told[turning[:, k], k] for k in range(len(rover.wheels))]
+        shares = [own for own in shares if own.size]
+        if sum(own.size for own in shares) < FEWEST_RATES:
+            return None
+        medians = np.array([np.median(own) for own in shares])
+        within = sum(np.pi / 2.0 * float(own.var()) / own.size for own in shares) / len(shares) ** 2
+        between = float(medians.var(ddof=1)) / len(shares) if len(shares) > 1 else 0.0
+        wheel = rover.wheel
+        return cls(
+            ratio=float(medians.mean()),
+            sigma=float(np.sqrt(max(within, between))),
+            speed_m_s=plan.speed_m_s,
+            shell_ratio=wheel.shearing_radius_m / wheel.radius_m,
+        )
+
+    @property
+    def off(self) -> bool:
+        """Whether the wheels surely turned otherwise than planned."""
+        return abs(self.ratio - 1.0) > max(PACE, PACE_ERRORS * self.sigma)
+
+    @property
+    def text(self) -> str:
+        """What was measured."""
+        return (
+            f"the wheels turned {self.ratio:.3f} \u00b1 {max(self.sigma, 0.001):.3f} times as fast as the plan's "
+            f"speed_m_s {self.speed_m_s:g} says"
+        )
+
+    @property
+    def remedy(self) -> str:
+        """What it may come from, and what to do."""
+        right = f"{self.ratio * self.speed_m_s:.4g}"
+        if self.shell_ratio > 1.0 + SHELL and abs(self.ratio - self.shell_ratio) < max(SHELL, 2.0 * self.sigma):
+            return (
+                f"this is r_s / r: if the plan's speed is that of the wheel's radius alone, write speed_m_s = {right}; "
+                "else check the radius"
+            )
+        return f"write speed_m_s = {right} in the plan, or mend the wheel's radius: both look alike"
+
+    @property
+    def doubt(self) -> str:
+        """Why a soil found with the plan is doubtful; empty where the wheels turned as planned."""
+        return f"{self.text}; {self.remedy}" if self.off else ""
+
+    def to_dict(self) -> dict[str, float | bool]:
+        """For a result."""
+        return {"ratio": self.ratio, "sigma": self.sigma, "off": self.off}
+
+
+def check_pace(
+    rim_m_s: FloatArray, measured: BoolArray, telemetry: Telemetry, rover: Rover, plan: Plan, findings: Findings
+) -> WheelPace | None:
+    """The pace of the wheels between rows (n - 1, wheels) beside the plan; said where it is off."""
+    middles = 0.5 * (telemetry.time_s[1:] + telemetry.time_s[:-1])
+    pace = WheelPace.of(np.where(measured, rim_m_s, np.nan), middles, rover, plan)
+    if pace is not None and pace.off:
+        findings.add(AGAINST_PLAN, pace.text, pace.remedy, doubt=True)
+    return pace
+
+
 STEERING_DEG, SPEED_SHARE = 2.0, 0.25
 """How far a row's commands may be off the plan's: steering, and rim speed as a share of the plan's; assumed."""
 LONGEST_SHIFT_S = 120.0

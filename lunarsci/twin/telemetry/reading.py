@@ -313,7 +313,8 @@ def _known(names: list[str], rover: Rover) -> list[str]:
 def _check_needed(file: str, names: list[str], *, placed: bool) -> None:
     for needed in NEEDED:
         if needed not in names and (placed or needed not in ("x_m", "y_m")):
-            raise DataError(f"{file}: no column {needed}{_hint(needed, names)}")
+            told = f"{_hint(needed, names)}; `lunarsci template telemetry` has all columns"
+            raise DataError(f"{file}: no column {needed}{told}")
     if placed and "sigma_m" not in names and not all(name in names for name in ERRORS):
         hint = _hint("sigma_m", names) if not any(name in names for name in ERRORS) else ""
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2{hint}")
@@ -350,7 +351,10 @@ def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
             columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
             if not any(column in names for column in columns):
                 hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
-                raise DataError(f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}")
+                raise DataError(
+                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
+                    "turn and a steering (0 if it stays straight): `lunarsci template telemetry` has all columns"
+                )
 
 
 def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:

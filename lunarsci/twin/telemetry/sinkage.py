@@ -244,5 +244,8 @@ def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known
             "drive, in its frame, in m?"
         )
     if met < ALONG:
-        what = f"the track meets {100 * met:.0f} % of the states: it is short, or not along this drive"
+        what = (
+            f"the track meets {100 * met:.0f} % of the states, which need points within "
+            f"{0.5 * drive.rover.wheel.width_m:.2g} m of a wheel: it is sparse, short, or not along this drive"
+        )
         drive.findings.add("track apart", what, "sinkage is blank elsewhere", doubt=met < 0.5 * ALONG)

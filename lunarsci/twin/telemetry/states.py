@@ -17,7 +17,15 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.telemetry.checks import check_against_plan, ordered, steering_angles, time_gaps
+from lunarsci.twin.telemetry.checks import (
+    AGAINST_PLAN,
+    WheelPace,
+    check_against_plan,
+    check_pace,
+    ordered,
+    steering_angles,
+    time_gaps,
+)
 from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.nodes import (
     denser,
@@ -66,6 +74,7 @@ class StateRows:
     place_m : wheel centres. (m, wheels, 2) [m]
     slip_ratio, slip_ratio_sigma, side_slip_deg, side_slip_deg_sigma : (m, wheels)
     sinkage_m, sinkage_m_sigma : NaN where the track does not say it. (m, wheels) [m]
+    rim_m_s : measured speed of the rims r_s omega about the node, NaN where it is not. (m, wheels) [m/s]
     valid : False at halts, beyond the range of the wheel model, and for wheels without readings. (m, wheels)
     """
 
@@ -78,6 +87,7 @@ class StateRows:
     side_slip_deg_sigma: FloatArray
     sinkage_m: FloatArray
     sinkage_m_sigma: FloatArray
+    rim_m_s: FloatArray
     valid: BoolArray
 
 
@@ -93,6 +103,7 @@ class DriveStates:
     gaps : begin and end of the gaps in time. (g, 2) [s]
     left_out : positions that fit no motion: time, x, y. (o, 3) [s, m, m]
     findings : what was found wrong.
+    pace : how fast the wheels turned beside the plan; None where there is no plan, or nothing measured.
     """
 
     rover: Rover
@@ -105,6 +116,7 @@ class DriveStates:
     gaps: FloatArray
     left_out: FloatArray
     findings: Findings
+    pace: WheelPace | None = None
 
 
 def states_of(
@@ -140,9 +152,12 @@ def states_of(
     telemetry = usable_positions(telemetry, way, findings)
     telemetry = usable_headings(telemetry, turned, findings)
     check_frame(telemetry, twist, findings)
+    pace = None
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
-    return _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
+        pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
+    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
+    return dataclasses.replace(found, pace=pace)
 
 
 def _along_the_ground(
@@ -257,8 +272,17 @@ def _state_rows(
         side_slip_deg_sigma=side_sigma,
         sinkage_m=blank,
         sinkage_m_sigma=blank.copy(),
+        rim_m_s=_rims(wheels, low, high),
         valid=trusted & sound[:, None] & ~fast & ~halted[:, None],
     )
+
+
+def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
+    """Mean of the measured rim speeds over steps between rows, NaN where none is. (m, wheels) [m/s]"""
+    measured = np.where(wheels.measured, wheels.rim_m_s, 0.0)
+    sums, counts = (np.vstack([np.zeros(one.shape[1]), one.cumsum(axis=0)]) for one in (measured, wheels.measured))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((sums[high] - sums[low]) / (counts[high] - counts[low]))
 
 
 def _chosen(
@@ -303,7 +327,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """A row for each time and wheel: what `lunarsci twin update` reads as states.
 
     Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
-    side_slip_deg, side_slip_deg_sigma, valid, slip_basis.
+    side_slip_deg, side_slip_deg_sigma, valid, slip_basis, rim_m_s, and doubt where there is some.
     """
     import pandas as pd
 
@@ -320,7 +344,9 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
         columns[name] = getattr(rows, name).ravel()
         columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
     columns["valid"] = rows.valid.ravel()
-    return pd.DataFrame(columns).assign(slip_basis=BASIS)
+    table = pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel())
+    doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt and one.kind != AGAINST_PLAN]
+    return table.assign(doubt="; ".join(doubts)) if doubts else table
 
 
 def position_table(drive: DriveStates) -> "pd.DataFrame":

@@ -1,13 +1,18 @@
 """The evidence against its definition by simulation, the orthant by its closed form, and choices on made spectra."""
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from lunarsci.blocks import computing
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm import selection
 from lunarsci.spectra.mgm.assemblages import BandPrior
+from lunarsci.spectra.mgm.evidence import ln_all_negative, ln_evidence
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
@@ -18,8 +23,6 @@ from lunarsci.spectra.mgm.selection import (
     TEMPER,
     Choice,
     choose,
-    ln_all_negative,
-    ln_evidence,
 )
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -172,7 +175,31 @@ def test_order_failures_and_plain_output() -> None:
     assert "20 usable channels" in results[0].status
     assert isinstance(results[1], Choice)
     assert results[1].to_dict()["assemblage"] == "OL"
-    assert done == [(1, 2), (2, 2)]
+    assert done == [(0, 2), (2, 2)]
+
+
+def test_a_choice_that_was_stopped_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 40 spectra, far fewer than a block of fits, those done before a stop are not compared again."""
+    spectra = [made(OLIVINE, factor=1.0 + 0.01 * k) for k in range(40)]
+    whole = choose(spectra, families=("OL", "OPX"))
+    counted: list[int] = []
+
+    def counting(*arguments: Any, **options: Any) -> Any:
+        counted.append(1)
+        if len(counted) == 33:
+            raise KeyboardInterrupt
+        return scores(*arguments, **options)
+
+    scores = selection._scores
+    monkeypatch.setattr(selection, "_scores", counting)
+    with pytest.raises(KeyboardInterrupt), computing(keep=tmp_path / "a.csv", workers=1):
+        choose(spectra, families=("OL", "OPX"))
+    before, counted[:] = len(counted), [0] * 100
+    with computing(keep=tmp_path / "a.csv", workers=1):
+        again = choose(spectra, families=("OL", "OPX"))
+    assert before == 33 and len(counted) - 100 == 40 - 32
+    plain = [[one.to_dict() if isinstance(one, Choice) else one for one in some] for some in (whole, again)]
+    assert plain[0] == plain[1] and not (tmp_path / "a.csv.partial").exists()
 
 
 @pytest.mark.parametrize(
