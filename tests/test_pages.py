@@ -92,7 +92,17 @@ def test_options_named_in_pages_exist(
     told = capfd.readouterr().out
     assert PRIVATE.findall(told) == []
     others = {"--repo", "--create-namespace", "--generate-name", "--scheduler-file", "--nworkers", "--nthreads"}
-    others |= {"--extra-index-url", "--strict", "--write", "--small", "--seed", "--first", "--soils"}
+    others |= {
+        "--extra-index-url",
+        "--strict",
+        "--write",
+        "--small",
+        "--seed",
+        "--first",
+        "--soils",
+        "--install-completion",
+        "--show-completion",
+    }
     for page in PAGES:
         for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", page.read_text("utf-8"))) - others:
             assert option in told, (name_of(page), option)

@@ -29,7 +29,7 @@ SETTINGS = {
         "spectra/abundance/nbsr.py: CORRELATION", "spectra/abundance/nbsr.py: NORMAL_95",
         "spectra/abundance/one_by_one.py: CENTRAL", "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
-        "spectra/mgm/program.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
+        "spectra/mgm/program.py: NORMAL_95", "spectra/mgm/evidence.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
         "spectra/origin/evidence.py: LEAST_INSIDE", "spectra/photometry/phase.py: _LIMITS_DEG",
         "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
         "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: _SCALE",

@@ -29,7 +29,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "spectra unmix": (
         f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock",
-        f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock -o shares.json",
+        f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock \\\n  -o shares.json",
     ),
     "spectra match": (
         "lunarsci spectra match --modes ol=0.25:0.05,opx=0.35:0.05,cpx=0.4:0.05",

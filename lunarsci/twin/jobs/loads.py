@@ -22,10 +22,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.plan import Plan
 
 
-METHODS = [
-    "Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552",
-    "Rahimi & Recht (2007), NIPS 20, 1177",
-]
+METHODS = ["Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552", "Rahimi & Recht (2007), NIPS 20, 1177"]
 UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
 
 

@@ -19,7 +19,7 @@ from lunarsci.twin.simulation.ensemble import Prediction
 NEVER_BROKEN = ("keep_out_m", "battery_charge")
 """Limits that no drive of an ensemble may break, where of others 95 % keep them: it would be lost."""
 CONFIDENCE = 0.95
-"""Of each of the two bounds of a chance."""
+"""Of each of the two bounds of a chance; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
 MOST = 0.95
-"""Of the drives that keep each limit, where no other risk is accepted."""
+"""Of the drives that keep each limit, where no other risk is accepted; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
