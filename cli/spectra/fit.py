@@ -140,7 +140,7 @@ def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
         error = f"errors include noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
     shared = _shared_in_ratios(record, with_shared=len(fit.data.shifts) > 0)
     missing = None in (record["nbsr"] or {None: None}).values()
-    why = "NBSR -: a pyroxene is not in the assemblage, its band not in the spectrum, or the ratio not determined"
+    why = "NBSR -: a pyroxene is not in the assemblage, its band not in the spectrum, or the ratio left open"
     lines = [f"{error}; not other minima and other continua (--continuum-spread)", *([why] if missing else []), *shared]
     return [*lines, *_composition_notes(fit)]
 
