@@ -16,7 +16,7 @@ from pages_of_sources import constants_text, sources_text
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-SECTIONS = ("Parameters", "Attributes", "Returns", "Raises", "References", "Notes", "Examples")
+SECTIONS = ("Parameters", "Other Parameters", "Attributes", "Returns", "Raises", "References", "Notes", "Examples")
 
 
 def directive(make: Callable[..., str], most: int = 0) -> type[SphinxDirective]:
@@ -50,7 +50,7 @@ def docstring(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines
         underline = lines[number + 1] if number + 1 < len(lines) else ""
         if line.strip() in SECTIONS and set(underline.strip()) == {"-"}:
             made += ["", f".. rubric:: {line.strip()}", ""]
-            section = line.strip() in ("Parameters", "Attributes")
+            section = line.strip() in ("Parameters", "Other Parameters", "Attributes")
         elif line.strip() and set(line.strip()) == {"-"} and number and lines[number - 1].strip() in SECTIONS:
             continue
         elif section and line and not line[0].isspace() and " : " in line:

@@ -34,7 +34,8 @@ class MatchRequest:
 
     Attributes
     ----------
-    modes : `ol=0.2:0.05,opx=…`, share and error of two minerals or more. bands : `bc1000=930:5,…`. [nm]
+    modes : `ol=0.2:0.05,opx=…`, share and error of two minerals or more. [-]
+    bands : `bc1000=930:5,…`, centres and errors. [nm]
     kind : of target that its modes were unmixed from: errors are then at least those that were measured of it.
     name, site : of that rock, and latitude and longitude where rocks were found. [deg]
     use : kind of composition that is compared.
@@ -42,8 +43,9 @@ class MatchRequest:
     craters : table of candidates, as a file or in memory; None for those around Chang'E-4.
     mineral_map : `olivine=map.tif`, one a mineral, or one file that `spectra map` wrote of shares.
     annulus : ring around a crater that is read there. [rim radii]
-    prior, ejecta_law, thickness_factor, surface_age, other, exposure, rock_life, rock_size, life_exponent,
-    re_excavation, stirring, gardening, seed : see `lunarsci.spectra.origin.prior.PriorSettings`.
+    prior, ejecta_law, thickness_factor, surface_age, other, exposure : see
+        `lunarsci.spectra.origin.prior.PriorSettings`.
+    rock_life, rock_size, life_exponent, re_excavation, stirring, gardening, seed : see `lunarsci.spectra.origin.prior.PriorSettings`.
     """
 
     modes: str | None = None
