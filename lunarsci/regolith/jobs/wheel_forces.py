@@ -62,8 +62,8 @@ class WheelForcesRequest:
     slip : slip ratio from -1 to 1, or FIRST:LAST:N for a curve of N of them. [-]
     side_slip : within 90 deg. [deg]
     rover, soil : names, or TOML files.
-    stiffness [kPa m^-N], exponent [-], cohesion [Pa], friction_angle [deg], shear_modulus [mm], external_friction_angle
-        [deg], lateral_modulus [mm] : what is otherwise in the soil.
+    stiffness [kPa m^-N], exponent [-], cohesion [Pa], friction_angle [deg] : what is otherwise in the soil.
+    shear_modulus [mm], external_friction_angle [deg], lateral_modulus [mm] : likewise.
     reading : sign convention of the longitudinal shear stress.
     exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
     shear, bulldozing, density [kg m^-3], gravity [m s^-2], rebound [-], rut [m], reload [N m^-3] : these choices.

@@ -45,7 +45,7 @@ class MatchRequest:
     annulus : ring around a crater that is read there. [rim radii]
     prior, ejecta_law, thickness_factor, surface_age, other, exposure : see
         `lunarsci.spectra.origin.prior.PriorSettings`.
-    rock_life, rock_size, life_exponent, re_excavation, stirring, gardening, seed : see `lunarsci.spectra.origin.prior.PriorSettings`.
+    rock_life, rock_size, life_exponent, re_excavation, stirring, gardening, seed : likewise.
     """
 
     modes: str | None = None
