@@ -54,6 +54,8 @@ CRASHERS = {
         PICTURE.replace(b"24", b"9" * 12),
     ],
     "camera CAHVOR": [
+        b"NS = 4\nNL = 4\nH = 1, " + b"9" * 2_000 + b" a\nC = 1 0 0\nA = 0 0 1\nV = 0 0 2\n",
+        b"\n" * 100_000,
         b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9 0 2\nV = 0 0 2\n",
         b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9 0 2\nV = 0 1e999 2\n",
     ],

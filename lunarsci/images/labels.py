@@ -33,7 +33,7 @@ MOST_PX = 100_000
 """Lines or samples of a picture; assumed."""
 COARSE_PX = 1.0
 """A fit that misses by more says so; assumed."""
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
+NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
 RIGHT_ANGLE_DEG = 15.0
 """How far the line between two centres may lie from the left camera's rows before its frame is doubted; assumed."""
 
@@ -373,7 +373,7 @@ def _cahv_of(name: str, content: str) -> CahvModel:
 
 def _components(content: str) -> dict[str, FloatArray]:
     """Vectors by letter: MODEL_COMPONENT_1 = (…) of PDS3 in the order of MODEL_COMPONENT_ID, or lines C = x y z."""
-    triple = rf"\(?\s*({NUMBER})[\s,]+({NUMBER})[\s,]+({NUMBER})\s*\)?"
+    triple = rf"\(?\s*({NUMBER})[\s,]++({NUMBER})[\s,]++({NUMBER})\s*\)?"
     listed = re.search(r"MODEL_COMPONENT_ID\s*=\s*\(([^)]*)\)", content)
     found: dict[str, FloatArray] = {}
     if listed:
@@ -381,7 +381,7 @@ def _components(content: str) -> dict[str, FloatArray]:
             if cells := re.search(rf"MODEL_COMPONENT_{index}\s*=\s*{triple}", content):
                 found.setdefault(letter, _floats(cells))
         return found
-    for cells in re.finditer(rf"^\s*([CAHVORE])\s*=\s*{triple}", content, re.MULTILINE):
+    for cells in re.finditer(rf"^[ \t]*+([CAHVORE])\s*=\s*{triple}", content, re.MULTILINE):
         found.setdefault(cells[1], _floats(cells, 2))
     return found
 
@@ -392,6 +392,6 @@ def _floats(cells: "re.Match[str]", first: int = 1) -> FloatArray:
 
 def _first_number(content: str, names: tuple[str, ...]) -> Any:
     for key in names:
-        if cells := re.search(rf"^\s*{key}\s*=\s*({NUMBER})", content, re.MULTILINE):
+        if cells := re.search(rf"^[ \t]*+{key}\s*=\s*({NUMBER})", content, re.MULTILINE):
             return float(cells[1])
     return None
