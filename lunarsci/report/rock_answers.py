@@ -6,6 +6,7 @@ from typing import Any
 from lunarsci.report.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.report.words import counted, measured, number, percent
 from lunarsci.result import FINE
+from lunarsci.spectra.jobs.verdicts import fit_verdict
 
 UNSHARED = "Shares of minerals are not determined."
 ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
@@ -86,7 +87,7 @@ def _one_fit(one: Result) -> str:
         domain = f" {sentence(str(abundance.get('status')))}" if abundance.get("in_domain") is False else ""
         return f"Shares of minerals in {name}: {', '.join(shares)}.{domain}{_chosen(one)}"
     if (one.get("status") or "converged") not in FINE:
-        return f"{name}: {one['status']}. {UNSHARED}"
+        return f"{name}: {_verdict(one)}{one['status']}.{_ratios(one)} {UNSHARED}"
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."
@@ -99,7 +100,25 @@ def _one_fit(one: Result) -> str:
         else ""
     )
     why = f"{name}: the fit leaves {100 * one['rms_ln']:.2g} % of reflectance." if one.get("rms_ln") else f"{name}."
-    return f"{why}{said}{strength} {UNSHARED}"
+    return f"{why}{said}{strength}{_ratios(one)} {UNSHARED}"
+
+
+def _verdict(one: Result) -> str:
+    """What its command says of the minerals, before the status of the fit."""
+    if {"assemblage", "bands", "choice", "compositions"} <= one.keys() and "abundance" not in one:
+        return f"{fit_verdict(one)}. Fit: "
+    return ""
+
+
+def _ratios(one: Result) -> str:
+    """Ratios of the minerals of a solid rock, whose shares are not known."""
+    told = [
+        f"{name.replace('_', ' ')} {percent(item['fraction'])} (95 %: {percent(item['low95'])} to "
+        f"{percent(item['high95'])})"
+        for name, item in ((one.get("abundance") or {}).get("ratios") or {}).items()
+        if item["fraction"] is not None
+    ]
+    return f" Not calibrated on rocks: {', '.join(told)}." if told else ""
 
 
 def _chosen(one: Result) -> str:

@@ -47,7 +47,7 @@ class CompositionEvidence:
     def basis(self) -> str:
         """What was compared, in words."""
         compared = [*(["modes " + "+".join(self.minerals)] if self.minerals else []), *self.bands]
-        return ", ".join(compared) if compared else "nothing: unknown, any composition"
+        return ", ".join(compared) if compared else "nothing that both have, any composition"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -296,7 +296,7 @@ class RockMatches(Sequence[RockMatch]):
             for k, crater in enumerate(self.craters)
         )
         rest = float(found.other_posterior[row])
-        return RockMatch(self.rocks[row], own, self.other, rest, _status(own, rest, self.other))
+        return RockMatch(self.rocks[row], own, self.other, rest, _status(self.rocks[row], own, rest, self.other))
 
 
 def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
@@ -308,11 +308,13 @@ def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
     return found
 
 
-def _status(matches: Sequence[CraterMatch], other: float, other_prior: float) -> str:
+def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, other_prior: float) -> str:
     """One sentence: what leads, and whether it is composition or the prior that says so."""
     compared = [item for item in matches if item.evidence.minerals or item.evidence.bands]
     if not compared:
-        return "composition decides nothing: no crater has a composition to compare with; the posterior is the prior"
+        known = rock.composition.modes or rock.composition.bands
+        why = "no crater has a composition to compare with" if known else "no composition of the rock is known"
+        return f"composition decides nothing: {why}; the posterior is the prior"
     if other >= LEADS and other > 2 * other_prior:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"
     first = max(matches, key=lambda item: item.posterior)
