@@ -240,6 +240,7 @@ def test_the_csv_has_intervals_compositions_and_the_choice(run: Run, rock: Path)
     assert row["fs_in_range"] in ("true", "false")
     auto = next(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--assemblage", "auto", "--csv").out)))
     assert auto["choice_strong"] in ("true", "false")
+    assert 0 <= float(auto["probability_of_clinopyroxene"]) <= 1
 
 
 def test_a_stated_composition_takes_part_in_the_choice(run: Run, rock: Path) -> None:

@@ -175,6 +175,7 @@ def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dic
     common |= shares
     if record["choice"]:
         common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
+        common |= {f"probability_of_{name}": chance for name, chance in record["choice"]["mineral_probability"].items()}
     ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
     common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
     return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
