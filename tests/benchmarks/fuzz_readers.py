@@ -821,7 +821,7 @@ NO_FILE = {
     *("field_path", "form", "columns", "memory", "scheduler"),  # the file of a scheduler is read by dask
     *("assemblage", "band_minerals", "bands", "board", "bound", "composition", "dictionary", "fix", "fixes", "index",
       "interpolation", "kind", "lateral_modulus", "mast", "modes", "name", "products", "sizes", "source", "spectrum",
-      "sweep", "target", "tie", "time", "title", "vary"),
+      "id", "sweep", "target", "tie", "time", "title", "vary"),
     *("annulus", "classes", "gardening", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
     *("images dem terrain", "spectra simulate soil", "twin plan start"),
 }  # fmt: skip

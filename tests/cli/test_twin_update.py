@@ -81,7 +81,7 @@ def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_
     assert "doubtful" in chain[0].out.splitlines()[0] and "doubtful" in chain[3].out.splitlines()[0]
     assert "drive 1 is doubtful" in chain[4].out
     sections = json.loads(run("report", pred, chosen, "--json").out)["result"]["sections"]
-    assert all("Doubtful: " in one["answer"] and one["tone"] in ("doubt", "no-go") for one in sections)
+    assert all("the wheels turned" in one["trust"] and one["tone"] in ("doubt", "no-go") for one in sections)
     assert [one["tone"] for one in sections].count("doubt") >= 1
     # Only what is forgotten altogether takes the doubt along.
     forgotten = read_belief(read_input(str(belief)))

@@ -88,7 +88,9 @@ def test_states_are_those_of_all_rows(
     long = found(data, yutu2)
     assert len(short.telemetry.time_s) < 0.6 * STOOD < STOOD < len(long.telemetry.time_s)
     assert short.findings.entries == long.findings.entries == []
-    pd.testing.assert_frame_equal(wheel_table(short), wheel_table(long), rtol=1e-12)
+    pd.testing.assert_frame_equal(*(wheel_table(one).drop(columns="rim_m_s") for one in (short, long)), rtol=1e-12)
+    rims = [wheel_table(one)["rim_m_s"] for one in (short, long)]
+    assert rims[0].to_numpy() == pytest.approx(rims[1].to_numpy(), abs=1e-6, nan_ok=True)  # at rest noise
 
 
 def test_how_long_a_rover_stands_moves_no_state(drive: pd.DataFrame, yutu2: Rover) -> None:

@@ -108,22 +108,28 @@ def _rings_of(file: str, mineral: str) -> Iterator[Callable[[Crater, tuple[float
     if name not in data.variables:
         raise DataError(f"{file}: has no layer {name}; make it with `lunarsci spectra map --products unmix`")
     if "longitude" in data.variables and "crs" not in data.variables:
-        yield _Swath(data, name).ring_values
+        yield _Swath(data, name, file).ring_values
         return
     with opened(f'netcdf:"{file}":{name}', "netCDF") as dataset:
         check_map(dataset, file)
         yield partial(ring_values, dataset, file=file)
 
 
+FEWEST_PLACES = 2
+
+
 class _Swath:
     """A map whose pixels have each a longitude and a latitude, as those of an orbiter's strip have."""
 
-    def __init__(self, data: Any, name: str) -> None:
+    def __init__(self, data: Any, name: str, file: str) -> None:
         from scipy.spatial import cKDTree
 
         places = _on_sphere(*(np.asarray(data[key].values, float) for key in ("latitude", "longitude")))
-        self.values = np.asarray(data[name].values, float).ravel()
-        self.tree = cKDTree(places.reshape(-1, 3))
+        known = np.isfinite(places).all(axis=-1)
+        if data[name].shape != known.shape or known.sum() < FEWEST_PLACES:
+            raise DataError(f"{file}: fewer than {FEWEST_PLACES} pixels have a longitude and a latitude; make it anew")
+        self.values = np.asarray(data[name].values, float)[known]
+        self.tree = cKDTree(places[known])
         across = np.linalg.norm(np.diff(places, axis=1), axis=-1) if places.shape[1] > 1 else np.zeros(1)
         along = np.linalg.norm(np.diff(places, axis=0), axis=-1) if places.shape[0] > 1 else np.zeros(1)
         self.reach = float(max(np.nanmedian(across), np.nanmedian(along)))

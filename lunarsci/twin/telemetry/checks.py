@@ -212,13 +212,18 @@ class WheelPace:
         """From rim speeds r_s omega, NaN where not measured (n, wheels), at times (n,); None where too few turn.
 
         The error is that of the medians within wheels, or what these scatter by where that is more. Speed and radius
-        cannot be told apart: both make the same ratio.
+        cannot be told apart: both make the same ratio. With fixes the first leg alone counts.
         """
         schedule = make_schedule(plan, rover)
         told = commands_at(rover, schedule, times_s).speed_m_s
-        inside = (times_s >= 0.0) & (times_s <= schedule.duration_s)
+        # From the first fix on the rover drives its legs from where it believes to be, not at the plan's speed.
+        last_s = schedule.runs[0].end_s if plan.fixes else schedule.duration_s
+        inside = (times_s >= 0.0) & (times_s <= last_s)
         turning = np.isfinite(rim_m_s) & inside[:, None] & (rim_m_s * told > 0.0)
-        turning &= np.abs(told) > 0.3 * np.abs(told).max()
+        # Neither at a halt nor beside one, where a mean over some time is of both.
+        half_s = np.gradient(times_s) / 2.0 if times_s.size > 1 else np.zeros(1)
+        for at in (times_s - half_s, times_s, times_s + half_s):
+            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > 0.3 * np.abs(told).max()
         turning &= np.abs(rim_m_s) > 0.3 * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
         shares = [rim_m_s[turning[:, k], k] / told[turning[:, k], k] for k in range(len(rover.wheels))]
         shares = [own for own in shares if own.size]

@@ -46,7 +46,7 @@ def test_modes_and_zeros_as_in_tables_of_mixtures() -> None:
         ("id,fo\nA,inf\n", "line 2, column fo: 'inf' is not a number"),
         ("id,fo\nA,.9,1\n", "line 2 has 3 cells, the header 2"),
         ("id,vol_ol\nA,much\n", "line 2, column vol_ol: 'much' is not a number"),
-        ('id,fo\n"A,.9\n', "cannot be split into cells"),
+        ('id,fo\n"A,.9\n', "cannot be split into fields"),
         ("\x00\x01\x02", "binary"),
     ],
 )

@@ -197,7 +197,8 @@ def test_a_choice_that_was_stopped_goes_on_where_it_was(tmp_path: Path, monkeypa
     before, counted[:] = len(counted), [0] * 100
     with computing(keep=tmp_path / "a.csv", workers=1):
         again = choose(spectra, families=("OL", "OPX"))
-    assert before == 33 and len(counted) - 100 == 40 - 32
+    # Two blocks of 16 were done; the second may not have reached the disk.
+    assert before == 33 and len(counted) - 100 in (40 - 32, 40 - 16)
     plain = [[one.to_dict() if isinstance(one, Choice) else one for one in some] for some in (whole, again)]
     assert plain[0] == plain[1] and not (tmp_path / "a.csv.partial").exists()
 
