@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from lunarsci.atomic import write_files, written_whole
-from lunarsci.blocks import Computing, blocks_in_order, bytes_of, computing, rows_in_memory, run_blocks
+from lunarsci.blocks import Computing, blocks_in_order, bytes_of, computing, memory_in_use, rows_in_memory, run_blocks
 from lunarsci.errors import OutputError, ParameterError
 from lunarsci.kept_blocks import KeptBlocks, spans
 
@@ -221,9 +221,10 @@ def test_memory_that_is_none_is_refused(text: str) -> None:
 
 def test_blocks_become_smaller_with_less_memory() -> None:
     assert rows_in_memory(1e6, 4000) == 4000
-    with computing(memory="4GB", workers=1):
+    enough = f"{memory_in_use() / 1e6 + 3000:.0f}MB"
+    with computing(memory=enough, workers=1):
         many = rows_in_memory(1e6, 10**6)
-    with computing(memory="4GB", workers=3):
+    with computing(memory=enough, workers=3):
         few = rows_in_memory(1e6, 10**6)
     assert 1000 < many < 2000
     assert few == pytest.approx(many / 2, abs=3)
