@@ -29,6 +29,10 @@ from lunarsci.cli.shared.report import Report
 from lunarsci.cli.shared.table import TextTable
 from rich.cells import cell_len
 
+sys.path.append(str(Path(__file__).with_name("benchmarks")))  # where pytest looks, too
+
+from pictured import MISSION, PLAN
+
 import lunarsci
 from lunarsci.provenance import to_json
 from lunarsci.report.job import report
@@ -41,31 +45,6 @@ DRAWN = {"fit sample": 0.05}
 times 1.6 %, by which quantiles of such a chain differed between an AMD and an Intel processor."""
 LONG = 8
 ROCK = "ol=0.1,opx=0.4,cpx=0.2,plg=0.3"
-SHORT = """name = "short"
-[drive]
-speed_m_s = 0.05
-[[leg]]
-length_m = 1.0
-[[leg]]
-length_m = 0.8
-curvature_per_m = 0.2
-"""
-MISSION = """leg_m = 1.5
-localisation_s = 60
-[fixes]
-position_sigma_m = 0.02
-heading_sigma_deg = 0.5
-[[target]]
-name = "near"
-x_m = 3.0
-y_m = 0.2
-[[window]]
-begin_s = 0
-end_s = 70
-[[window]]
-begin_s = 300
-end_s = 900
-"""
 """Steps that write the files of the later ones; then each command whose `result` is in the table."""
 COMMANDS: dict[str, str] = {
     "simulate": f"spectra simulate --rock {ROCK} --seed 3 -o scene",
@@ -252,7 +231,7 @@ def answers(folder: Path) -> dict[str, dict[str, Any]]:
     before = Path.cwd()
     os.chdir(folder)
     try:
-        Path("short.toml").write_text(SHORT)
+        Path("short.toml").write_text(PLAN)
         Path("mission.toml").write_text(MISSION)
         for name, line in COMMANDS.items():
             wanted = [] if name.startswith("write") else ["--json"]

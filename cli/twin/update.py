@@ -161,7 +161,7 @@ def _slip_notes(learned: "LearnedSoil") -> list[str]:
     """Slip and rates of the wheels, as measured beside the drive that was simulated."""
     notes, pace = [], learned.pace
     if (slips := learned.slips) is not None:
-        leans = "; predictions lean that way" if abs(slips[1] - slips[0]) > max(0.02, 0.15 * abs(slips[0])) else ""
+        leans = "; predictions lean that way" if learned.leans else ""
         notes.append(f"median slip ratio: {slips[0]:.3f} measured, {slips[1]:.3f} simulated on the soil found{leans}")
     if pace is None:
         notes.append("the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)")

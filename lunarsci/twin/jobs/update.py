@@ -60,6 +60,8 @@ class UpdateRequest:
             raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
 
 
+LEAST_LEAN, LEAN_SHARE = 0.02, 0.15
+"""How far simulated slip may be off the measured, or this share of it, before it is said; assumed. [-]"""
 NO_MAP = "`correlation` is of a soil map; give one as `soil`, or save one"
 
 
@@ -174,6 +176,12 @@ class LearnedSoil(Result):
             return None
         simulated = states_at(self.record, driven.time_s, driven.states, driven.rover.wheels)[0, known, column]
         return float(np.median(measured[known])), float(np.median(simulated))
+
+    @property
+    def leans(self) -> bool:
+        """Whether the soil found makes wheels slip otherwise than they did, so that predictions lean that way."""
+        measured, simulated = self.slips or (0.0, 0.0)
+        return abs(simulated - measured) > max(LEAST_LEAN, LEAN_SHARE * abs(measured))
 
     @property
     def doubts(self) -> list[str]:

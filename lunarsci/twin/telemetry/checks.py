@@ -184,6 +184,8 @@ PACE = 0.02
 """Share by which wheels may turn faster or slower than the plan says, unsaid: it is a slip of as much; assumed."""
 PACE_ERRORS = 3.0
 """And in errors of the ratio; assumed."""
+UNDER_WAY = 0.3
+"""Share of the highest speed from which a wheel counts as under way; assumed."""
 SHELL = 0.01
 """How near the ratio must come to r_s / r for the plan's speed to be taken for that of the shell; assumed."""
 FEWEST_RATES = 5
@@ -223,8 +225,8 @@ class WheelPace:
         # Neither at a halt nor beside one, where a mean over some time is of both.
         half_s = np.gradient(times_s) / 2.0 if times_s.size > 1 else np.zeros(1)
         for at in (times_s - half_s, times_s, times_s + half_s):
-            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > 0.3 * np.abs(told).max()
-        turning &= np.abs(rim_m_s) > 0.3 * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
+            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > UNDER_WAY * np.abs(told).max()
+        turning &= np.abs(rim_m_s) > UNDER_WAY * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
         shares = [rim_m_s[turning[:, k], k] / told[turning[:, k], k] for k in range(len(rover.wheels))]
         shares = [own for own in shares if own.size]
         if sum(own.size for own in shares) < FEWEST_RATES:
