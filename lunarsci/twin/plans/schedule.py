@@ -125,7 +125,12 @@ class Schedule:
 
     def pace_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Share of the full speed: 1 under way, 0 at a standstill."""
-        return np.asarray(np.max([run.pace_at(time_s) for run in self.runs], axis=0))
+        time, pace = np.asarray(time_s, dtype=float), np.zeros(np.shape(time_s))
+        number = np.searchsorted([run.begin_s for run in self.runs], time, side="right") - 1
+        for k in np.unique(number[number >= 0]):
+            on = number == k
+            pace[on] = self.runs[k].pace_at(time[on])
+        return pace
 
     def pose_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Planned x, y, heading. (..., 3) [m, m, rad]

@@ -292,10 +292,11 @@ def drive_group(
 
     `steered` (members, runs, 3) takes the leg of each run after the first as each of the members steers it.
     """
+    slow = scene.slow
     if common is not None:
         _begin(scene, known, common, work)
         rims = (common.steering_rad, common.speed_m_s, scene.time_step_s)
-        drive(*known, *rims, 0, scene.every, True, scene.pressing, scene.slow, work, *kept)
+        drive(*known, *rims, 0, scene.every, True, scene.pressing, slow, work, *kept)
         return
     commands: Commands | None = None
     legs: FloatArray | None = None
@@ -311,4 +312,4 @@ def drive_group(
             _begin(scene, known, commands, work)
         last = number == len(pieces) - 1
         driven = (*known, commands.steering_rad, commands.speed_m_s, scene.time_step_s, piece.start, scene.every)
-        drive(*driven, last, scene.pressing, scene.slow, work, *kept)
+        drive(*driven, last, scene.pressing, slow, work, *kept)
