@@ -149,7 +149,7 @@ class Camera:
         """`project`, with derivatives by the points [px / unit] and by the intrinsics."""
         given = np.asarray(points, dtype=float)
         x, y, _ = self._over_depth(given)
-        by_xy, by_intrinsics = self._derivatives(x, y)
+        by_xy, by_intrinsics = self._by_xy(x, y), self._by_intrinsics(x, y)
         zero, depth = np.zeros_like(x), given[..., 2]
         over = np.stack([np.stack([1 + zero, zero, -x], -1), np.stack([zero, 1 + zero, -y], -1)], -2)
         return Projection(self.project(given), by_xy @ (over / depth[..., None, None]), by_intrinsics)
@@ -167,9 +167,9 @@ class Camera:
     def rays_with_derivatives(self, pixels: npt.ArrayLike) -> Unprojection:
         """`rays`, with derivatives of x and y by the pixel [1/px] and by the intrinsics."""
         rays = self.rays(pixels)
-        by_xy, by_intrinsics = self._derivatives(rays[..., 0], rays[..., 1])
-        by_pixel = _inverse_2x2(by_xy)
-        return Unprojection(rays, by_pixel, -by_pixel @ by_intrinsics)
+        x, y = rays[..., 0], rays[..., 1]
+        by_pixel = _inverse_2x2(self._by_xy(x, y))
+        return Unprojection(rays, by_pixel, -by_pixel @ self._by_intrinsics(x, y))
 
     def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether pixels lie in the picture, `margin_px` from its border at least."""
@@ -194,21 +194,26 @@ class Camera:
             y * radial + self.p1 * (r2 + 2 * y * y) + self.p2 * across,
         )
 
-    def _derivatives(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the pixel, by x and y (..., 2, 2) and by the intrinsics (..., 2, 9)."""
+    def _by_xy(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Derivatives of the pixel by x and y. (..., 2, 2)"""
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)
-        xd, yd = self._distorted(x, y)
         mixed = 2 * (x * y * slope + self.p1 * x + self.p2 * y)
         dxx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
         dyy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
+        fx, fy = self.fx_px, self.fy_px
+        return np.stack([np.stack([fx * dxx, fx * mixed], -1), np.stack([fy * mixed, fy * dyy], -1)], -2)
+
+    def _by_intrinsics(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Derivatives of the pixel by the intrinsics. (..., 2, 9)"""
+        r2 = x * x + y * y
+        xd, yd = self._distorted(x, y)
         fx, fy, zero, one = self.fx_px, self.fy_px, np.zeros_like(x), np.ones_like(x)
-        by_xy = np.stack([np.stack([fx * dxx, fx * mixed], -1), np.stack([fy * mixed, fy * dyy], -1)], -2)
         powers = [r2, r2 * r2, r2**3]
         u = [xd, zero, one, zero, *(fx * x * p for p in powers), fx * 2 * x * y, fx * (r2 + 2 * x * x)]
         v = [zero, yd, zero, one, *(fy * y * p for p in powers), fy * (r2 + 2 * y * y), fy * 2 * x * y]
-        return by_xy, np.stack([np.stack(u, -1), np.stack(v, -1)], -2)
+        return np.stack([np.stack(u, -1), np.stack(v, -1)], -2)
 
     def _undistorted(self, goal_x: FloatArray, goal_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         fold = self.fold()
@@ -218,7 +223,7 @@ class Camera:
         scale = np.array([[self.fx_px], [self.fy_px]])
         for _ in range(NEWTON_STEPS):
             xd, yd = self._distorted(x, y)
-            by_xy = self._derivatives(x, y)[0] / scale
+            by_xy = self._by_xy(x, y) / scale
             step = _inverse_2x2(by_xy) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
             x, y = x + step[..., 0, 0], y + step[..., 1, 0]
             if not (np.abs(step) > CONVERGED).any():
