@@ -75,7 +75,7 @@ def _widths(table: TextTable) -> list[int]:
     from rich.cells import cell_len
 
     shown = [table.headers, *table.shown]
-    return [max(cell_len(printable(row[k])) for row in shown) for k in range(len(table.headers))]
+    return [max(1, *(cell_len(printable(row[k])) for row in shown)) for k in range(len(table.headers))]
 
 
 def _is_sentence(cell: str) -> bool:

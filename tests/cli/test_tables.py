@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from lunarsci.cli.shared.layout import fitted
 from lunarsci.cli.shared.printing import render, to_markdown, to_tex, to_tsv
@@ -32,6 +32,7 @@ def tables(draw: st.DrawFn) -> TextTable:
 
 @settings(max_examples=60, deadline=None)
 @given(tables(), st.integers(40, 160), st.booleans())
+@example(TextTable(["0" * 4, "0" * 9, "", "", "", "0", ""], [["", "", "000", "000", "0" * 8, "", ""]]), 40, False)
 def test_no_line_is_wider_than_the_terminal(table: TextTable, width: int, keep: bool) -> None:
     from rich.cells import cell_len
 
