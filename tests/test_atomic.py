@@ -176,7 +176,7 @@ def test_what_is_written_carelessly_is_seen(
 @pytest.mark.skipif(sys.platform != "linux", reason="forks")
 @pytest.mark.parametrize("nested", [False, True], ids=["plain", "with a folder of the user's in it"])
 def test_told_to_stop_everything_is_old_or_new_and_nothing_left(nested: bool, tmp_path: Path) -> None:
-    """By each signal at a third of the points; in a folder that cannot be swapped, too, whose files change one by one."""
+    """By each signal at a third of the points; also in a folder that cannot be swapped: its files change one by one."""
     ends = []
 
     def look(place: Path, folder: Path, code: int) -> None:
