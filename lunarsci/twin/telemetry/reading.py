@@ -4,8 +4,8 @@ import difflib
 import math
 import re
 import warnings
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -92,6 +92,7 @@ class Telemetry:
     synthetic : whether the file says that it is made up.
     rests_s : begin and end of rests within which rows are left out (see `rests`). [s]
     rows : how many the file has.
+    start_s : what the file's `time_s` is at the start of the plan. [s]
     """
 
     file: str
@@ -111,6 +112,7 @@ class Telemetry:
     fix_shared_m2: FloatArray | None = None
     rests_s: tuple[tuple[float, float], ...] = ()
     rows: int = 0
+    start_s: float = 0.0
 
     @property
     def rested(self) -> BoolArray:
@@ -137,6 +139,7 @@ ERRORS = ("xx_m2", "xy_m2", "yy_m2")
 WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
 UNIT = re.compile(r"_(?:ms|s|min|h|mm|cm|m|km|deg|rad|m2|mm2|cm2|deg_s|rad_s|m_s|mm_s|cm_s|km_h|rpm)$")
 OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
+DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
 SYNTHETIC = ("true", "1", "1.0")
 YAW_SIGMA_DEG = 0.3
 """Error of a heading whose error is not given; assumed. [deg]"""
@@ -222,6 +225,7 @@ def read_telemetry(
     *,
     placed: bool = True,
     span_s: tuple[float, float] = (-math.inf, math.inf),
+    start_s: float | None = None,
 ) -> Telemetry:
     """Read telemetry, by the ending of its file: .ecsv, .parquet, else CSV, a piece at a time.
 
@@ -231,25 +235,30 @@ def read_telemetry(
     wheel did must be there for all of them: angle or rate or speed, and steered or steering.
 
     Rows stay in the order of the file, without those of a rover that rests (see `rests`), and without those whose time
-    is not within `span_s`. Where positions come from elsewhere (`placed` False) none are read here. Raises DataError
-    for columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more
-    rows of a rover that does not rest than there is memory for.
+    is not within `span_s`; with `start_s`, the file's time of the start of the plan, times count from there, and rows
+    before are left out. Where positions come from elsewhere (`placed` False) none are read here. Raises DataError for
+    columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more rows
+    of a rover that does not rest than there is memory for.
     """
     kept, infinite, synthetic = RowsKept(source.name, rover), dict[str, int](), False
+    begin = -math.inf if start_s is None else start_s
     with open_input(source) as stream:
         for table in tables_of(stream, findings):
             values = _numbers(source.name, table, rover, placed=placed)
             names = list(values)
             _count_infinities(values, infinite)
-            outside = (values["time_s"] < span_s[0]) | (values["time_s"] > span_s[1])
+            outside = (values["time_s"] < max(span_s[0], begin)) | (values["time_s"] > span_s[1])
+            values["time_s"] = values["time_s"] - (start_s or 0.0)
             kept.add({name: column[~outside] for name, column in values.items()})
             if "synthetic" in table:
                 synthetic = synthetic or bool(table["synthetic"].astype(str).str.lower().isin(SYNTHETIC).any())
     for name, count in infinite.items():
         findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
     if not kept.read:
-        raise DataError(f"{source.name}: no rows between {span_s[0]:g} and {span_s[1]:g} s; give others")
-    return _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
+        first, last = max(span_s[0], begin), span_s[1]
+        raise DataError(f"{source.name}: no rows between time_s {first:.12g} and {last:.12g}; give others")
+    found = _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
+    return replace(found, start_s=start_s or 0.0)
 
 
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
@@ -263,6 +272,10 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
         if any(present) and not all(present):
             missing = form.format(rover.wheels[present.index(False)])
             raise DataError(f"{file}: no column {missing}, but those of other wheels; add it or drop them all")
+    first = str(next(iter(table["time_s"].dropna()), ""))
+    if DATE.match(first):
+        text = "write seconds, such as those since 1970, and give those of the plan's start as --start-time"
+        raise DataError(f"{file}, time_s: '{first}' is a date; {text}")
     return {name: numbers_of(file, name, table[name]) for name in known}
 
 
@@ -279,17 +292,18 @@ def _telemetry(
         done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"
         findings.add("no heading error", "no errors of yaw_deg", done, count=kept.read)
         yaw_sigma = np.full(count, YAW_SIGMA_DEG)
+    columns: dict[str, Any] = {
+        key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
+        for key, form in WHEEL_COLUMNS.items()
+    }
+    columns |= {name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"}
     return Telemetry(
         file=file,
         time_s=values["time_s"],
         fix_m=np.column_stack([values["x_m"], values["y_m"]]),
         fix_covariance_m2=_covariance(file, values),
-        **{name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"},
         yaw_deg_sigma=yaw_sigma,
-        **{
-            key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
-            for key, form in WHEEL_COLUMNS.items()
-        },
+        **columns,
         synthetic=synthetic,
         rests_s=tuple(kept.rests_s),
         rows=kept.read,
