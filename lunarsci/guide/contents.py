@@ -42,6 +42,7 @@ def _craters(file: InputFile) -> Mapping[str, Any]:
 
 def _plan(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.rover_check import LIMITS_RULE
 
     plan = read_plan(file)
     return {
@@ -49,7 +50,7 @@ def _plan(file: InputFile) -> Mapping[str, Any]:
         "legs": len(plan.legs),
         "length_m": plan.length_m,
         "speed_m_s": plan.speed_m_s,
-        "limits": "its own" if plan.own_limits else "those of the embedded plan, Yutu-2's",
+        "limits": "its own" if plan.own_limits else f"those of the rover that drives it: {LIMITS_RULE}",
         "sweeps": _listed(sweep.name for sweep in plan.sweep) or "none",
         "made for": "any rover" if plan.made_for is None else plan.made_for.name,
     }

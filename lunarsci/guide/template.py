@@ -143,6 +143,7 @@ def _rover() -> str:
 
 def _plan() -> str:
     from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
+    from lunarsci.twin.plans.rover_check import LIMITS_RULE
 
     told, embedded = described(Plan), read_plan()
     leg = described(Leg)
@@ -163,7 +164,12 @@ def _plan() -> str:
     lines += ["", "[[leg]]", *_block(second, {"curvature_per_m": leg["curvature_per_m"]})]
     fixes = {"position_sigma_m": 0.05, "heading_sigma_deg": 0.5}
     lines += ["", "# [fixes]", *_block(fixes, described(Fixes), fixes)]
-    lines += ["", "# What counts as safe; without this table the limits are these, Yutu-2's.", "[limits]"]
+    lines += ["", "# What counts as safe. Without this table the limits are those of the rover that drives:"]
+    lines += [
+        f"# {LIMITS_RULE}.",
+        "# These are Yutu-2's; for another rover take the table out, or write its own.",
+        "[limits]",
+    ]
     for limit in embedded.limits:
         entry = {"value": limit.limit, "source": "assumed", "assumed": True}
         lines += [f"# {limit.sense}, [{limit.unit}]", _line(limit.quantity, entry)]
