@@ -16,6 +16,7 @@ from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
+from lunarsci.rovers import known_rovers, read_rover
 from lunarsci.tables import separator_of
 
 
@@ -164,6 +165,9 @@ def info(path: str | Path) -> FileInfo:
     """
     name = str(path)
     folder = Path(path)
+    if not folder.exists() and name in known_rovers():
+        rover = InputFile(name, read_rover(name).text.encode())
+        return FileInfo(file=name, sha256=rover.sha256, kind="rover", contents=CONTENTS["rover"](rover))
     if folder.is_dir():
         if not (folder / "result.json").is_file():
             raise DataError(

@@ -108,7 +108,7 @@ def _soil() -> str:
     return "\n".join([*head, *_block(values, told, optional), *_block(more, told), ""])
 
 
-def _rover() -> str:
+def _rover(known: str = "yutu2") -> str:
     from lunarsci.regolith.wheel import Wheel
     from lunarsci.rovers import read_rover
     from lunarsci.twin.electrics import Motors, PowerSupply
@@ -124,17 +124,18 @@ def _rover() -> str:
     }
     of_rover = described(Rover)
     of_rover |= {"steered_wheels": of_rover["steered"], "offset_m": of_rover["steering_offset_m"]}
-    description = read_rover("yutu2")
+    description = read_rover(known)
     lines = [
-        "# A rover; the numbers are those of yutu2, most of them assumed. Each is a value, or a table of value, source",
-        "# and assumed. [motors], [power], [limits] and [body] may be left out.",
+        f"# A rover; the numbers are those of {known}, most of them assumed. Each is a value, or a table of value,",
+        "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` says which numbers",
+        "# are still Yutu-2's.",
         "",
         'name = "my rover"',
     ]
     for table, keys in description.tables.items():
         guessed = [key for key in keys if f"{table}.{key}" in description.assumed]
         entries = {
-            key: {"value": value, "source": "yutu2; replace it"} | ({"assumed": True} if key in guessed else {})
+            key: {"value": value, "source": f"{known}; replace it"} | ({"assumed": True} if key in guessed else {})
             for key, value in keys.items()
         }
         lines += ["", f"[{table}]", *_block(entries, told.get(table, of_rover))]
@@ -254,6 +255,7 @@ def _telemetry() -> str:
 
 KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "rover": ("rover.toml", _rover),
+    "small-four": ("rover.toml", lambda: _rover("small-four")),
     "soil": ("soil.toml", _soil),
     "plan": ("plan.toml", _plan),
     "mission": ("mission.toml", _mission),
