@@ -97,9 +97,8 @@ def _as_yutu2(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         return same
     for name, equal in numbers.items():
         if keys := [key for key, is_equal in equal.items() if is_equal]:
-            same[f"[{name}] as of yutu2"] = (
-                f"{'all' if len(keys) == len(equal) > 1 else ', '.join(keys)}: this rover's?"
-            )
+            listed = "all" if len(keys) == len(equal) > 1 else ", ".join(keys)
+            same[f"[{name}] as of yutu2"] = f"{listed}: this rover's?"
     return same
 
 

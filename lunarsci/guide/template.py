@@ -127,8 +127,8 @@ def _rover(known: str = "yutu2") -> str:
     description = read_rover(known)
     lines = [
         f"# A rover; the numbers are those of {known}, most of them assumed. Each is a value, or a table of value,",
-        "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` says which numbers",
-        "# are still Yutu-2's.",
+        "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` says which",
+        "# numbers are still Yutu-2's.",
         "",
         'name = "my rover"',
     ]
@@ -239,6 +239,7 @@ def _telemetry() -> str:
     wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in WHEELS]
     lines = [
         "# Telemetry of a rover with the wheels FL, FR, ML, MR, RL, RR: made up, straight ahead without slip or noise.",
+        "# time_s may count from elsewhere, such as 1970: `lunarsci twin states --start-time S` says when the plan began.",
         "# x_m and y_m are blank where there is no position; sigma_m is the standard error of each of them.",
         *(f"# {name}: {told[name]}" for name in ("time_s", *POSE_COLUMNS)),
         *(f"# {form.format('FL')} and so on: {told[name]}" for name, form in WHEEL_COLUMNS.items()),
