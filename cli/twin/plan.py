@@ -187,7 +187,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
     ]
-    headers = ["no", "drive", "fails [%]", "below [%]", "length [m]", "energy [J]", "weakest", "after [m]"]
+    headers = ["no", "drive", "fails %", "below %", "way m", "J", "weakest", "at m"]
     if any(one.teaches is not None for one in choice.candidates):
         headers[6:6] = ["min", "next mm"]
         rows = [[*row[:6], f"{one.duration_s / 60:.1f}", _next_end(one), *row[6:]]

@@ -239,7 +239,7 @@ def _telemetry() -> str:
     wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in WHEELS]
     lines = [
         "# Telemetry of a rover with the wheels FL, FR, ML, MR, RL, RR: made up, straight ahead without slip or noise.",
-        "# time_s may count from elsewhere, such as 1970: `lunarsci twin states --start-time S` says when the plan began.",
+        "# time_s may count from elsewhere, such as 1970: `twin states --start-time S` says when the plan began.",
         "# x_m and y_m are blank where there is no position; sigma_m is the standard error of each of them.",
         *(f"# {name}: {told[name]}" for name in ("time_s", *POSE_COLUMNS)),
         *(f"# {form.format('FL')} and so on: {told[name]}" for name, form in WHEEL_COLUMNS.items()),

@@ -189,6 +189,7 @@ def test_what_is_wrong_is_said_and_does_no_harm(name: str, drive: SyntheticDrive
         assert worst(found, drive) < 3.8
 
 
+STEERED = re.compile("steer")
 REFUSED: dict[str, tuple[Spoil, str]] = {
     "two contents of one time": (
         lambda t: pd.concat([t.iloc[:20], t.iloc[19:20].assign(yaw_deg=9.0), t.iloc[20:]]), "has two rows that differ",
@@ -219,6 +220,11 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
     "no errors": (lambda t: t.drop(columns=["xx_m2", "xy_m2", "yy_m2"]), "no errors of the positions"),
     "a name with rad": (lambda t: t.rename(columns={"yaw_deg": "yaw_rad"}), "there is yaw_rad: convert it"),
     "a name with mm": (lambda t: t.rename(columns={"x_m": "x_mm"}), "there is x_mm: convert it"),
+    "several columns": (
+        lambda t: t.rename(columns={"x_m": "x_mm"}).drop(columns=["yaw_deg", *filter(STEERED.match, t)]),
+        r"missing: x_m \(x_mm\?\), yaw_deg, steered_W_deg or steering_W_deg of each wheel W; .* template telemetry",
+    ),
+    "dates": (lambda t: t.assign(time_s="2026-11-24T10:00:00Z"), "is a date; write seconds, such as those since 1970"),
     "text": (lambda t: t.assign(yaw_deg=["east", *t.yaw_deg[1:]]), "'east' is no number"),
     "too short": (lambda t: t.iloc[:4], "4 rows with a time"),
     "before the plan": (set_to(ALL, "time_s", lambda v: v - 5.0), "counts from the start of the plan"),

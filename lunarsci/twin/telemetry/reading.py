@@ -1,6 +1,5 @@
 """Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
 
-import difflib
 import math
 import re
 import warnings
@@ -14,6 +13,7 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, open_input
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, check_telemetry_columns
 from lunarsci.twin.telemetry.pieces import tables_of
 from lunarsci.twin.telemetry.rests import RowsKept
 
@@ -134,10 +134,6 @@ class Telemetry:
         return np.where(np.isfinite(self.steered_deg), self.steered_deg, self.steering_deg)
 
 
-NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
-ERRORS = ("xx_m2", "xy_m2", "yy_m2")
-WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
-UNIT = re.compile(r"_(?:ms|s|min|h|mm|cm|m|km|deg|rad|m2|mm2|cm2|deg_s|rad_s|m_s|mm_s|cm_s|km_h|rpm)$")
 OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
 DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
 SYNTHETIC = ("true", "1", "1.0")
@@ -264,8 +260,7 @@ def read_telemetry(
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
     """The columns that count, of a piece."""
     names = [str(name) for name in table.columns]
-    _check_wheels(file, names, rover)
-    _check_needed(file, names, placed=placed)
+    check_telemetry_columns(file, names, rover, placed=placed)
     known = [name for name in _known(names, rover) if placed or name not in OF_PLACES]
     for form in WHEEL_COLUMNS.values():
         present = [form.format(wheel) in names for wheel in rover.wheels]
@@ -322,53 +317,6 @@ def _known(names: list[str], rover: Rover) -> list[str]:
     known = {*NEEDED, *POSE_COLUMNS, *ERRORS, "sigma_m"}
     known |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
     return [name for name in names if name in known]
-
-
-def _check_needed(file: str, names: list[str], *, placed: bool) -> None:
-    for needed in NEEDED:
-        if needed not in names and (placed or needed not in ("x_m", "y_m")):
-            told = f"{_hint(needed, names)}; `lunarsci template telemetry` has all columns"
-            raise DataError(f"{file}: no column {needed}{told}")
-    if placed and "sigma_m" not in names and not all(name in names for name in ERRORS):
-        hint = _hint("sigma_m", names) if not any(name in names for name in ERRORS) else ""
-        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2{hint}")
-
-
-def _hint(needed: str, names: list[str]) -> str:
-    """The column that may be meant: the same quantity in another unit, or a name like it."""
-    bare = UNIT.sub("", needed)
-    other = [name for name in names if UNIT.sub("", name) == bare and name != needed]
-    if other:
-        return f"; there is {other[0]}: convert it and call it {needed}"
-    near = difflib.get_close_matches(needed, names, n=1, cutoff=0.7)
-    return f"; is it '{near[0]}'? rename it" if near else f"; there are: {', '.join(names[:12])}"
-
-
-def _unit_hint(wanted: list[str], names: list[str]) -> str:
-    """The column of the same quantity and wheel in another unit."""
-    for name in wanted:
-        other = [found for found in names if UNIT.sub("", found) == UNIT.sub("", name)]
-        if other:
-            return f"; there is {other[0]}: convert it and call it {name}"
-    return ""
-
-
-def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
-    found = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
-    strange = [wheel for wheel in found if wheel not in rover.wheels]
-    own = ", ".join(rover.wheels)
-    if strange:
-        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right --rover")
-    for wheel in rover.wheels:
-        for what, forms in (("turned", ("angle", "rate", "speed")), ("was steered", ("steered", "steering"))):
-            units = {"rate": "deg_s", "speed": "m_s"}
-            columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
-            if not any(column in names for column in columns):
-                hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
-                raise DataError(
-                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
-                    "turn and a steering (0 if it stays straight): `lunarsci template telemetry` has all columns"
-                )
 
 
 def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:
