@@ -176,9 +176,9 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
         *([held] if choice.feasible else []),
-        "fails: share of its drives, and what it is below with 95 %; ~ not yet driven on fresh soils; weakest: what is "
-        "nearest to its limit, or most often beyond it, and after how many m of the way; m left, m right in a drive's "
-        "name: how far its way lies beside the direct one",
+        "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
+        "length and work of the way; weakest: what is nearest to its limit, or most often beyond it, at so many m of "
+        "the way; m left, m right in a drive's name: how far its way lies beside the direct one",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
@@ -187,7 +187,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
     ]
-    headers = ["no", "drive", "fails %", "below %", "way m", "J", "weakest", "at m"]
+    headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
     if any(one.teaches is not None for one in choice.candidates):
         headers[6:6] = ["min", "next mm"]
         rows = [[*row[:6], f"{one.duration_s / 60:.1f}", _next_end(one), *row[6:]]
