@@ -9,7 +9,12 @@ from .shared.report import Report
 from .shared.table import TextTable
 
 Kind = Annotated[
-    str, typer.Argument(metavar="KIND", help="What to begin: rover, soil, plan, mission, craters or telemetry.")
+    str,
+    typer.Argument(
+        metavar="KIND",
+        help="What to begin: rover (Yutu-2's numbers), small-four (a rover of four "
+        "wheels), soil, plan, mission, craters or telemetry.",
+    ),
 ]
 
 

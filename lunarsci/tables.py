@@ -4,6 +4,7 @@ import codecs
 import csv
 import difflib
 import io
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -28,6 +29,7 @@ MOST_CELLS = 50_000_000
 """Of a group of rows of Parquet, however small it is: 0.4 GB of numbers."""
 PIECE_ROWS, LONGEST_LINE = 20_000, 1 << 26
 """Rows that are read at a time, and bytes of the longest line."""
+DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 BLANK = ("nan", "na", "-", "")
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
@@ -39,6 +41,8 @@ ALIKE = 0.72
 def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
     """The cells of a CSV table as text; lines that begin with # are left out, blanks around names are dropped.
 
+    Where the header has semicolons and no comma these are between the cells, and a comma within a number is its point.
+
     Raises DataError for a file that cannot be read, rows of another length than the header, and equal column names.
     """
     return _csv_cells(source if isinstance(source, InputFile) else read_input(str(source)), dtype=str)
@@ -48,15 +52,35 @@ def _csv_cells(file: InputFile, before: int = 0, *, dtype: type[str] | None) -> 
     import pandas as pd
 
     content = text(file)
-    _check_widths(file.name, content, before)
+    separator = separator_of(content)
+    decimal = "," if separator == ";" and "," in content else "."
+    _check_widths(file.name, content, separator, before)
     try:
         table = pd.read_csv(
-            io.StringIO(content), comment="#", skipinitialspace=True, dtype=dtype, index_col=False, low_memory=False
+            io.StringIO(content),
+            sep=separator,
+            decimal=decimal,
+            comment="#",
+            skipinitialspace=True,
+            dtype=dtype,
+            index_col=False,
+            low_memory=False,
         )
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise DataError(f"{file.name}: not a CSV table ({' '.join(str(error).split())})") from error
     table.columns = table.columns.str.strip()
+    if decimal == ",":
+        words = table.select_dtypes(include=["object", "string"]).columns
+        table[words] = table[words].apply(lambda cells: cells.str.replace(DECIMAL_COMMA, r"\1.\2", regex=True))
     return table
+
+
+def separator_of(content: str) -> str:
+    """What is between the names of the header: a comma, or semicolons."""
+    for line in content[:_BEGINNING].splitlines():
+        if line.strip() and not line.lstrip().startswith("#"):
+            return ";" if ";" in line and "," not in line else ","
+    return ","
 
 
 def csv_tables(stream: InputStream, mended: Callable[[bytes, int], bytes]) -> "Iterator[pd.DataFrame]":
@@ -198,30 +222,33 @@ def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "p
     return kept.reset_index(drop=True)
 
 
-def _check_widths(name: str, content: str, before: int = 0) -> None:
+def _check_widths(name: str, content: str, separator: str, before: int = 0) -> None:
     """Every row must have as many fields as the header: pandas would shift or pad the others in silence.
 
     So many lines after the header are not there.
     """
-    if _is_even(content):
+    if _is_even(content, separator):
         return
     width = 0
-    for number, row in enumerate(csv_rows(name, content.splitlines(), skipinitialspace=True), 1):
+    lines = csv_rows(name, content.splitlines(), delimiter=separator, skipinitialspace=True)
+    for number, row in enumerate(lines, 1):
         if not row or row[0].lstrip().startswith("#"):
             continue
         if not width:
             _check_names(name, row)
         width = width or len(row)
         if len(row) != width:
-            line = number + before
-            raise DataError(f"{name}, line {line}: {len(row)} fields, the header has {width}; is the file complete?")
+            commas = separator == "," and len(row) > width
+            hint = " A decimal comma needs ';' between all columns" if commas else ""
+            text = f"{len(row)} fields, the header has {width}; is the file complete?"
+            raise DataError(f"{name}, line {number + before}: {text}{hint}")
 
 
-def _is_even(content: str) -> bool:
-    """Whether all lines after the header have as many commas, of a text without quotes, remarks and rare breaks."""
+def _is_even(content: str, separator: str) -> bool:
+    """Whether all lines after the header have as many separators, of a text without quotes, remarks and rare breaks."""
     start = _header(content[:_BEGINNING].encode()).decode()
     body = content[len(start) :]
-    names = start.rstrip("\n").rpartition("\n")[2].rstrip("\r").split(",")
+    names = start.rstrip("\n").rpartition("\n")[2].rstrip("\r").split(separator)
     plain = content.isascii() and len(names) == len({name.strip() for name in names})
     if not start or not plain or any(sign in body for sign in _RARE) or '"' in start:
         return False
@@ -229,7 +256,7 @@ def _is_even(content: str) -> bool:
     ends = np.flatnonzero(signs == ord("\n"))
     if body and not body.endswith("\n"):
         ends = np.append(ends, len(signs))
-    commas = np.searchsorted(np.flatnonzero(signs == ord(",")), ends)
+    commas = np.searchsorted(np.flatnonzero(signs == ord(separator)), ends)
     return bool((np.diff(commas, prepend=0) == len(names) - 1).all()) and len(names) > 1
 
 

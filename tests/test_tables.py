@@ -4,10 +4,13 @@ import csv
 import hashlib
 import tomllib
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 import pytest
 
-from lunarsci.tables import table_hashes, table_rows
+from lunarsci.errors import DataError
+from lunarsci.inputs import InputFile, open_input
+from lunarsci.tables import csv_tables, read_csv_table, table_hashes, table_rows
 
 FOLDER = Path(__file__).parents[1] / "spectra_data"
 NAMES = sorted(path.name for path in FOLDER.glob("*.csv"))
@@ -28,3 +31,19 @@ def test_every_table_has_a_source() -> None:
 def test_rows_cannot_be_changed_for_the_next_reader() -> None:
     with pytest.raises(TypeError):
         table_rows("mgm_bands.csv")[0]["center_nm"] = "0"  # type: ignore[index]
+
+
+def test_semicolons_and_decimal_commas_are_those_of_the_same_table() -> None:
+    """As spreadsheets of half the world write them; a decimal comma between commas is refused with what to do."""
+    plain = b'# remark; with ;\ntime_s,wheel, x_m\n0.5,FL,-1.25e-3\n1,,\n1.5,"a,b",2\n'
+    sent = b'# remark; with ;\ntime_s;wheel; x_m\n0,5;FL;-1,25e-3\n1;;\n1.5;"a,b";2\n'
+    table = read_csv_table(InputFile("sent.csv", sent))
+    assert table.equals(read_csv_table(InputFile("plain.csv", plain)))
+    with NamedTemporaryFile(suffix=".csv") as file:
+        file.write(sent.replace(b"1.5", b"1,5"))
+        file.flush()
+        with open_input(file.name) as stream:
+            (piece,) = csv_tables(stream, lambda cut, _: cut)
+    assert piece.time_s.tolist() == [0.5, 1.0, 1.5] and piece.x_m.tolist()[::2] == [-1.25e-3, 2.0]
+    with pytest.raises(DataError, match=r"line 2: 4 fields, the header has 2.* decimal comma needs ';'"):
+        read_csv_table(InputFile("sent.csv", b"time_s,x_m\n0,5,1,25\n"))

@@ -168,14 +168,17 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     aimed = any(one.plan.target_m is not None for one in choice.candidates[:SHOWN])
     verdict = f"doubtful: {verdict}" if found.soils.doubt else verdict
+    held = f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries"
     notes = [
         *([found.soils.doubt] if found.soils.doubt else []),
+        *([] if choice.feasible else [found.what_next]),
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
-        f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries",
-        "risk: expected, and below what with 95 %; ~ not yet driven on fresh soils; weakest: what is nearest to its "
-        "limit, and after how many m",
+        *([held] if choice.feasible else []),
+        "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
+        "length and work of the way; weakest: what is nearest to its limit, or most often beyond it, at so many m of "
+        "the way; m left, m right in a drive's name: how far its way lies beside the direct one",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
@@ -184,10 +187,10 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
     ]
-    headers = ["no", "drive", "risk [%]", "m", "J", "weakest, m"]
+    headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
     if any(one.teaches is not None for one in choice.candidates):
-        headers[5:5] = ["min", "next mm"]
-        rows = [[*row[:5], f"{one.duration_s / 60:.1f}", _next_end(one), *row[5:]]
+        headers[6:6] = ["min", "next mm"]
+        rows = [[*row[:6], f"{one.duration_s / 60:.1f}", _next_end(one), *row[6:]]
                 for row, one in zip(rows, choice.candidates, strict=False)]  # fmt: skip
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
 
@@ -225,10 +228,12 @@ def _candidate_row(one: "DriveCandidate") -> list[str]:
     return [
         f"{one.number}{'*' if one.pareto else ''}",
         one.plan.name.replace(AIMED, " ↷"),
-        f"{unsure}{_percent(one.said.risk)}<{_percent(one.said.high)}",
+        f"{unsure}{_percent(one.said.risk)}",
+        _percent(one.said.high),
         f"{one.length_m:.1f}",
         energy,
-        f"{SHORT[weak.quantity]} {weak.distance_m:z.1f}",
+        SHORT[weak.quantity],
+        f"{weak.distance_m:z.1f}",
     ]
 
 

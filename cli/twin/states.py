@@ -35,6 +35,11 @@ OPTIONS = {
     ),
     "since": option("Rows with a time_s before this are left out, such as those of earlier drives.", metavar="S"),
     "until": option("Rows with a time_s after this are left out.", metavar="S"),
+    "start_time": option(
+        "time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970. Rows "
+        "before it are left out. Without it times count from the start of the plan.",
+        metavar="S",
+    ),
 }
 Telemetry = Annotated[
     str,

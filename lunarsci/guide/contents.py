@@ -42,6 +42,7 @@ def _craters(file: InputFile) -> Mapping[str, Any]:
 
 def _plan(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.rover_check import LIMITS_RULE
 
     plan = read_plan(file)
     return {
@@ -49,7 +50,7 @@ def _plan(file: InputFile) -> Mapping[str, Any]:
         "legs": len(plan.legs),
         "length_m": plan.length_m,
         "speed_m_s": plan.speed_m_s,
-        "limits": "its own" if plan.own_limits else "those of the embedded plan, Yutu-2's",
+        "limits": "its own" if plan.own_limits else f"those of the rover that drives it: {LIMITS_RULE}",
         "sweeps": _listed(sweep.name for sweep in plan.sweep) or "none",
         "made for": "any rover" if plan.made_for is None else plan.made_for.name,
     }
@@ -79,7 +80,31 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
     if "suspension" not in description.tables:
         return told | {"parts": "a wheel alone"}
     rover = build_rover(description)
-    return told | {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
+    told |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
+    return told | _as_yutu2(description.tables)
+
+
+def _as_yutu2(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Numbers of a rover that are Yutu-2's to the last digit, by their table; none where all are."""
+    from lunarsci.rovers import read_rover
+
+    same, known = dict[str, str](), read_rover("yutu2").tables
+    numbers = {
+        name: {key: value == known.get(name, {}).get(key) for key, value in table.items() if _is_numeric(value)}
+        for name, table in tables.items()
+    }
+    if all(all(equal.values()) for equal in numbers.values()):
+        return same
+    for name, equal in numbers.items():
+        if keys := [key for key, is_equal in equal.items() if is_equal]:
+            listed = "all" if len(keys) == len(equal) > 1 else ", ".join(keys)
+            same[f"[{name}] as of yutu2"] = f"{listed}: this rover's?"
+    return same
+
+
+def _is_numeric(value: Any) -> bool:
+    parts = value if isinstance(value, list) else [value]
+    return all(isinstance(part, int | float) and not isinstance(part, bool) for part in parts)
 
 
 def _soil(file: InputFile) -> Mapping[str, Any]:

@@ -16,6 +16,8 @@ from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
+from lunarsci.rovers import known_rovers, read_rover
+from lunarsci.tables import separator_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +165,9 @@ def info(path: str | Path) -> FileInfo:
     """
     name = str(path)
     folder = Path(path)
+    if not folder.exists() and name in known_rovers():
+        rover = InputFile(name, read_rover(name).text.encode())
+        return FileInfo(file=name, sha256=rover.sha256, kind="rover", contents=CONTENTS["rover"](rover))
     if folder.is_dir():
         if not (folder / "result.json").is_file():
             raise DataError(
@@ -258,7 +263,8 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if suffix == ".fit":
         return "mgm"
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    columns = [name.strip() for name in next(csv_rows(name, lines[:1]), [])]
+    separator = separator_of(lines[0]) if lines else ","
+    columns = [name.strip() for name in next(csv_rows(name, lines[:1], delimiter=separator), [])]
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):

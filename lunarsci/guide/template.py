@@ -108,7 +108,7 @@ def _soil() -> str:
     return "\n".join([*head, *_block(values, told, optional), *_block(more, told), ""])
 
 
-def _rover() -> str:
+def _rover(known: str = "yutu2") -> str:
     from lunarsci.regolith.wheel import Wheel
     from lunarsci.rovers import read_rover
     from lunarsci.twin.electrics import Motors, PowerSupply
@@ -124,17 +124,18 @@ def _rover() -> str:
     }
     of_rover = described(Rover)
     of_rover |= {"steered_wheels": of_rover["steered"], "offset_m": of_rover["steering_offset_m"]}
-    description = read_rover("yutu2")
+    description = read_rover(known)
     lines = [
-        "# A rover; the numbers are those of yutu2, most of them assumed. Each is a value, or a table of value, source",
-        "# and assumed. [motors], [power], [limits] and [body] may be left out.",
+        f"# A rover; the numbers are those of {known}, most of them assumed. Each is a value, or a table of value,",
+        "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` says which",
+        "# numbers are still Yutu-2's.",
         "",
         'name = "my rover"',
     ]
     for table, keys in description.tables.items():
         guessed = [key for key in keys if f"{table}.{key}" in description.assumed]
         entries = {
-            key: {"value": value, "source": "yutu2; replace it"} | ({"assumed": True} if key in guessed else {})
+            key: {"value": value, "source": f"{known}; replace it"} | ({"assumed": True} if key in guessed else {})
             for key, value in keys.items()
         }
         lines += ["", f"[{table}]", *_block(entries, told.get(table, of_rover))]
@@ -143,6 +144,7 @@ def _rover() -> str:
 
 def _plan() -> str:
     from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
+    from lunarsci.twin.plans.rover_check import LIMITS_RULE
 
     told, embedded = described(Plan), read_plan()
     leg = described(Leg)
@@ -163,7 +165,12 @@ def _plan() -> str:
     lines += ["", "[[leg]]", *_block(second, {"curvature_per_m": leg["curvature_per_m"]})]
     fixes = {"position_sigma_m": 0.05, "heading_sigma_deg": 0.5}
     lines += ["", "# [fixes]", *_block(fixes, described(Fixes), fixes)]
-    lines += ["", "# What counts as safe; without this table the limits are these, Yutu-2's.", "[limits]"]
+    lines += ["", "# What counts as safe. Without this table the limits are those of the rover that drives:"]
+    lines += [
+        f"# {LIMITS_RULE}.",
+        "# These are Yutu-2's; for another rover take the table out, or write its own.",
+        "[limits]",
+    ]
     for limit in embedded.limits:
         entry = {"value": limit.limit, "source": "assumed", "assumed": True}
         lines += [f"# {limit.sense}, [{limit.unit}]", _line(limit.quantity, entry)]
@@ -232,6 +239,7 @@ def _telemetry() -> str:
     wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in WHEELS]
     lines = [
         "# Telemetry of a rover with the wheels FL, FR, ML, MR, RL, RR: made up, straight ahead without slip or noise.",
+        "# time_s may count from elsewhere, such as 1970: `twin states --start-time S` says when the plan began.",
         "# x_m and y_m are blank where there is no position; sigma_m is the standard error of each of them.",
         *(f"# {name}: {told[name]}" for name in ("time_s", *POSE_COLUMNS)),
         *(f"# {form.format('FL')} and so on: {told[name]}" for name, form in WHEEL_COLUMNS.items()),
@@ -248,6 +256,7 @@ def _telemetry() -> str:
 
 KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "rover": ("rover.toml", _rover),
+    "small-four": ("rover.toml", lambda: _rover("small-four")),
     "soil": ("soil.toml", _soil),
     "plan": ("plan.toml", _plan),
     "mission": ("mission.toml", _mission),

@@ -1,6 +1,7 @@
 """`lunarsci twin plan --risk`: the drive to take, for people, for scripts, and where there is none."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,9 @@ def test_a_limit_that_no_soil_keeps_ends_with_code_3_and_the_reason(run: Run, be
     done = run(*BASE, "--risk", "0.05", "--soil", belief, "--tolerance", "0.001", "-o", folder)
     assert done.code == 3 and "no drive keeps a risk of 0.05" in " ".join(done.err)
     assert "endpoint_miss_m" in " ".join(done.err) and done.out.startswith("NO-GO")
+    assert "of 0.001 m (" in " ".join(done.err) and "so there is no plan.toml" in " ".join(done.err)
+    (front,) = {f"{one.name}" for one in folder.glob("plan-*.toml")} & set(re.findall(r"as (plan-\d+\.toml)", done.out))
+    assert "--fixes, a nearer target or a wider --tolerance, or a higher --risk" in done.out and front
     assert not (folder / "plan.toml").exists() and (folder / "candidates.csv").exists()
 
 

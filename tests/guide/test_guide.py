@@ -3,7 +3,9 @@
 import json
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,7 @@ from lunarsci.guide.info import CSV_COLUMNS, KINDS, MAGIC, SUFFIXES, TOML_KEYS, 
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
 from lunarsci.provenance import Provenance, document, to_json
+from lunarsci.rovers import read_rover
 
 
 def written(folder: Path, name: str, text: str | bytes) -> Path:
@@ -30,7 +33,7 @@ def written(folder: Path, name: str, text: str | bytes) -> Path:
 def test_a_template_is_what_its_reader_takes(kind: str, tmp_path: Path) -> None:
     made = template(kind)
     found = info(written(tmp_path, made.name, made.text))
-    assert (found.kind, found.trouble, found.remarks) == (kind, "", [])
+    assert (found.kind, found.trouble, found.remarks) == ("rover" if kind == "small-four" else kind, "", [])
     assert found.contents
     assert max(map(len, (line for line in made.text.splitlines() if line.startswith("#")))) < 200
 
@@ -70,6 +73,26 @@ def test_the_comments_of_a_template_are_keys_that_the_reader_knows(kind: str, tm
 def test_a_template_of_another_kind_names_the_nearest() -> None:
     with pytest.raises(ParameterError, match="did you mean 'mission'"):
         template("misson")
+
+
+def test_a_rover_that_comes_along_is_a_file_to_begin_with(tmp_path: Path) -> None:
+    """With its numbers, and which of a lighter rover's are left as Yutu-2's is said."""
+    path, known = tmp_path / "rover.toml", read_rover("small-four")
+    path.write_text(template("small-four").text)
+    assert read_rover(str(path)).tables == known.tables
+    assert info("small-four").contents["wheels"] == "FL, FR, RL, RR" and info("small-four").kind == "rover"
+    own = template("rover").text
+    assert not any("as of yutu2" in key for key in info_of(own, path))
+    body = next(line for line in own.splitlines() if line.startswith("body_kg"))
+    torque = next(line for line in own.splitlines() if line.startswith("continuous_torque_nm"))
+    told = info_of(own.replace(body, "body_kg = 20.0").replace(torque, "continuous_torque_nm = 2.0"), path)
+    assert told["[power] as of yutu2"].startswith("all:")
+    assert "stall_torque_nm, no_load" in told["[motors] as of yutu2"] and "body_kg" not in told["[mass] as of yutu2"]
+
+
+def info_of(text: str, path: Path) -> Mapping[str, Any]:
+    path.write_text(text)
+    return info(path).contents
 
 
 def test_minerals_of_an_assemblage_are_named() -> None:

@@ -168,6 +168,13 @@ def test_where_none_keeps_the_risk_it_says_what_stands_in_the_way(conditions: Co
     found = choose(steep, conditions, risk=0.05, members=16)
     assert not found.feasible and found.best.said.risk > 0.9
     assert found.obstacles == (("tilt_deg", 12),)
+    both = [dataclasses.replace(one, limits=(*one.limits, limit("sinkage_m", 1e-4, "m"))) for one in steep]
+    broken = choose(both[:2], conditions, risk=0.05, members=16).best.broken
+    limits = {one.quantity: one for one in broken if one.quantity != "unfinished"}
+    assert {name: one.limit for name, one in limits.items()} == {"tilt_deg": 10.0, "sinkage_m": 1e-4}
+    for name, one in limits.items():
+        assert one.value > one.limit and one.short.startswith(f"{name} {one.value:.3g} of {one.limit:.3g} ")
+        assert one.short.endswith(f"({one.failed} drives)")
 
 
 def test_the_promise_is_counted_on_soils_that_had_no_part_in_the_choice(conditions: Conditions) -> None:

@@ -462,8 +462,13 @@ def test_a_track_elsewhere_or_absurd_is_said(drive: SyntheticDrive) -> None:
     with pytest.warns(LunarSciWarning, match="odd depth"):
         deep = with_sinkage(states, read_track(file(drive.track.assign(rut_m=drive.track["rut_m"] * 1000))), terrain)
     assert np.isnan(deep.rows.sinkage_m).all() and "odd depth" in deep.findings.doubt
+    sparse = drive.track[::8]
+    with pytest.warns(
+        LunarSciWarning, match=r"sparse, its points lie [01]\.\d+ m apart; give them every 0\.075 m or closer"
+    ):
+        with_sinkage(found(drive, terrain), read_track(file(sparse)), terrain)
     few = drive.track[drive.track["x_m"] < 1.0]
-    with pytest.warns(LunarSciWarning, match="track apart"):
+    with pytest.warns(LunarSciWarning, match="track apart.* it is short, or not along this drive"):
         with_sinkage(found(drive, terrain), read_track(file(few)), terrain)
     with pytest.raises(DataError, match="there is rut_mm: convert it"):
         read_track(file(drive.track.rename(columns={"rut_m": "rut_mm"})))

@@ -1,6 +1,7 @@
 """Telemetry that is wrong in one way each: it is found, said, and moves no state unsaid. All of it is synthetic."""
 
 import dataclasses
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -188,6 +189,7 @@ def test_what_is_wrong_is_said_and_does_no_harm(name: str, drive: SyntheticDrive
         assert worst(found, drive) < 3.8
 
 
+STEERED = re.compile("steer")
 REFUSED: dict[str, tuple[Spoil, str]] = {
     "two contents of one time": (
         lambda t: pd.concat([t.iloc[:20], t.iloc[19:20].assign(yaw_deg=9.0), t.iloc[20:]]), "has two rows that differ",
@@ -218,6 +220,11 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
     "no errors": (lambda t: t.drop(columns=["xx_m2", "xy_m2", "yy_m2"]), "no errors of the positions"),
     "a name with rad": (lambda t: t.rename(columns={"yaw_deg": "yaw_rad"}), "there is yaw_rad: convert it"),
     "a name with mm": (lambda t: t.rename(columns={"x_m": "x_mm"}), "there is x_mm: convert it"),
+    "several columns": (
+        lambda t: t.rename(columns={"x_m": "x_mm"}).drop(columns=["yaw_deg", *filter(STEERED.match, t)]),
+        r"missing: x_m \(x_mm\?\), yaw_deg, steered_W_deg or steering_W_deg of each wheel W; .* template telemetry",
+    ),
+    "dates": (lambda t: t.assign(time_s="2026-11-24T10:00:00Z"), "is a date; write seconds, such as those since 1970"),
     "text": (lambda t: t.assign(yaw_deg=["east", *t.yaw_deg[1:]]), "'east' is no number"),
     "too short": (lambda t: t.iloc[:4], "4 rows with a time"),
     "before the plan": (set_to(ALL, "time_s", lambda v: v - 5.0), "counts from the start of the plan"),
@@ -329,3 +336,49 @@ def test_headings_that_pass_half_a_turn_are_the_same(drive: SyntheticDrive, yutu
 def test_another_rover_needs_its_own_wheels(drive: SyntheticDrive) -> None:
     with pytest.raises(DataError, match="'ML' is no wheel of"):
         states(csv(drive.telemetry), build_rover("small-four"), None)
+
+
+@pytest.mark.parametrize("begins", [1_700_000_000.5, 3600.0])
+def test_times_of_another_clock_are_said_with_their_start_and_taken_from_there(
+    begins: float, drive: SyntheticDrive, yutu2: Rover
+) -> None:
+    late = csv(drive.telemetry.assign(time_s=drive.telemetry.time_s + begins))
+    with pytest.raises(DataError, match=rf"goes from {begins:.12g} to .* those of the plan with --start-time (\d\S+)$"):
+        states(late, yutu2)
+    findings = Findings("sent.csv")
+    told = read_telemetry(InputFile("sent.csv", late), yutu2, findings, start_s=begins)
+    found = states_of(told, yutu2, GROUND, findings, PLAN)
+    assert found.findings.entries == []
+    assert found.rows.slip_ratio == pytest.approx(states(csv(drive.telemetry), yutu2).rows.slip_ratio, abs=1e-5)
+
+
+def halted(table: pd.DataFrame, row: int, seconds: int, *, rates: bool) -> pd.DataFrame:
+    """The rover stands still after a row; its wheels tell angles alone where `rates` are not wanted."""
+    begin, own = float(table.time_s[row]), np.random.default_rng(1)
+    still = pd.concat([table.iloc[[row]]] * seconds, ignore_index=True).assign(x_m=np.nan, y_m=np.nan)
+    still["time_s"] = begin + 1.0 + still.index
+    still[columns("speed_{}_m_s", "rate_{}_deg_s")] = 0.0
+    noisy = ["yaw_deg", "roll_deg", "pitch_deg", *columns("angle_{}_deg")]
+    still[noisy] += own.normal(0.0, 0.1, (seconds, len(noisy)))
+    after = table.iloc[row + 1 :].assign(time_s=lambda rest: rest.time_s + seconds)
+    whole = pd.concat([table.iloc[: row + 1], still, after], ignore_index=True)
+    return whole if rates else whole.drop(columns=columns("speed_{}_m_s", "rate_{}_deg_s"))
+
+
+@pytest.mark.parametrize("rates", [True, False])
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_a_halt_that_the_plan_lacks_is_told_from_a_late_clock(rates: bool, drive: SyntheticDrive, yutu2: Rover) -> None:
+    """And with the stop that is proposed the plan is that of the drive."""
+    sent = csv(halted(drive.telemetry, 40, 60, rates=rates))
+    found = states(sent, yutu2).findings
+    (halt,) = [one for one in found.entries if one.kind == "unplanned halt"]
+    assert halt.doubt and "from 4" in halt.what and "no halt there" in halt.what
+    assert not {"clock offset", "other commands", "late end"} & {one.kind for one in found.entries}
+    way, stop = (float(part) for part in re.findall(r"([\d.]+)(?: m,| between)", halt.done))
+    assert halt.time_s is not None and abs(halt.time_s - float(drive.telemetry.time_s[40])) < 1.5
+    mended = dataclasses.replace(PLAN, legs=(Leg(way, 0.15), Leg(stop_s=stop), Leg(3.0 - way, 0.15), PLAN.legs[1]))
+    assert not states(sent, yutu2, mended).findings.doubt
+    short = dataclasses.replace(mended, legs=(mended.legs[0], Leg(stop_s=stop - 20.0), *mended.legs[2:]))
+    (longer,) = [one for one in states(sent, yutu2, short).findings.entries if one.kind == "unplanned halt"]
+    (again,) = re.findall(r"set stop_s = ([\d.]+) in leg 2", longer.done)
+    assert float(again) == pytest.approx(stop, abs=1.0)

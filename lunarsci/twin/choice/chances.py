@@ -42,7 +42,15 @@ class Weakest:
         if self.quantity == UNFINISHED:
             return f"{self.failed} drive{'s end' if self.failed > 1 else ' ends'} early: {self.unit}"
         unit = "" if self.unit == "-" else f" {self.unit}"
-        return f"95 % of the drives keep {self.quantity} {self.value:.3g}{unit}, limit {self.limit:g}{unit}"
+        return f"95 % of the drives keep {self.quantity} {self.value:.3g}{unit}, limit {self.limit:.4g}{unit}"
+
+    @property
+    def short(self) -> str:
+        """What is beyond its limit, and in how many drives."""
+        if self.quantity == UNFINISHED:
+            return f"{self.failed} drives end early"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.quantity} {self.value:.3g} of {self.limit:.3g}{unit} ({self.failed} drives)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +61,12 @@ class Verdicts:
     ----------
     kept : drives that ended and kept every limit. (members,)
     weakest : where they come nearest to a limit.
+    broken : each limit that drives break, that which most of them break first.
     """
 
     kept: BoolArray
     weakest: Weakest
+    broken: tuple[Weakest, ...] = ()
 
     @property
     def chance(self) -> Chance:
@@ -79,7 +89,8 @@ def verdicts(prediction: Prediction) -> Verdicts:
         beyond = broken(limit, values) & prediction.reached
         kept &= ~beyond.any(axis=1)
         places.append(_place(prediction, limit, _use(prediction, limit, values), values, int(beyond.any(axis=1).sum())))
-    return Verdicts(kept, max(places, key=lambda pair: pair[0])[1])
+    places.sort(key=lambda pair: pair[0], reverse=True)
+    return Verdicts(kept, places[0][1], tuple(place for _, place in places if place.failed))
 
 
 def _use(prediction: Prediction, limit: Limit, values: FloatArray) -> FloatArray:

@@ -42,6 +42,7 @@ class DriveCandidate:
     chance : of failing on these.
     promise : of failing on fresh soils, which had no part in choosing it; None where it was not driven on these.
     weakest : where it comes nearest to a limit, on the fresh soils where it was driven on these.
+    broken : each limit that its drives break, on the same soils, that which most of them break first.
     energy_j : work of all wheels, the mean of the drives that ended; NaN where none did. [J]
     duration_s : of the plan. [s]
     stopped : whether it was given up before it had been driven on all soils.
@@ -55,6 +56,7 @@ class DriveCandidate:
     chance: Chance
     promise: Chance | None = None
     weakest: Weakest
+    broken: tuple[Weakest, ...] = ()
     energy_j: float
     duration_s: float
     stopped: bool = False
@@ -289,7 +291,10 @@ class _Race:
             return [replace(one, promise=one.chance) for one in batch]
         driven = self._drive([one.plan for one in batch], fresh)
         held = [verdicts(prediction) for prediction in driven]
-        return [replace(one, promise=own.chance, weakest=own.weakest) for one, own in zip(batch, held, strict=True)]
+        return [
+            replace(one, promise=own.chance, weakest=own.weakest, broken=own.broken)
+            for one, own in zip(batch, held, strict=True)
+        ]
 
     def _drive(self, plans: list[Plan], members: range, conditions: Conditions | None = None) -> list[Prediction]:
         begun = self.done
@@ -309,6 +314,7 @@ class _Race:
             prediction=prediction,
             chance=held.chance,
             weakest=held.weakest,
+            broken=held.broken,
             energy_j=expected_energy_j(prediction),
             duration_s=make_schedule(prediction.plan, prediction.rover).duration_s,
         )

@@ -80,13 +80,30 @@ class ChosenDrive(TerrainSurvey):
 
     @property
     def why_none(self) -> str:
-        """What stands in the way where no drive keeps the risk."""
+        """All limits that the safest drive breaks, where no drive keeps the risk."""
         best, choice = self.choice.best, self.choice
-        broken = ", ".join(f"{name} ({count} drives)" for name, count in choice.obstacles)
+        broken = ", ".join(one.short for one in best.broken)
         return (
-            f"no drive keeps a risk of {choice.risk:.3g}: the safest of {len(choice.candidates)}, {best.plan.name}, "
-            f"fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}); {best.weakest.why}, at x "
-            f"{best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m; most in the way: {broken}"
+            f"no drive keeps a risk of {choice.risk:.3g}, so there is no plan.toml: drive {best.number}, the safest of "
+            f"{len(choice.candidates)}, fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}): "
+            f"{broken}"
+        )
+
+    @property
+    def what_next(self) -> str:
+        """What may help where no drive keeps the risk, by what is broken."""
+        soil = {"slip_ratio", "side_slip_deg", "sinkage_m", "unfinished", "motor_torque_nm", "motor_load"}
+        broken = {one.quantity for one in self.choice.best.broken}
+        help_for = {
+            "another target, or ground that is less steep or less soft": soil | {"tilt_deg", "clearance_m"},
+            "--fixes, a nearer target or a wider --tolerance": {"endpoint_miss_m", "keep_out_m"},
+            "more charge or Sun": {"battery_charge"},
+        }
+        advice = "; ".join(what for what, quantities in help_for.items() if quantities & broken)
+        names = ", ".join(f"plan-{one.number:02d}.toml" for one in self.choice.front[:3])
+        return (
+            f"what may help: {advice or 'another target'}, or a higher --risk; with -o DIR the drives that no other "
+            f"beats are there as {names}: `twin predict` says more of them"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -105,6 +122,7 @@ class ChosenDrive(TerrainSurvey):
                 "fresh_members": self.fresh_members,
                 "drives": sum(one.chance.drives for one in choice.candidates),
                 "front": [one.number for one in choice.front],
+                "broken": [] if choice.feasible else [one.short for one in choice.best.broken],
                 "stands_in_the_way": [{"quantity": name, "candidates": count} for name, count in choice.obstacles],
                 "candidates": [one.to_dict() for one in choice.candidates],
             },

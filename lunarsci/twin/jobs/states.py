@@ -36,6 +36,8 @@ class StatesRequest:
     positions : from localisation, as a table of time_s, x_m, y_m and their errors, in place of those in the telemetry.
     track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
     since, until : rows whose time_s is before or after are left out; None takes all. [s]
+    start_time : time_s of the start of the plan, by the clock of telemetry and `positions`, such as seconds since 1970;
+        rows before are left out. None: times count from the start of the plan. [s]
     """
 
     rover: str | None = None
@@ -45,6 +47,7 @@ class StatesRequest:
     track: str | Any | None = None
     since: float | None = None
     until: float | None = None
+    start_time: float | None = None
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -153,12 +156,17 @@ def states(
     known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
     with open_input(telemetry) as source:
         findings = Findings(source.name)
-        sent = read_telemetry(source, known.rover, findings, placed=asked.positions is None, span_s=asked.span_s)
+        placed = asked.positions is None
+        sent = read_telemetry(
+            source, known.rover, findings, placed=placed, span_s=asked.span_s, start_s=asked.start_time
+        )
     known.inputs[source.name] = source.sha256
     if asked.positions is not None:
         fixes = read_input(asked.positions)
         known.inputs[fixes.name] = fixes.sha256
-        sent = with_positions(sent, read_positions(fixes), fixes.name, findings)
+        located = read_positions(fixes)
+        located = located._replace(time_s=located.time_s - sent.start_s)
+        sent = with_positions(sent, located, fixes.name, findings)
     drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None)
     if asked.track is not None:
         drive = with_sinkage(drive, _read_track(known, asked.track, asked.interpolation), known.terrain)

@@ -16,6 +16,8 @@ from lunarsci.twin.rover import Rover
 
 SINKAGE_IN_RADII = 1.0 / 3.0
 """Assumed, as in the embedded plan."""
+LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
+"""What a plan without [limits] is judged by."""
 
 
 def limits_of_rover(limits: Iterable[Limit], description: RoverDescription, rover: Rover) -> tuple[Limit, ...]:

@@ -331,10 +331,17 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
     column, row = (
         round((value - first) / terrain.spacing_m) for value, first in ((x, terrain.x0_m), (y, terrain.y0_m))
     )
+    check_free(surface, name, row, column)
+
+
+def check_free(surface: Traversability, name: str, row: int, column: int) -> None:
+    """Raises ParameterError, with the reason, where a node is no place for a rover."""
     if reason := surface.reason(row, column):
+        steep = float(surface.maps.slope_deg[row, column])
+        limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
         raise ParameterError(
             f"the rover cannot be at the {name}: {reason}; give another {name}, or, if it stands there, a limit that "
-            "lets it leave"
+            f"lets it leave{limit}"
         )
 
 

@@ -1,11 +1,10 @@
 """Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
 
-import difflib
 import math
 import re
 import warnings
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, open_input
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, check_telemetry_columns
 from lunarsci.twin.telemetry.pieces import tables_of
 from lunarsci.twin.telemetry.rests import RowsKept
 
@@ -92,6 +92,7 @@ class Telemetry:
     synthetic : whether the file says that it is made up.
     rests_s : begin and end of rests within which rows are left out (see `rests`). [s]
     rows : how many the file has.
+    start_s : what the file's `time_s` is at the start of the plan. [s]
     """
 
     file: str
@@ -111,6 +112,7 @@ class Telemetry:
     fix_shared_m2: FloatArray | None = None
     rests_s: tuple[tuple[float, float], ...] = ()
     rows: int = 0
+    start_s: float = 0.0
 
     @property
     def rested(self) -> BoolArray:
@@ -132,11 +134,8 @@ class Telemetry:
         return np.where(np.isfinite(self.steered_deg), self.steered_deg, self.steering_deg)
 
 
-NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
-ERRORS = ("xx_m2", "xy_m2", "yy_m2")
-WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
-UNIT = re.compile(r"_(?:ms|s|min|h|mm|cm|m|km|deg|rad|m2|mm2|cm2|deg_s|rad_s|m_s|mm_s|cm_s|km_h|rpm)$")
 OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
+DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
 SYNTHETIC = ("true", "1", "1.0")
 YAW_SIGMA_DEG = 0.3
 """Error of a heading whose error is not given; assumed. [deg]"""
@@ -222,6 +221,7 @@ def read_telemetry(
     *,
     placed: bool = True,
     span_s: tuple[float, float] = (-math.inf, math.inf),
+    start_s: float | None = None,
 ) -> Telemetry:
     """Read telemetry, by the ending of its file: .ecsv, .parquet, else CSV, a piece at a time.
 
@@ -231,38 +231,46 @@ def read_telemetry(
     wheel did must be there for all of them: angle or rate or speed, and steered or steering.
 
     Rows stay in the order of the file, without those of a rover that rests (see `rests`), and without those whose time
-    is not within `span_s`. Where positions come from elsewhere (`placed` False) none are read here. Raises DataError
-    for columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more
-    rows of a rover that does not rest than there is memory for.
+    is not within `span_s`; with `start_s`, the file's time of the start of the plan, times count from there, and rows
+    before are left out. Where positions come from elsewhere (`placed` False) none are read here. Raises DataError for
+    columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more rows
+    of a rover that does not rest than there is memory for.
     """
     kept, infinite, synthetic = RowsKept(source.name, rover), dict[str, int](), False
+    begin = -math.inf if start_s is None else start_s
     with open_input(source) as stream:
         for table in tables_of(stream, findings):
             values = _numbers(source.name, table, rover, placed=placed)
             names = list(values)
             _count_infinities(values, infinite)
-            outside = (values["time_s"] < span_s[0]) | (values["time_s"] > span_s[1])
+            outside = (values["time_s"] < max(span_s[0], begin)) | (values["time_s"] > span_s[1])
+            values["time_s"] = values["time_s"] - (start_s or 0.0)
             kept.add({name: column[~outside] for name, column in values.items()})
             if "synthetic" in table:
                 synthetic = synthetic or bool(table["synthetic"].astype(str).str.lower().isin(SYNTHETIC).any())
     for name, count in infinite.items():
         findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
     if not kept.read:
-        raise DataError(f"{source.name}: no rows between {span_s[0]:g} and {span_s[1]:g} s; give others")
-    return _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
+        first, last = max(span_s[0], begin), span_s[1]
+        raise DataError(f"{source.name}: no rows between time_s {first:.12g} and {last:.12g}; give others")
+    found = _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
+    return replace(found, start_s=start_s or 0.0)
 
 
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
     """The columns that count, of a piece."""
     names = [str(name) for name in table.columns]
-    _check_wheels(file, names, rover)
-    _check_needed(file, names, placed=placed)
+    check_telemetry_columns(file, names, rover, placed=placed)
     known = [name for name in _known(names, rover) if placed or name not in OF_PLACES]
     for form in WHEEL_COLUMNS.values():
         present = [form.format(wheel) in names for wheel in rover.wheels]
         if any(present) and not all(present):
             missing = form.format(rover.wheels[present.index(False)])
             raise DataError(f"{file}: no column {missing}, but those of other wheels; add it or drop them all")
+    first = str(next(iter(table["time_s"].dropna()), ""))
+    if DATE.match(first):
+        text = "write seconds, such as those since 1970, and give those of the plan's start as --start-time"
+        raise DataError(f"{file}, time_s: '{first}' is a date; {text}")
     return {name: numbers_of(file, name, table[name]) for name in known}
 
 
@@ -279,17 +287,18 @@ def _telemetry(
         done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"
         findings.add("no heading error", "no errors of yaw_deg", done, count=kept.read)
         yaw_sigma = np.full(count, YAW_SIGMA_DEG)
+    columns: dict[str, Any] = {
+        key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
+        for key, form in WHEEL_COLUMNS.items()
+    }
+    columns |= {name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"}
     return Telemetry(
         file=file,
         time_s=values["time_s"],
         fix_m=np.column_stack([values["x_m"], values["y_m"]]),
         fix_covariance_m2=_covariance(file, values),
-        **{name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"},
         yaw_deg_sigma=yaw_sigma,
-        **{
-            key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
-            for key, form in WHEEL_COLUMNS.items()
-        },
+        **columns,
         synthetic=synthetic,
         rests_s=tuple(kept.rests_s),
         rows=kept.read,
@@ -308,53 +317,6 @@ def _known(names: list[str], rover: Rover) -> list[str]:
     known = {*NEEDED, *POSE_COLUMNS, *ERRORS, "sigma_m"}
     known |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
     return [name for name in names if name in known]
-
-
-def _check_needed(file: str, names: list[str], *, placed: bool) -> None:
-    for needed in NEEDED:
-        if needed not in names and (placed or needed not in ("x_m", "y_m")):
-            told = f"{_hint(needed, names)}; `lunarsci template telemetry` has all columns"
-            raise DataError(f"{file}: no column {needed}{told}")
-    if placed and "sigma_m" not in names and not all(name in names for name in ERRORS):
-        hint = _hint("sigma_m", names) if not any(name in names for name in ERRORS) else ""
-        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2{hint}")
-
-
-def _hint(needed: str, names: list[str]) -> str:
-    """The column that may be meant: the same quantity in another unit, or a name like it."""
-    bare = UNIT.sub("", needed)
-    other = [name for name in names if UNIT.sub("", name) == bare and name != needed]
-    if other:
-        return f"; there is {other[0]}: convert it and call it {needed}"
-    near = difflib.get_close_matches(needed, names, n=1, cutoff=0.7)
-    return f"; is it '{near[0]}'? rename it" if near else f"; there are: {', '.join(names[:12])}"
-
-
-def _unit_hint(wanted: list[str], names: list[str]) -> str:
-    """The column of the same quantity and wheel in another unit."""
-    for name in wanted:
-        other = [found for found in names if UNIT.sub("", found) == UNIT.sub("", name)]
-        if other:
-            return f"; there is {other[0]}: convert it and call it {name}"
-    return ""
-
-
-def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
-    found = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
-    strange = [wheel for wheel in found if wheel not in rover.wheels]
-    own = ", ".join(rover.wheels)
-    if strange:
-        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right --rover")
-    for wheel in rover.wheels:
-        for what, forms in (("turned", ("angle", "rate", "speed")), ("was steered", ("steered", "steering"))):
-            units = {"rate": "deg_s", "speed": "m_s"}
-            columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
-            if not any(column in names for column in columns):
-                hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
-                raise DataError(
-                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
-                    "turn and a steering (0 if it stays straight): `lunarsci template telemetry` has all columns"
-                )
 
 
 def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:

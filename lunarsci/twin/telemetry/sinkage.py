@@ -48,6 +48,16 @@ class RutPoints:
     rut_m: FloatArray
     sigma_m: FloatArray
 
+    @property
+    def apart_m(self) -> float:
+        """Median distance of a point from the nearest other one, 0 where there is none. [m]"""
+        from scipy.spatial import cKDTree
+
+        if len(self.place_m) < 2:
+            return 0.0
+        distance: Any = cKDTree(self.place_m).query(self.place_m, k=2)[0]
+        return float(np.median(distance[:, 1]))
+
     def depth_at(self, places_m: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
         """Mean depth within a distance of places (m, 2), and its error: that of a point, and the scatter. (m,) [m]"""
         from scipy.spatial import cKDTree
@@ -244,8 +254,10 @@ def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known
             "drive, in its frame, in m?"
         )
     if met < ALONG:
-        what = (
-            f"the track meets {100 * met:.0f} % of the states, which need points within "
-            f"{0.5 * drive.rover.wheel.width_m:.2g} m of a wheel: it is sparse, short, or not along this drive"
-        )
+        reach, apart = 0.5 * drive.rover.wheel.width_m, points.apart_m
+        why = "short, or not along this drive"
+        if apart > 2.0 * reach:
+            why = f"sparse, its points lie {apart:.2g} m apart; give them every {reach:.2g} m or closer"
+        need = f"which need points within {reach:.2g} m of a wheel"
+        what = f"the track meets {100 * met:.0f} % of the states, {need}: it is {why}"
         drive.findings.add("track apart", what, "sinkage is blank elsewhere", doubt=met < 0.5 * ALONG)

@@ -20,7 +20,6 @@ from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
     AGAINST_PLAN,
     WheelPace,
-    check_against_plan,
     check_pace,
     ordered,
     steering_angles,
@@ -37,6 +36,7 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
 )
 from lunarsci.twin.telemetry.odometry import body_twist
+from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
 from lunarsci.twin.telemetry.smoother import (
