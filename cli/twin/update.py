@@ -17,6 +17,7 @@ from .options import INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.jobs.update import LearnedSoil
 
 
@@ -134,10 +135,13 @@ def result_tables(found: "LearnedSoil") -> list[TextTable]:
 
 
 def _notes(learned: "LearnedSoil") -> list[str]:
+    from lunarsci.twin.assimilation.update import SURPRISING
+
     found = learned.found
     notes = [
-        f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
-        f"surprise {found.prior_shift:.2f} standard deviations of what was believed before",
+        f"{_told(found)}; {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}",
+        f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
+        f"(about 1 or less as expected, above {SURPRISING:g} hardly the same ground)",
         *learned.doubts,
         *_slip_notes(learned),
     ]
@@ -155,6 +159,19 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     if not found.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, EFFECTIVE]
+
+
+def _told(found: "SoilUpdate") -> str:
+    """How many values the soil was learned from, and of what."""
+    import numpy as np
+
+    from lunarsci.twin.assimilation.drive_record import OBSERVED
+
+    kept = (np.isfinite(found.residuals) & ~found.outliers).sum(axis=0)
+    parts = [f"{count} of {name}" for name, count in zip(OBSERVED, kept, strict=True) if count]
+    places = found.values - int(kept.sum())
+    parts += [f"{places} of {places // 2} positions (x and y)"] if places else []
+    return f"learned from {found.values} values: {', '.join(parts)}"
 
 
 def _slip_notes(learned: "LearnedSoil") -> list[str]:
@@ -183,5 +200,5 @@ def _segment_table(segments: "list[Segment]") -> TextTable:
     ]
     headers = ["parameter", *(f"{segment.from_m:.1f} to {segment.to_m:.1f} m" for segment in segments)]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
-    title = "Soil of each stretch of the way: median, and in brackets what is left of the prior's spread"
+    title = "Soil of each stretch of the way: median, and in brackets its width, of that before any drive"
     return TextTable(headers, rows, title=title, notes=notes)

@@ -16,12 +16,12 @@ from matplotlib.ticker import LogLocator
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page, wrapped
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
+from lunarsci.regolith.belief_history import NINETY_FIVE, past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
 from lunarsci.regolith.forces import WheelForces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
-from lunarsci.regolith.prior import PARAMETERS, Law
+from lunarsci.regolith.prior import PARAMETERS, Law, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
@@ -209,19 +209,49 @@ def _draw(
 
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+SOILS = 512
+"""Drawn of a belief for its density; where it holds a population, that in turn."""
 TYPICAL_BEARING = (1.0, 820.0)
 TYPICAL_SHEAR = (520.0, 42.0)
 """Typical lunar N, K_s and c, phi, as drawn by Ding et al. (2024), Fig. 4, 10.1038/s41467-024-46233-8."""
 
 
+def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) -> Figure:
+    """What a belief says of the soil: each parameter before any drive and now, as the posterior of `infer`.
+
+    Intervals are those of `SoilBelief.intervals`, the density that of its soils.
+    """
+    center = np.array([belief.laws[name].center for name in PARAMETERS])
+    width = np.array([belief.laws[name].width for name in PARAMETERS])
+    spread = np.sqrt(np.diag(belief.covariance))
+    lines = [belief.mean + k * spread for k in (0.0, -1.0, 1.0, -NINETY_FIVE, NINETY_FIVE)]
+    lines += [center + k * width for k in (-NINETY_FIVE, NINETY_FIVE)]
+    keys = ("median", "low68", "high68", "low95", "high95", "prior_low95", "prior_high95")
+    columns = values_of(belief.laws, np.stack(lines)).T
+    rows = [
+        {"parameter": name, **dict(zip(keys, column, strict=True)), "shrinkage": 1.0 - left, "determined": False}
+        for (name, left), column in zip(belief.sd_ratio.items(), columns, strict=True)
+    ]
+    soils = belief.draws(SOILS)
+    title = f"{title}, doubtful" if belief.doubt else title
+    draws = np.stack([soils[name] for name in PARAMETERS], axis=1)
+    return posterior_figure(rows, belief.laws, draws, title, synthetic=synthetic)
+
+
 def posterior_figure(
-    rows: Sequence[Mapping[str, Any]], prior: Mapping[str, Law], draws: FloatArray, title: str
+    rows: Sequence[Mapping[str, Any]],
+    prior: Mapping[str, Law],
+    draws: FloatArray,
+    title: str,
+    *,
+    synthetic: bool = False,
 ) -> Figure:
     """Prior and posterior density of each parameter; bars are the 68 and 95 % intervals of the posterior.
 
     Parameters
     ----------
     rows, prior, draws : of a `SoilPosterior`.
+    synthetic : whether the states are made up.
     """
     from scipy.stats import gaussian_kde
 
@@ -245,13 +275,14 @@ def posterior_figure(
         panel.spines["left"].set_visible(False)
         if law.of == "ln":
             panel.set_xscale("log")
-            panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            wide = values.max() > 8.0 * values.min()
+            panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if wide else (1, 1.5, 2, 3, 5, 7)))
             panel.xaxis.set_major_formatter("{x:g}")
             panel.xaxis.set_minor_formatter("")
         known = "determined" if row["determined"] else f"{100 * (1 - row['shrinkage']):.0f} % of the prior's width"
         panel.set_title(known, loc="left")
     legend_below(figure, panels.ravel()[:1], 5)
-    headline(figure, title)
+    headline(figure, title, synthetic=synthetic)
     return figure
 
 
