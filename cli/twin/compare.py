@@ -112,7 +112,10 @@ def _tables(compared: "ComparedDrive") -> list[TextTable]:
     left_out = [f"not compared: {name} ({why})" for name, why in found.not_compared.items()]
     unchecked = "the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)"
     driven = [unchecked if pace is None else pace.text]
-    return [*tables, TextTable([], [], title="What this rests on", notes=[*_whole(found), *driven, *found.notes, *left_out])]
+    return [
+        *tables,
+        TextTable([], [], title="What this rests on", notes=[*_whole(found), *driven, *found.notes, *left_out]),
+    ]
 
 
 def _end_rows(end: "EndCheck | None") -> list[list[str]]:

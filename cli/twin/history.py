@@ -86,7 +86,16 @@ def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
-    headers = ["drive", "states", "plan", "values", "outliers", "reduced chi-square", "surprise [sd]", "forgotten before"]
+    headers = [
+        "drive",
+        "states",
+        "plan",
+        "values",
+        "outliers",
+        "reduced chi-square",
+        "surprise [sd]",
+        "forgotten before",
+    ]
     rows = [
         [
             str(drive["drive"]),

@@ -177,9 +177,9 @@ def _told(found: "SoilUpdate") -> str:
 def _slip_notes(learned: "LearnedSoil") -> list[str]:
     """Slip and rates of the wheels, as measured beside the drive that was simulated."""
     notes, pace = [], learned.pace
-    if (slips := learned.slips) is not None:
-        leans = "; predictions lean that way" if learned.leans else ""
-        notes.append(f"median slip ratio: {slips[0]:.3f} measured, {slips[1]:.3f} simulated on the soil found{leans}")
+    if (slip := learned.slip) is not None:
+        text = f"{slip.measured:.3f} measured, {slip.simulated:.3f} simulated on the soil found"
+        notes.append(f"median slip ratio: {text}; standard error of the difference {slip.error:.3f}")
     if pace is None:
         notes.append("the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)")
     elif not pace.off:

@@ -100,7 +100,7 @@ def _document(name: str, path: str | Path, folder: Path | None) -> Document:
     if Path(path).suffix.lower() in DESCRIPTIONS:
         raise DataError(f"{path}: an input or a table, no result; {REMEDY}")
     file = read_input(path)
-    if not file.data.lstrip()[:1] in (b"{", b"["):
+    if file.data.lstrip()[:1] not in (b"{", b"["):
         raise DataError(f"{path}: text, no JSON result; run its command again with --json -o {Path(path).stem}.json")
     found = read_json(file, "a result", lambda value: value)
     if isinstance(found, dict) and str(found.get("schema", "")).startswith(f"{BELIEF}/"):
@@ -129,7 +129,9 @@ def _belief(name: str, file: InputFile) -> Document:
         "untrusted": told.untrusted,
         "failures": [],
     }
-    return Document(name, told.schema, told.to_dict(), record, None, {"the soil before any drive and now.svg": drawn}, file.sha256)
+    return Document(
+        name, told.schema, told.to_dict(), record, None, {"the soil before any drive and now.svg": drawn}, file.sha256
+    )
 
 
 def _remedy(found: Any) -> str:

@@ -172,7 +172,8 @@ def learned(result: Result) -> ResultAnswer:
         else " No change of the soil along the way was found."
     )
     return ResultAnswer(
-        f"The soil was learned from {counted(result['values'], 'value')} of the drive. {like(result['parameters'])}{changed}"
+        f"The soil was learned from {counted(result['values'], 'value')} of the drive. {like(result['parameters'])}"
+        f"{changed}"
     )
 
 

@@ -28,7 +28,14 @@ from lunarsci.twin.assimilation.posterior import (
     posterior_of,
     wheel_errors,
 )
-from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, HUBER, MODEL_SHARES, POSITION, DriveBias, DriveResiduals
+from lunarsci.twin.assimilation.residuals import (
+    FIX_ERROR_M,
+    HUBER,
+    MODEL_SHARES,
+    POSITION,
+    DriveBias,
+    DriveResiduals,
+)
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
@@ -68,6 +75,9 @@ for returns in an independent simulator; assumed elsewhere."""
 SETTLED, SURPRISING = 0.3, 2.0
 """Autocorrelation of particles above which they have not spread out; prior shift above which the ground differs;
 assumed."""
+WIDENED = 2.0
+"""Factor of the errors of positions from which on it is warned of: one soil of this law does not lead where the rover
+went. Measured: `tests/benchmarks/leaning.py`, docs/validation/drive.md. [-]"""
 STILL = 1.1
 """Factor of the errors that is no longer worth another round; assumed."""
 

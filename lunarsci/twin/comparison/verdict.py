@@ -105,7 +105,8 @@ ALARM_OF_CHANGE = 0.003
 Assumed."""
 BORDERLINE = 0.1
 """Probability below which something of a drive lies near the edge of what was predicted: nothing speaks against the
-prediction, nor much for it. Right predictions come near in 20 to 30 of 100 drives, measured: `tests/twin/test_compare.py`."""
+prediction, nor much for it. Right predictions come near in 20 to 30 of 100 drives, measured with the drives of
+`tests/twin/test_compare.py`."""
 FAR, SELDOM = 5.0, 0.05
 """Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
 hides more than it says, and how seldom it must be among the members; assumed."""

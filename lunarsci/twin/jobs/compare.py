@@ -185,7 +185,7 @@ def compare(
     found = verdict.compare(matched, asked.seed)
     if found.near:
         warnings.warn(
-            f"{source.name}: nothing contradicts the prediction, but {'; '.join(found.near)}, so it is hardly confirmed",
+            f"{source.name}: nothing contradicts the prediction, but it is hardly confirmed: {'; '.join(found.near)}",
             LunarSciWarning,
             stacklevel=2,
         )

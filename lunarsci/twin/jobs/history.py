@@ -107,7 +107,7 @@ class BeliefHistory(Result):
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.figure import file_label
-        from lunarsci.regolith.figure import belief_figure, belief_history_figure
+        from lunarsci.regolith.belief_figure import belief_figure, belief_history_figure
 
         names = (file_label(self.source.name), file_label(self.other_source.name) if self.other_source else "")
         title = f"{names[0]}: belief of the soil by drive"
