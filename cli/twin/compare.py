@@ -62,8 +62,10 @@ def compare(
 
     The drive is held against the predicted drives, each with the errors of measurement that the real one has. If the
     prediction is right, the real drive is one more of them; where it is farther off than all but 1 in 100 would be, the
-    prediction was not to be trusted, it is said why, and the exit code is 3. Times count from the start of the plan.
-    What was not measured is named and not judged.
+    prediction was not to be trusted, it is said why, and the exit code is 3. Where something is near the edge, below 1
+    in 10, it is `not contradicted`: hardly confirmed, exit code 0. Wheels that turned otherwise than the plan says, or
+    states that are doubtful, make it doubtful (3). Times count from the start of the plan. What was not measured is
+    named and not judged.
 
     With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
     soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.

@@ -104,8 +104,9 @@ def update(
     between changes is learned on its own, and far from all that was driven the map returns to the first priors.
 
     Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
-    A drive that needs errors more than five times as large, or whose wheels turned otherwise than the plan says, leaves
-    a doubtful belief: the exit code is 3, here and wherever it is used, until all is forgotten (--forget 1).
+    A drive that needs errors more than five times as large, that slipped otherwise than the soil found does, or whose
+    wheels turned otherwise than the plan says, leaves a doubtful belief: the exit code is 3, here and wherever it is
+    used, until all is forgotten (--forget 1).
 
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """

@@ -38,7 +38,9 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.rovers import read_rover
 from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, pace_of, read_record, states_at
-from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.assimilation.residuals import POSITION
+from lunarsci.twin.assimilation.slip_lean import SlipLean
+from lunarsci.twin.assimilation.update import WIDENED, SoilUpdate, assimilate
 from lunarsci.twin.comparison.checks import ALL
 from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.matched import match_observations
@@ -296,9 +298,46 @@ def main() -> None:
     print(report(rows))
 
 
+RIGHT = ("right", "uphill")
+MISLED = 2.0
+"""Standard deviations by which the way back misses what was predicted of its slip or end, from which on it is wrong."""
+
+
+def lean_of(row: dict[str, Any]) -> SlipLean:
+    """As `twin update` judges it."""
+    spread = row["again"].get("spread", 0.0)
+    return SlipLean(measured=row["measured"], simulated=row["simulated"], spread=spread, sigma=row["sigma"])
+
+
+def misled(row: dict[str, Any]) -> bool:
+    """Whether the way back was predicted wrong."""
+    back = row["back"]
+    return max(abs(back.get("bias_sd") or 0.0), back.get("end_sd") or 0.0) > MISLED
+
+
 def report(rows: list[dict[str, Any]]) -> str:
-    """By kind."""
-    return str(len(rows))
+    """By kind: drives, refused, doubted without the lean; of the others the leans, and who was misled."""
+    lines = ["kind          drives refused doubted | others  largest lean  errors  leaning | misled, of these leaning"]
+    kinds = [kind for kind in CASES if any(row["kind"] == kind for row in rows)]
+    for name, own in {
+        **{kind: (kind,) for kind in kinds},
+        "all right": RIGHT,
+        "all wrong": set(CASES) - {*RIGHT},
+    }.items():
+        every = [row for row in rows if row["kind"] in own]
+        known = [row for row in every if "again" in row]
+        others = [row for row in known if not row["doubt"]]
+        leans = [lean_of(row) for row in others]
+        largest = max((abs(one.simulated - one.measured) for one in leans), default=0.0)
+        errors = max((abs(one.simulated - one.measured) / one.error for one in leans), default=0.0)
+        wrong = [lean.off for row, lean in zip(others, leans, strict=True) if misled(row)]
+        lines.append(
+            f"{name:13s} {len(every):6d} {len(every) - len(known):7d} {len(known) - len(others):7d} | {len(others):6d} "
+            f"{largest:13.3f} {errors:7.1f} {sum(one.off for one in leans):8d} | {len(wrong):6d} {sum(wrong):6d}"
+        )
+        wide = [row["inflation"].get(POSITION, 1.0) > WIDENED for row in others]
+        lines[-1] += f"; errors of position widened {WIDENED:g} times: {sum(wide)}"
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -303,7 +303,8 @@ def update(
     slip = SlipLean.of(along, found)
     whole = replace(line, doubts=(*line.doubts, slip.doubt if slip else ""))
     found = _with_history(found, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
-    _warn(found, source.name)
+    if found.caution:
+        warnings.warn(f"{source.name}: {found.caution}", LunarSciWarning, stacklevel=2)
     segments, soil_map = None, None
     if before.soil_map is None:
         change = find_change(along, found, seed=asked.seed)
@@ -325,21 +326,6 @@ def update(
         pace=pace,
         slip=slip,
     )
-
-
-def _warn(found: "SoilUpdate", states: str) -> None:
-    """Say that one soil hardly leads where the rover went, where that is not doubt enough."""
-    from lunarsci.twin.assimilation.residuals import POSITION
-    from lunarsci.twin.assimilation.update import MOST_INFLATION, WIDENED
-
-    factor = found.inflation.get(POSITION, 1.0)
-    if WIDENED < factor <= MOST_INFLATION and not found.refused:
-        warnings.warn(
-            f"{states}: one soil explains the positions only with {factor:.1f} times their errors: ends predicted from "
-            "it may be off by more than is said; look at rover, plan and terrain",
-            LunarSciWarning,
-            stacklevel=3,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
