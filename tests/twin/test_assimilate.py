@@ -110,14 +110,14 @@ def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: 
 
 
 def test_slip_that_the_soil_found_does_not_have_is_doubted(record: DriveRecord, found: SoilUpdate) -> None:
-    """The slip of the own drive is within its errors; one that was 0.05 less, as of another law, is not."""
+    """The slip of the own drive is within its errors; one that was 0.1 less, as of another law, is not."""
     lean = SlipLean.of(record, found)
     assert lean is not None and not lean.off and lean.doubt == "" and 0 < lean.spread < 0.02
     values = record.values.copy()
-    values[:, OBSERVED.index("slip_ratio")] -= 0.05
+    values[:, OBSERVED.index("slip_ratio")] -= 0.1
     other = SlipLean.of(dataclasses.replace(record, values=values), found)
     assert other is not None and other.off and "predictions slip more than the rover does" in other.doubt
-    assert not dataclasses.replace(other, sigma=0.03).off and not dataclasses.replace(other, measured=lean.measured).off
+    assert not dataclasses.replace(other, sigma=0.06).off and not dataclasses.replace(other, measured=lean.measured).off
     assert SlipLean.of(record, dataclasses.replace(found, refused="no soil explains it")) is None
 
 
