@@ -24,7 +24,7 @@ OPTIONS = {
 }
 Results = Annotated[
     list[str],
-    typer.Argument(metavar="RESULT…", help="Files of --json, folders of -o, and pictures (.png, .svg) of --plot."),
+    typer.Argument(metavar="RESULT…", help="Files of --json, folders of -o, beliefs, pictures (.png, .svg) of --plot."),
 ]
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 
 from ..shared.table import TextTable, significant
 
@@ -21,13 +21,13 @@ def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: 
         ]
         for name, row in rows.items()
     ]
-    headers = ["effective value", "median", "68 %", "ground's own 68 %", "spread left of the prior"]
+    headers = ["effective value", "median", "68 %", "ground's own 68 %", "width, of before any drive"]
     return TextTable(headers, cells, title=title, notes=notes)
 
 
 def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | None = None) -> TextTable:
     """What the twin's physics is off by, for people; beside what was believed before."""
-    headers = ["share", "68 %", "95 %", "rests on [drives]", *(["68 % before"] if before else [])]
+    headers = ["share", "68 %", "95 %", "worth [drives]", *(["68 % before"] if before else [])]
     parts = {"way, along": "along", "way, across": "across", **{name: name for name in sorted(after.quantities)}}
     rows = []
     for label, key in parts.items():
@@ -36,8 +36,13 @@ def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | No
         rows.append(
             [label, *cells, f"{one.degrees:.1f}", *([f"± {100 * old.half_width(0.68):.2g} %"] if before else [])]
         )
-    note = f"learned from {len(after.scored)} drive(s); predictions add it to what the soil is not known for"
-    return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=[note])
+    count = len(after.scored)
+    first = " and ".join(dict.fromkeys(f"{_law(FIRST, key).degrees:g}" for key in parts.values()))
+    notes = [
+        f"learned from {count} drive{'s' * (count != 1)}; predictions add it to what the soil is not known for",
+        f"worth: as many drives would tell it as surely; {first} of them stand for the simulations it began with",
+    ]
+    return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=notes)
 
 
 def _law(law: PhysicsDiscrepancy, key: str) -> Any:

@@ -15,7 +15,7 @@ from ..shared.table import TextTable
 
 if TYPE_CHECKING:
     from lunarsci.twin.comparison.checks import EndCheck, PathCheck
-    from lunarsci.twin.comparison.matched import MatchedObservations, Miss
+    from lunarsci.twin.comparison.matched import Miss
     from lunarsci.twin.comparison.verdict import DriveComparison
     from lunarsci.twin.jobs.compare import ComparedDrive
 
@@ -62,8 +62,10 @@ def compare(
 
     The drive is held against the predicted drives, each with the errors of measurement that the real one has. If the
     prediction is right, the real drive is one more of them; where it is farther off than all but 1 in 100 would be, the
-    prediction was not to be trusted, it is said why, and the exit code is 3. Times count from the start of the plan.
-    What was not measured is named and not judged.
+    prediction was not to be trusted, it is said why, and the exit code is 3. Where something is near the edge, below 1
+    in 10, it is `not contradicted`: hardly confirmed, exit code 0. Wheels that turned otherwise than the plan says, or
+    states that are doubtful, make it doubtful (3). Times count from the start of the plan. What was not measured is
+    named and not judged.
 
     With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
     soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.
@@ -83,21 +85,23 @@ def result_tables(found: "ComparedDrive") -> list[TextTable]:
     """The verdict with what it rests on, and what a belief learned of it."""
     from .belief_tables import discrepancy_table
 
-    tables, before, after = _tables(found.matched, found.found, found.states), found.before, found.belief
+    tables, before, after = _tables(found), found.before, found.belief
     if before is None or after is None:
         return tables
     return [*tables, discrepancy_table(after.discrepancy, before.discrepancy)]
 
 
-def _tables(matched: "MatchedObservations", found: "DriveComparison", states: str) -> list[TextTable]:
+def _tables(compared: "ComparedDrive") -> list[TextTable]:
     from lunarsci.twin.comparison.matched import miss_of
 
-    forecast = matched.forecast
+    matched, found, states = compared.matched, compared.found, compared.states
+    forecast, pace = matched.forecast, compared.pace
     drives = (
         f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
     )
-    title = f"{found.verdict.upper()}: {forecast.plan.name}, {drives} of {forecast.origin}, beside {states}"
-    notes = [f"because {reason}" for reason in found.reasons]
+    title = f"{compared.verdict.upper()}: {forecast.plan.name}, {drives} of {forecast.origin}, beside {states}"
+    notes = [*(f"because {reason}" for reason in found.reasons), *(f"near the edge: {text}" for text in found.near)]
+    notes += [f"because {compared.untrusted}"] if compared.verdict == "doubtful" else []
     head = TextTable(
         ["place", "what", "value"],
         [*_end_rows(found.end), *_miss_rows(miss_of(matched)), *_path_rows(found.path)],
@@ -108,7 +112,12 @@ def _tables(matched: "MatchedObservations", found: "DriveComparison", states: st
     if found.bands:
         tables.append(_band_table(found))
     left_out = [f"not compared: {name} ({why})" for name, why in found.not_compared.items()]
-    return [*tables, TextTable([], [], title="What this rests on", notes=[*_whole(found), *found.notes, *left_out])]
+    unchecked = "the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)"
+    driven = [unchecked if pace is None else pace.text]
+    return [
+        *tables,
+        TextTable([], [], title="What this rests on", notes=[*_whole(found), *driven, *found.notes, *left_out]),
+    ]
 
 
 def _end_rows(end: "EndCheck | None") -> list[list[str]]:

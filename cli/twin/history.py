@@ -86,7 +86,16 @@ def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
-    headers = ["drive", "states", "plan", "values", "outliers", "reduced chi-square", "surprise", "forgotten before"]
+    headers = [
+        "drive",
+        "states",
+        "plan",
+        "values",
+        "outliers",
+        "reduced chi-square",
+        "surprise [sd]",
+        "forgotten before",
+    ]
     rows = [
         [
             str(drive["drive"]),
@@ -102,6 +111,7 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
     learned = sum(drive["refused"] is None for drive in drives)
     notes = [f"drive {d['drive']} taught nothing: {d['refused']}" for d in drives if d["refused"]]
     notes += [f"drive {d['drive']} is doubtful: {d['doubt']}" for d in drives if d["doubt"]]
+    notes.append("surprise: how far the soil found lies from what was believed before; about 1 or less as expected")
     return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
 
 

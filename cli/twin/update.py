@@ -17,6 +17,7 @@ from .options import INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.jobs.update import LearnedSoil
 
 
@@ -103,8 +104,9 @@ def update(
     between changes is learned on its own, and far from all that was driven the map returns to the first priors.
 
     Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
-    A drive that needs errors more than five times as large, or whose wheels turned otherwise than the plan says, leaves
-    a doubtful belief: the exit code is 3, here and wherever it is used, until all is forgotten (--forget 1).
+    A drive that needs errors more than five times as large, that slipped otherwise than the soil found does, or whose
+    wheels turned otherwise than the plan says, leaves a doubtful belief: the exit code is 3, here and wherever it is
+    used, until all is forgotten (--forget 1).
 
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
@@ -134,10 +136,13 @@ def result_tables(found: "LearnedSoil") -> list[TextTable]:
 
 
 def _notes(learned: "LearnedSoil") -> list[str]:
+    from lunarsci.twin.assimilation.update import SURPRISING
+
     found = learned.found
     notes = [
-        f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
-        f"surprise {found.prior_shift:.2f} standard deviations of what was believed before",
+        f"{_told(found)}; {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}",
+        f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
+        f"(about 1 or less as expected, above {SURPRISING:g} hardly the same ground)",
         *learned.doubts,
         *_slip_notes(learned),
     ]
@@ -157,12 +162,25 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     return [*notes, EFFECTIVE]
 
 
+def _told(found: "SoilUpdate") -> str:
+    """How many values the soil was learned from, and of what."""
+    import numpy as np
+
+    from lunarsci.twin.assimilation.drive_record import OBSERVED
+
+    kept = (np.isfinite(found.residuals) & ~found.outliers).sum(axis=0)
+    parts = [f"{count} of {name}" for name, count in zip(OBSERVED, kept, strict=True) if count]
+    places = found.values - int(kept.sum())
+    parts += [f"{places} of {places // 2} positions (x and y)"] if places else []
+    return f"learned from {found.values} values: {', '.join(parts)}"
+
+
 def _slip_notes(learned: "LearnedSoil") -> list[str]:
     """Slip and rates of the wheels, as measured beside the drive that was simulated."""
     notes, pace = [], learned.pace
-    if (slips := learned.slips) is not None:
-        leans = "; predictions lean that way" if learned.leans else ""
-        notes.append(f"median slip ratio: {slips[0]:.3f} measured, {slips[1]:.3f} simulated on the soil found{leans}")
+    if (slip := learned.slip) is not None:
+        text = f"{slip.measured:.3f} measured, {slip.simulated:.3f} simulated on the soil found"
+        notes.append(f"median slip ratio: {text}; standard error of the difference {slip.error:.3f}")
     if pace is None:
         notes.append("the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)")
     elif not pace.off:
@@ -183,5 +201,5 @@ def _segment_table(segments: "list[Segment]") -> TextTable:
     ]
     headers = ["parameter", *(f"{segment.from_m:.1f} to {segment.to_m:.1f} m" for segment in segments)]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
-    title = "Soil of each stretch of the way: median, and in brackets what is left of the prior's spread"
+    title = "Soil of each stretch of the way: median, and in brackets its width, of that before any drive"
     return TextTable(headers, rows, title=title, notes=notes)

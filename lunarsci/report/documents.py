@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import read_input, read_json, text
+from lunarsci.inputs import InputFile, read_input, read_json, text
 from lunarsci.provenance import sha256
 
 PICTURES = {".png": b"\x89PNG", ".svg": b"<"}
@@ -18,13 +18,14 @@ LARGEST_PICTURE = 4_000_000
 MOST_ROWS = 200_000
 """Rows that are read of a table beside a result; assumed."""
 NO_RESULTS = {
-    "lunarsci/soil-belief": "what a belief of the soil rests on is told by: lunarsci twin history FILE --json",
     "lunarsci/soil-map": "its drives are told by: lunarsci twin update … --json, which made it",
     "lunarsci/twin-prediction": "give the folder that it lies in",
 }
 """Documents that commands read and that are no results, and what to give instead."""
 DESCRIPTIONS = (".toml", ".csv", ".npz", ".ecsv")
 """Files that commands are given, not results."""
+BELIEF = "lunarsci/soil-belief"
+"""Schema, without its version, of a belief of the soil: the page shows what `twin history` tells of it."""
 REMEDY = "give a file that a command wrote with --json, the folder of its -o, or a picture of its --plot"
 
 
@@ -99,7 +100,11 @@ def _document(name: str, path: str | Path, folder: Path | None) -> Document:
     if Path(path).suffix.lower() in DESCRIPTIONS:
         raise DataError(f"{path}: an input or a table, no result; {REMEDY}")
     file = read_input(path)
+    if file.data.lstrip()[:1] not in (b"{", b"["):
+        raise DataError(f"{path}: text, no JSON result; run its command again with --json -o {Path(path).stem}.json")
     found = read_json(file, "a result", lambda value: value)
+    if isinstance(found, dict) and str(found.get("schema", "")).startswith(f"{BELIEF}/"):
+        return _belief(name, file)
     if not isinstance(found, dict) or not isinstance(found.get("result"), dict):
         raise DataError(f"{file.name}: no result of a lunarsci command{_instead(found)}; {_remedy(found)}")
     schema, record = found.get("schema"), found.get("provenance")
@@ -107,6 +112,26 @@ def _document(name: str, path: str | Path, folder: Path | None) -> Document:
         raise DataError(f"{file.name}: its key `schema` does not name a lunarsci result; {REMEDY}")
     pictures = {} if folder is None else _pictures_in(folder)
     return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, file.sha256)
+
+
+def _belief(name: str, file: InputFile) -> Document:
+    """What a belief says of the soil, as `twin history` tells it, with its picture. Raises DataError."""
+    from lunarsci.figure import picture_bytes, styled
+    from lunarsci.twin.jobs.history import history
+
+    told = history(file)
+    with styled():
+        drawn = picture_bytes([told.plot()], Path("soil.svg"))
+    record = {
+        "command": "lunarsci twin history",
+        "inputs": [{"path": file.name, "sha256": file.sha256}],
+        "sources": list(told.made_from.sources),
+        "untrusted": told.untrusted,
+        "failures": [],
+    }
+    return Document(
+        name, told.schema, told.to_dict(), record, None, {"the soil before any drive and now.svg": drawn}, file.sha256
+    )
 
 
 def _remedy(found: Any) -> str:

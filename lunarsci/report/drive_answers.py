@@ -1,7 +1,11 @@
 """Sentences for drives: the ground, the way, what was predicted, driven and learned."""
 
-from lunarsci.report.sentences import GO, PLAIN, STOP, Result, ResultAnswer
-from lunarsci.report.words import counted, number, percent, quantity, words
+from collections.abc import Mapping
+from typing import Any
+
+from lunarsci.report.sentences import GO, MOST, PLAIN, STOP, Result, ResultAnswer
+from lunarsci.report.words import counted, number, percent, quantity, unit, words
+from lunarsci.result import UNMOVED
 
 
 def predicted(result: Result) -> ResultAnswer:
@@ -161,22 +165,36 @@ def interval_of(item: Result) -> tuple[float, float, float] | None:
 def learned(result: Result) -> ResultAnswer:
     if result.get("refused"):
         return ResultAnswer(f"Nothing was learned from this drive: {result['refused']}.")
-    left = {
-        name: one["left_of_prior"] for name, one in result["parameters"].items() if one.get("left_of_prior") is not None
-    }
-    best = min(left, key=lambda name: float(left[name]), default=None)
-    most = (
-        f" Best known now is the {quantity(best)}: its range is {percent(left[best])} of what it was before any drive."
-        if best
-        else ""
-    )
     changes = len(result.get("changes", ()))
     changed = (
         f" The soil changes in {counted(changes, 'place')}."
         if changes
         else " No change of the soil along the way was found."
     )
-    return ResultAnswer(f"The soil was learned from {counted(result['values'], 'value')} of the drive.{most}{changed}")
+    return ResultAnswer(
+        f"The soil was learned from {counted(result['values'], 'value')} of the drive. {like(result['parameters'])}"
+        f"{changed}"
+    )
+
+
+def like(parameters: Mapping[str, Any]) -> str:
+    """What the ground is like: the parameters that drives tell most of, with 68 %, and what they tell nothing of."""
+    left = {name: float(one["left_of_prior"]) for name, one in parameters.items() if one.get("left_of_prior")}
+    told = [name for name in sorted(left, key=lambda name: left[name]) if left[name] <= UNMOVED]
+    lines = [
+        f"{quantity(name)} {number(one['median'], 3)} ({number(one['low'], 3)} to {number(one['high'], 3)})"
+        f"{_after(name)}"
+        for name, one in ((name, parameters[name]) for name in told[:MOST])
+    ]
+    rest = [quantity(name) for name in left if name not in told]
+    unmoved = f" Hardly better known than before any drive: {', '.join(rest)}." if rest else ""
+    known = f"The ground, median and 68 %: {'; '.join(lines)}." if lines else "Nothing of it is better known now."
+    return f"{known}{unmoved}"
+
+
+def _after(name: str) -> str:
+    symbol = "kPa/m^N" if name == "stiffness_kpa_m_n" else unit(name)
+    return f"\u202f{symbol}" if symbol == "°" else f" {symbol}" if symbol else ""
 
 
 def compared(result: Result) -> ResultAnswer:
@@ -186,14 +204,20 @@ def compared(result: Result) -> ResultAnswer:
         if end and end.get("error_m") is not None
         else ""
     )
-    reason = f": {'; '.join(map(str, result['reasons']))}" if result.get("reasons") else ""
+    told = result.get("reasons") or result.get("near")
+    reason = f": {'; '.join(map(str, told))}" if told else ""
     return ResultAnswer(f"The prediction is {verdict}{reason}.{where}")
 
 
 def believed(result: Result) -> ResultAnswer:
     drives = result["drives"]
     learned = [one for one in drives if not one.get("refused")]
-    return ResultAnswer(f"What is believed of the soil rests on {counted(len(learned), 'drive')} of {len(drives)}.")
+    of = f" of {len(drives)}" if len(learned) < len(drives) else ""
+    made_up = " Its ground is synthetic." if result.get("synthetic") else ""
+    return ResultAnswer(
+        f"What is believed of the soil rests on {counted(len(learned), 'drive')}{of}. {like(result['parameters'])}"
+        f"{made_up}"
+    )
 
 
 def designs(result: Result) -> ResultAnswer:

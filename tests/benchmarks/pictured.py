@@ -448,7 +448,8 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "identify": lambda: lunarsci.identify(wheel_table(), lateral_modulus="20").plot(),
     "posterior": lambda: lunarsci.infer(wheel_table()).plot(),
     "soils": soils,
-    "history": lambda: history().plot(),
+    "belief": lambda: history().plot(),
+    "history": lambda: history().plot(1),
     "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5").plot(),
     "candidates": lambda: chosen().plot(),
     "front": lambda: chosen().plot(1),
@@ -462,8 +463,9 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "loads": lambda: loads().plot(),
     "force bands": lambda: loads_of_states().plot(),
     "compare": lambda: compared().plot(),
-    "residuals": lambda: learned().plot(),
-    "soil map": lambda: learned().plot(1),
+    "learned soil": lambda: learned().plot(),
+    "residuals": lambda: learned().plot(1),
+    "soil map": lambda: learned().plot(2),
     "designs": lambda: traded().plot(),
     "design curves": lambda: traded().plot(1),
     "film": film,
@@ -568,7 +570,7 @@ def site(**stated: float) -> "Figure":
 
 def histories(count: int) -> "Figure":
     """Many drives, of which one taught nothing, beside another belief with a long name."""
-    from lunarsci.regolith.figure import belief_history_figure
+    from lunarsci.regolith.belief_figure import belief_history_figure
 
     belief = learned().belief
     entries = [{**belief.history[0], "refused": "too far off" if k == 3 else None} for k in range(count)]

@@ -118,6 +118,26 @@ def test_another_ground_is_not_to_be_trusted(run: Run, drive: Drive) -> None:
     assert json.loads(done.out)["result"]["verdict"] == "not to be trusted"
 
 
+def test_what_is_near_the_edge_is_not_called_trusted(run: Run, drive: Drive, tmp_path: Path) -> None:
+    """A slip that is off by some 1.8 standard deviations contradicts nothing, and confirms nothing."""
+    own = {row["quantity"]: row for row in json.loads(run(*drive.arguments(), "--json").out)["result"]["quantities"]}
+    table, band = pd.read_csv(drive.states), own["slip_ratio"]
+    # Towards where it is off already, so that it is 1.8 standard deviations off.
+    one = band["bias"] / band["bias_standard"]
+    table["slip_ratio"] += np.sign(band["bias"]) * (1.8 - abs(band["bias_standard"])) * one
+    table.to_csv(drive.states, index=False)
+    done = run("twin", "compare", drive.folder, drive.states)
+    assert done.code == 0 and done.out.startswith("NOT CONTRADICTED: "), done.err
+    assert "near the edge: slip_ratio is off by" in done.out and "hardly confirmed" in done.err[0]
+    found = run("twin", "compare", drive.folder, drive.states, "-o", tmp_path / "c.json")
+    assert found.code == 0 and json.loads((tmp_path / "c.json").read_text())["result"]["verdict"] == "not contradicted"
+    told = json.loads(run("report", tmp_path / "c.json", "--json").out)["result"]["sections"][0]["answer"]
+    assert told.startswith("The prediction is not contradicted: slip_ratio is off by")
+    assert run("twin", "compare", drive.folder, drive.states, "-o", tmp_path / "plain", "-q").code == 0
+    text = run("report", tmp_path / "plain")
+    assert text.code == 1 and "--json -o plain.json" in text.err[0]
+
+
 def test_a_sweep_gives_no_probabilities_and_few_drives_no_trust(run: Run, drive: Drive, tmp_path: Path) -> None:
     swept = tmp_path / "swept"
     assert run("twin", "predict", drive.plan, "-o", swept, "-q").code == 0

@@ -63,6 +63,7 @@ def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_
     said = json.loads(done.out)["result"]
     assert done.code == 3 and "times as fast as the plan's speed_m_s" in said["doubt"] and said["pace"]["off"], done.err
     assert said["slip_ratio"]["measured"] > said["slip_ratio"]["simulated"] + 0.03
+    assert said["slip_ratio"]["off"] and "predictions slip less than the rover does" in said["doubt"]
     assert (tmp_path / "b.png").stat().st_size > 5000 and json.loads(belief.read_text())["history"][0]["doubt"]
     used = ("--soil", belief, "--members", "4", "-q")
     pred, chosen = tmp_path / "pred", tmp_path / "chosen"
@@ -83,6 +84,20 @@ def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_
     sections = json.loads(run("report", pred, chosen, "--json").out)["result"]["sections"]
     assert all("the wheels turned" in one["trust"] and one["tone"] in ("doubt", "no-go") for one in sections)
     assert [one["tone"] for one in sections].count("doubt") >= 1
+    # A belief is told on a page by itself, with its doubt, its picture, and what the ground is like.
+    page = tmp_path / "page.html"
+    told = json.loads(run("report", belief, "--json").out)["result"]["sections"][0]
+    assert told["tone"] == "doubt" and "the wheels turned" in told["trust"] and told["schema"] == "twin-history/1"
+    assert "The ground, median and 68 %: " in told["answer"] and "synthetic" in told["answer"]
+    assert run("report", belief, "-o", page).code == 0 and "the soil before any drive and now" in page.read_text()
+    # The same drive held against a prediction for the plan that was named: the pace of the wheels is said there, too.
+    swept = ("--sweep", "friction_angle_deg=36:44:4", "-o", tmp_path / "other", "-q")
+    other = run("twin", "predict", plan, *swept)
+    assert other.code == 0, other.err
+    held = run("twin", "compare", tmp_path / "other", found / "states.csv", "--json")
+    verdict = json.loads(held.out)["result"]
+    assert held.code == 3 and "another drive than the predicted one: the wheels turned" in held.err[-1]
+    assert verdict["pace"]["off"] and verdict["verdict"] != "trusted"
     # Only what is forgotten altogether takes the doubt along.
     forgotten = read_belief(read_input(str(belief)))
     assert forgotten.doubt

@@ -8,6 +8,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, belief_of, first_belief
+from lunarsci.regolith.belief_figure import belief_history_figure
 from lunarsci.regolith.belief_history import (
     compare_beliefs,
     moved_sd,
@@ -16,7 +17,6 @@ from lunarsci.regolith.belief_history import (
     shared_drives,
     with_drive,
 )
-from lunarsci.regolith.figure import belief_history_figure
 from lunarsci.regolith.prior import PARAMETERS
 
 

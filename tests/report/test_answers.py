@@ -148,7 +148,9 @@ def test_numbers_are_rounded_to_their_errors() -> None:
     ("content", "said"),
     [
         ('{"a": 1}', "no result of a lunarsci command"),
-        ('{"schema": "lunarsci/soil-belief/3", "mean": []}', "but lunarsci/soil-belief/3"),
+        ('{"schema": "lunarsci/soil-belief/3", "mean": []}', "its schema must be"),
+        ('{"schema": "lunarsci/soil-map/1", "zones": []}', "but lunarsci/soil-map/1"),
+        ("TRUSTED: drive, 64 drives", "text, no JSON result"),
         ('{"schema": "other/1", "result": {}, "provenance": {}}', "does not name a lunarsci result"),
         ('{"schema": "lunarsci/twin-predict/1", "result": {}, "provenance": {}}', "lacks 'verdict'"),
         ("[1, 2]", "no result of a lunarsci command"),

@@ -10,6 +10,7 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.slip_lean import SlipLean
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
@@ -106,6 +107,24 @@ def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: 
     wrong = assimilate(yutu2, ground, PLAN, dataclasses.replace(record, values=values), first_belief(), particles=32)
     assert "single wheels are off in sinkage_m" in wrong.refused
     assert np.array_equal(wrong.belief.mean, first_belief().mean)
+
+
+def test_slip_that_the_soil_found_does_not_have_is_doubted(record: DriveRecord, found: SoilUpdate) -> None:
+    """The slip of the own drive is within its errors; one that was 0.1 less, as of another law, is not."""
+    lean = SlipLean.of(record, found)
+    assert lean is not None and not lean.off and lean.doubt == "" and 0 < lean.spread < 0.02
+    values = record.values.copy()
+    values[:, OBSERVED.index("slip_ratio")] -= 0.1
+    other = SlipLean.of(dataclasses.replace(record, values=values), found)
+    assert other is not None and other.off and "predictions slip more than the rover does" in other.doubt
+    assert not dataclasses.replace(other, sigma=0.06).off and not dataclasses.replace(other, measured=lean.measured).off
+    assert SlipLean.of(record, dataclasses.replace(found, refused="no soil explains it")) is None
+
+
+def test_errors_of_positions_are_warned_of_from_twice_on(found: SoilUpdate) -> None:
+    for factor, caution, doubt in ((1.9, False, False), (2.4, True, False), (4.7, True, False), (5.1, False, True)):
+        wide = dataclasses.replace(found, inflation={"position": factor})
+        assert (bool(wide.caution), bool(wide.doubt)) == (caution, doubt), factor
 
 
 def test_a_record_must_fit_the_rover(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:

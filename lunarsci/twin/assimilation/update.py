@@ -28,7 +28,14 @@ from lunarsci.twin.assimilation.posterior import (
     posterior_of,
     wheel_errors,
 )
-from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, HUBER, MODEL_SHARES, POSITION, DriveBias, DriveResiduals
+from lunarsci.twin.assimilation.residuals import (
+    FIX_ERROR_M,
+    HUBER,
+    MODEL_SHARES,
+    POSITION,
+    DriveBias,
+    DriveResiduals,
+)
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
@@ -68,6 +75,10 @@ for returns in an independent simulator; assumed elsewhere."""
 SETTLED, SURPRISING = 0.3, 2.0
 """Autocorrelation of particles above which they have not spread out; prior shift above which the ground differs;
 assumed."""
+WIDENED = 2.0
+"""Factor of the errors of positions from which on it is warned of: one soil of this law does not lead where the rover
+went. So it is of 1 of 70 right beliefs and of 10 of 38 of other physics, rovers and tracks that nothing else doubts,
+measured by `tests/benchmarks/leaning.py` (docs/validation/drive.md). [-]"""
 STILL = 1.1
 """Factor of the errors that is no longer worth another round; assumed."""
 
@@ -131,6 +142,17 @@ class SoilUpdate:
         return (
             f"one soil explains {worst} only with {self.inflation[worst]:.1f} times its errors: the ground may change "
             "along the way or carry ruts, so predictions from this belief are doubtful"
+        )
+
+    @property
+    def caution(self) -> str:
+        """What to know of the positions where it is not doubt enough; empty where there is nothing."""
+        factor = self.inflation.get(POSITION, 1.0)
+        if self.refused or not WIDENED < factor <= MOST_INFLATION:
+            return ""
+        return (
+            f"one soil explains the positions only with {factor:.1f} times their errors: ends predicted from it may be "
+            "off by more than is said; look at rover, plan and terrain"
         )
 
 

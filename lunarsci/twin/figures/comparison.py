@@ -24,11 +24,12 @@ MEASURED = "#111111"
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (7, 2)))
 
 
-def comparison_figure(matched: MatchedObservations, found: DriveComparison, title: str) -> "Figure":
+def comparison_figure(matched: MatchedObservations, found: DriveComparison, title: str, verdict: str = "") -> "Figure":
     """Paths and ends above, wheel states below them, ranks and standardised differences last.
 
     Bands span p05 to p95 over members and wheels; a measured state with a ring is outside of the 90 % band of its own
-    wheel and moment, in which its error counts. Regions of the ends hold the errors of the last position, too.
+    wheel and moment, in which its error counts. Regions of the ends hold the errors of the last position, too. In the
+    title stands `verdict`, or that of what was found.
     """
     names = matched.measured_quantities()
     rows = -(-len(names) // 2)
@@ -59,7 +60,7 @@ def comparison_figure(matched: MatchedObservations, found: DriveComparison, titl
     reason = f": {found.reasons[0]}" if found.reasons else ""
     others = len(found.reasons) - 1
     more = f" (and {others} more {'reason' if others == 1 else 'reasons'})" if others > 0 else ""
-    said = f"{title}\n{found.verdict.upper()}{reason}{more}"
+    said = f"{title}\n{(verdict or found.verdict).upper()}{reason}{more}"
     headline(figure, said, synthetic=matched.forecast.synthetic, color=color)
     return figure
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.comparison.scores import Standing
     from lunarsci.twin.comparison.verdict import DriveComparison
     from lunarsci.twin.rover import Rover
+    from lunarsci.twin.telemetry.checks import WheelPace
 
 
 SOURCES = [
@@ -61,6 +62,7 @@ class ComparedDrive(Result):
     ----------
     matched, found : predicted values at the times of the measured ones, and what follows from them.
     states : name of the file of states.
+    pace : how fast the wheels turned beside the plan; None where the states do not say.
     before, belief : before and after it learned from the miss; None where none was given.
     inputs, tables, seed : for `made_from`.
     """
@@ -69,6 +71,7 @@ class ComparedDrive(Result):
     matched: "MatchedObservations"
     found: "DriveComparison"
     states: str
+    pace: "WheelPace | None"
     before: "SoilBelief | None"
     belief: "SoilBelief | None"
     inputs: dict[str, str]
@@ -84,10 +87,19 @@ class ComparedDrive(Result):
         from lunarsci.twin.jobs.drive_inputs import doubt_of
 
         reasons, predicted = self.found.reasons, str(self.matched.forecast.soil.get("doubt") or "")
+        paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
+        driven = f"another drive than the predicted one: {paced}" if paced else ""
+        measured = f"doubtful states: {states}" if states else ""
         told = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
         before = f"predicted from doubtful soils: {predicted}" if predicted else ""
         learned = "" if predicted else doubt_of("that learns", self.belief)
-        return "; ".join(part for part in (told, before, learned) if part)
+        return "; ".join(part for part in (told, driven, measured, before, learned) if part)
+
+    @property
+    def verdict(self) -> str:
+        """That of the comparison; `doubtful` where it speaks for the prediction, of a drive that is doubtful."""
+        doubtful = self.matched.record.doubt or (self.pace is not None and self.pace.off)
+        return "doubtful" if doubtful and not self.found.reasons else self.found.verdict
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.twin.comparison.matched import miss_of
@@ -95,8 +107,10 @@ class ComparedDrive(Result):
         forecast, found = self.matched.forecast, self.found
         whole, miss = found.surprise, miss_of(self.matched)
         return {
-            "verdict": found.verdict,
+            "verdict": self.verdict,
             "reasons": list(found.reasons),
+            "near": list(found.near),
+            "pace": None if self.pace is None else self.pace.to_dict(),
             "notes": list(found.notes),
             "plan": forecast.plan.name,
             "rover": forecast.rover,
@@ -128,7 +142,7 @@ class ComparedDrive(Result):
         from lunarsci.twin.figures.comparison import comparison_figure
 
         title = f"{file_label(str(self.matched.forecast.origin))} beside {file_label(self.states)}"
-        yield comparison_figure(self.matched, self.found, title)
+        yield comparison_figure(self.matched, self.found, title, self.verdict)
 
 
 @job
@@ -140,6 +154,7 @@ def compare(
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
     from lunarsci.rovers import read_rover
+    from lunarsci.twin.assimilation.drive_record import pace_of
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
     from lunarsci.twin.comparison.matched import match_observations
@@ -157,7 +172,8 @@ def compare(
     if asked.plan is not None:
         inputs |= _check_plan(read_input(asked.plan), forecast)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
-    record, independent = _record(source, fixes, build_rover(description))
+    built = build_rover(description)
+    record, independent = _record(source, fixes, built)
     try:
         matched = match_observations(forecast, record, independent)
     except ParameterError as error:
@@ -166,10 +182,18 @@ def compare(
     lesson = None if asked.belief is None else read_input(asked.belief)
     before, after = (None, None) if lesson is None else _taught(matched, lesson, source)
     inputs |= {} if lesson is None else {lesson.name: lesson.sha256}
+    found = verdict.compare(matched, asked.seed)
+    if found.near:
+        warnings.warn(
+            f"{source.name}: nothing contradicts the prediction, but it is hardly confirmed: {'; '.join(found.near)}",
+            LunarSciWarning,
+            stacklevel=2,
+        )
     return ComparedDrive(
         matched=matched,
-        found=verdict.compare(matched, asked.seed),
+        found=found,
         states=source.name,
+        pace=pace_of(record, built, forecast.plan),
         before=before,
         belief=after,
         inputs=inputs,

@@ -64,6 +64,11 @@ class BeliefHistory(Result):
         return MadeFrom(inputs={file.name: file.sha256 for file in files if file}, sources=SOURCES)
 
     @property
+    def synthetic(self) -> bool:
+        """Whether a drive of it was on ground that is made up."""
+        return any(bool(entry.get("synthetic")) for entry in self.belief.history)
+
+    @property
     def untrusted(self) -> str:
         from lunarsci.twin.jobs.drive_inputs import doubt_of
 
@@ -77,6 +82,7 @@ class BeliefHistory(Result):
         return {
             "drives": self.drives,
             "doubt": self.belief.doubt or None,
+            "synthetic": self.synthetic,
             "parameters": parameter_rows(self.belief),
             "discrepancy": self.belief.discrepancy.to_dict(),
             "against": None if self.distance is None else asdict(self.distance),
@@ -101,12 +107,12 @@ class BeliefHistory(Result):
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.figure import file_label
-        from lunarsci.regolith.figure import belief_history_figure
+        from lunarsci.regolith.belief_figure import belief_figure, belief_history_figure
 
         names = (file_label(self.source.name), file_label(self.other_source.name) if self.other_source else "")
         title = f"{names[0]}: belief of the soil by drive"
-        synthetic = any(entry.get("synthetic") for entry in self.belief.history)
-        yield belief_history_figure(self.belief, title, self.other, names, synthetic=synthetic)
+        yield belief_figure(self.belief, f"{names[0]}: what is believed of the soil", synthetic=self.synthetic)
+        yield belief_history_figure(self.belief, title, self.other, names, synthetic=self.synthetic)
 
 
 def history(belief: Source, request: HistoryRequest | None = None, **options: Any) -> BeliefHistory:

@@ -1,11 +1,12 @@
 """What a drive says of the soil: a belief, or a map of beliefs by place, for the next prediction."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from lunarsci.regolith.belief import SoilBelief
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.assimilation.segments import Segment, SoilChange
+    from lunarsci.twin.assimilation.slip_lean import SlipLean
     from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.ground.soil_map import SoilMap, Zone
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
@@ -60,8 +62,6 @@ class UpdateRequest:
             raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
 
 
-LEAST_LEAN, LEAN_SHARE = 0.02, 0.15
-"""How far simulated slip may be off the measured, or this share of it, before it is said; assumed. [-]"""
 NO_MAP = "`correlation` is of a soil map; give one as `soil`, or save one"
 
 
@@ -124,6 +124,7 @@ class LearnedSoil(Result):
     changes : of the soil along the way.
     segments, soil_map : stretches with a soil each, and the map with them; None where the soil is not kept by place.
     pace : how fast the wheels turned beside the plan; None where the states do not say.
+    slip : median slip as measured, and on the soil found; None where it was not measured, or nothing was learned.
     seed : of everything random.
     """
 
@@ -138,6 +139,7 @@ class LearnedSoil(Result):
     soil_map: "SoilMap | None"
     seed: int
     pace: "WheelPace | None" = None
+    slip: "SlipLean | None" = None
 
     @property
     def belief(self) -> "SoilBelief":
@@ -163,31 +165,11 @@ class LearnedSoil(Result):
         return "; ".join(part for part in (*self.doubts, self.before.doubt) if part)
 
     @property
-    def slips(self) -> tuple[float, float] | None:
-        """Median slip ratio of the states as measured, and on the soil that explains the drive best; None without."""
-        import numpy as np
-
-        from lunarsci.twin.assimilation.drive_record import OBSERVED, states_at
-
-        column, driven = OBSERVED.index("slip_ratio"), self.found.prediction
-        measured = self.record.values[:, column]
-        known = np.isfinite(measured)
-        if not known.any():
-            return None
-        simulated = states_at(self.record, driven.time_s, driven.states, driven.rover.wheels)[0, known, column]
-        return float(np.median(measured[known])), float(np.median(simulated))
-
-    @property
-    def leans(self) -> bool:
-        """Whether the soil found makes wheels slip otherwise than they did, so that predictions lean that way."""
-        measured, simulated = self.slips or (0.0, 0.0)
-        return abs(simulated - measured) > max(LEAST_LEAN, LEAN_SHARE * abs(measured))
-
-    @property
     def doubts(self) -> list[str]:
         """Why what was learned is doubtful, each reason once."""
         parts = [self.found] if self.segments is None else [one.found for one in self.segments if one.learned]
         told = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
+        told += [self.slip.doubt] if self.slip is not None and self.segments is None else []
         return list(dict.fromkeys(text for text in told if text))
 
     def to_dict(self) -> dict[str, Any]:
@@ -208,7 +190,7 @@ class LearnedSoil(Result):
             "refused": found.refused or None,
             "doubt": "; ".join(self.doubts) or None,
             "pace": None if self.pace is None else self.pace.to_dict(),
-            "slip_ratio": None if self.slips is None else dict(zip(("measured", "simulated"), self.slips, strict=True)),
+            "slip_ratio": None if self.slip is None else self.slip.to_dict(),
             "drives": len(found.belief.history),
             "discrepancy": found.belief.discrepancy.to_dict(),
             "changes": [asdict(change) | {"text": change.text} for change in self.changes],
@@ -238,9 +220,13 @@ class LearnedSoil(Result):
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
     def figures(self) -> "Iterator[Figure]":
+        from lunarsci.figure import file_label
+        from lunarsci.regolith.belief_figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
         from lunarsci.twin.ground.soil_layers import soil_layers
 
+        title, synthetic = f"soil after {file_label(self.states.name)}", self.known.terrain.synthetic
+        yield belief_figure(self.belief, title, synthetic=synthetic)
         yield residual_page(self.record, self.found, self.changes)
         if self.soil_map is not None:
             yield from soil_pages(soil_layers(self.soil_map, self.known.terrain), self.soil_map)
@@ -294,6 +280,7 @@ def update(
     """
     from lunarsci.twin.assimilation.drive_record import pace_of, read_record
     from lunarsci.twin.assimilation.segments import drive_segments, find_change
+    from lunarsci.twin.assimilation.slip_lean import SlipLean
     from lunarsci.twin.assimilation.update import assimilate
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
 
@@ -313,7 +300,11 @@ def update(
     found = assimilate(*drive, record, before.belief, ruts=asked.ruts, teach=teach, **drawing)
     pace = pace_of(along, known.rover, known.plan)
     line = _DrivenLine(known=known, states=source, doubts=(along.doubt, pace.doubt if pace else ""))
-    found = _with_history(found, before, line, asked.forget, scored=len(record.fix_time_s) > 0)
+    slip = SlipLean.of(along, found)
+    whole = replace(line, doubts=(*line.doubts, slip.doubt if slip else ""))
+    found = _with_history(found, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
+    if found.caution:
+        warnings.warn(f"{source.name}: {found.caution}", LunarSciWarning, stacklevel=2)
     segments, soil_map = None, None
     if before.soil_map is None:
         change = find_change(along, found, seed=asked.seed)
@@ -333,6 +324,7 @@ def update(
         soil_map=soil_map,
         seed=asked.seed,
         pace=pace,
+        slip=slip,
     )
 
 
