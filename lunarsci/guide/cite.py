@@ -210,14 +210,10 @@ def cite(results: Sequence[str | Path | Result] | str | Path | Result) -> CitedS
     result.
     """
     given = [results] if isinstance(results, str | Path | Result) else list(results)
-    paths = [item for item in given if not isinstance(item, Result)]
-    documents = read_results(paths)[0] if paths else []
+    documents = read_results(given)[0] if given else []
     records = [document.provenance for document in documents]
     texts = [text for record in records for text in record.get("sources") or ()]
     tables = [PurePath(str(one.get("name", one.get("path", "")))).name for record in records for one in _named(record)]
-    for made in (item.made_from for item in given if isinstance(item, Result)):
-        texts += made.sources
-        tables += made.tables
     found: dict[str, Reference] = {}
     for one in (*map(_cited, map(str, texts)), *_of_tables(tables)):
         found.setdefault(one.known or one.doi or one.text, one)
