@@ -17,10 +17,11 @@ def add_to(app: typer.Typer) -> None:
 
 
 def cite(results: Results) -> Report:
-    """What to cite for results, as BibTeX: the sources that they name, each once, and lunarsci.
+    """What to cite for results, as BibTeX: lunarsci, the sources that they name, and the data behind their tables.
 
-    Titles of papers are not in a result; the DOI of an entry leads to them. --csv and --json have the sources as a
-    table, -o FILE.bib writes the entries.
+    Data are laboratory spectra, catalogues of craters, and sources of priors. Where authors or a title are not known
+    to lunarsci, the DOI of an entry leads to them. --csv and --json have the sources as a table, -o FILE.bib writes
+    the entries.
     """
     from lunarsci.guide.cite import cite
 

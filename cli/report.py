@@ -42,7 +42,7 @@ def report(results: Results, request: ReportRequest) -> Report:
     """
     from lunarsci.report.job import report
 
-    made = report(results, request)
+    made = report(results, request=request)
     html = {".html": lambda record: made.html(time="time_utc" in record)}
     return Report.of(made, lambda: _tables(made), formats=html, figures=None)
 

@@ -6,12 +6,12 @@ Every main job of the command line is a function here, with the same defaults, r
 * regolith: `wheel_forces`, `identify`, `infer`, `compare_soils`;
 * images: `cameras`, `calibrate_cameras`, `render`, `dem`, `locate`, `merge`, `track`, `rocks`;
 * twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare` (a drive beside its prediction);
-* `cite`: what to cite for results, as BibTeX. `computing` says where long jobs are computed.
+* `cite`: what to cite for results, as BibTeX; `report`: a page of results. `computing` says where jobs are computed.
 
 Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
 `print` shows the text of the command, `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()`
 the `result` of `--json`, `.untrusted` why it should not be trusted. Jobs are imported when they are first named.
-On the command line alone: reports (`lunarsci report`), `info`, `spectra map`, `spectra library`, `twin simulate`.
+On the command line alone: `info`, `spectra map`, `spectra library`, `twin simulate`.
 """
 
 from importlib import import_module
@@ -28,12 +28,14 @@ _AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}
 
 _ELSEWHERE = {"computing": "lunarsci.blocks", "cite": "lunarsci.guide.cite"}
 
-__all__ = ["__version__", *_ELSEWHERE, *_AREAS]
+__all__ = ["__version__", "report", *_ELSEWHERE, *_AREAS]
 
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
+    if name == "report":
+        return import_module("lunarsci.report")
     if name in _ELSEWHERE:
         return getattr(import_module(_ELSEWHERE[name]), name)
     if name not in _AREAS:

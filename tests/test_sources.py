@@ -4,6 +4,7 @@ import ast
 import csv
 import importlib.util
 import re
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
@@ -209,3 +210,17 @@ def test_benchmarks_that_constants_name_exist() -> None:
     named = {path for row in PAGES.of_constants() for path in re.findall(r"tests/[\w/]+\.py", row.source)}
     assert len(named) > 3
     assert [path for path in sorted(named) if not (ROOT / path).is_file()] == []
+
+
+RECALLED = ("10.1111/j.1945-5100.2010.01158.x", "10.1016/j.icarus.2020.114046")
+"""DOIs that `sources.toml` calls recalled: works are cited without them."""
+
+
+def test_every_doi_of_a_table_is_that_of_a_work_which_is_cited_for_it() -> None:
+    """Else `lunarsci cite` leaves out what a result rests on."""
+    tables = tomllib.loads((FOLDER / "sources.toml").read_text("utf-8")).values()
+    works = tomllib.loads((FOLDER / "references.toml").read_text("utf-8")).values()
+    cited = {(str(work.get("doi", "")).lower(), table) for work in works for table in work.get("tables", ())}
+    stated = {(one["doi"].lower(), one["table"]) for one in tables if "doi" in one and one["doi"] not in RECALLED}
+    assert stated - cited == set()
+    assert {one["table"] for one in tables} <= {table for _, table in cited}

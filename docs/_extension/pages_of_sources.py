@@ -153,11 +153,27 @@ def sources_text() -> str:
         lines.append(f"| `{entry['table']}` {_cell(entry['what'])} | {linked(_cell(entry['citation']))}{link} |")
     parts = {
         "Tables of spectra": "\n".join(lines),
+        "Works that `lunarsci cite` names": works_text(),
         "Rovers, wheels, cameras and limits": _table(of_rovers()),
         "Soils and priors": _table(of_soils()),
         "Numbers of Ding et al. (2024)": _table(of_published()),
     }
     return "\n\n".join(f"## {name}\n\n{text}" for name, text in parts.items())
+
+
+def works_text() -> str:
+    """The works of `references.toml`, with the tables that rest on them."""
+    lines = ["| key | work | tables |", "| --- | --- | --- |"]
+    for name, work in tomllib.loads((FOLDER / "references.toml").read_text("utf-8")).items():
+        who = work.get("author", work.get("editor", "")).strip("{}").split(" and ")
+        names = " and ".join(who) if len(who) < 4 else f"{who[0]} and others"
+        place = " ".join(work[one] for one in ("journal", "booktitle", "institution", "publisher") if one in work)
+        parts = [work.get("title"), f"{place} {work.get('volume', work.get('number', ''))}".strip(), work.get("pages")]
+        said = ", ".join(str(part).replace("--", "-") for part in [*parts, work.get("doi")] if part)
+        tables = ", ".join(f"`{one}`" for one in work.get("tables", ()))
+        year = f" ({work['year']})" if "year" in work else ""
+        lines.append(f"| `{name}` | {linked(_cell(f'{names}{year}, {said}'))} | {tables} |")
+    return "\n".join(lines)
 
 
 def constants_text() -> str:

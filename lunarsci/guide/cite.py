@@ -1,14 +1,18 @@
 """The sources of results, and lunarsci itself, as BibTeX, as a job."""
 
 import re
+import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
 from lunarsci.report.documents import Document, read_results
 from lunarsci.result import MadeFrom, Result
+from lunarsci.tables import SPECTRA_DATA
 
 REFERENCE = re.compile(r"^(?P<authors>[^()]{2,120}?) \((?P<year>1[89]\d\d|20\d\d)\), (?P<rest>.+)$", re.DOTALL)
 DOI = re.compile(r"(?<![\w.])(?:doi:? )?(10\.\d{4,9}/[^\s:;,]+(?<![.)])(?:\)(?=[A-Z0-9]))?[^\s:;,()]*)")
@@ -19,9 +23,16 @@ PLACE = re.compile(
 TITLE = "lunarsci: rock, ground and drive of a lunar rover"
 
 
+NOT_FIELDS = ("type", "tables")
+"""Of a work: what is no field of its entry."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """One source: the text that the result has, and what could be told from it; '' where it could not."""
+    """One source: the text that the result has, and what could be told from it; '' where it could not.
+
+    `work` is its entry in `references.toml`, empty where it is not there; `known` the entry's name.
+    """
 
     text: str
     authors: str = ""
@@ -30,21 +41,38 @@ class Reference:
     volume: str = ""
     page: str = ""
     doi: str = ""
+    known: str = ""
+    work: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def key(self) -> str:
         """Such as ding2024; the same for two papers of one author and year, which `keyed` tells apart."""
         plain = unicodedata.normalize("NFKD", self.authors or self.text).encode("ascii", "ignore").decode()
         first = re.sub(r"[^a-z]", "", re.split(r"[\s,]", plain.lower())[0])
-        return f"{first or 'source'}{self.year}"
+        return self.known or f"{first or 'source'}{self.year}"
+
+    @property
+    def kind(self) -> str:
+        """The kind of its entry, such as article."""
+        return str(self.work.get("type") or ("article" if self.journal else "misc"))
+
+    @property
+    def title(self) -> str:
+        """Of the work, where it is known."""
+        return str(self.work.get("title", ""))
 
     @property
     def fields(self) -> dict[str, str]:
-        """Fields of its entry. A title is not in the text of a result; the DOI leads to it."""
+        """Fields of its entry; the text of the result is a note only where the fields do not say where the work is."""
+        if self.work:
+            named = {name: str(value) for name, value in self.work.items() if name not in NOT_FIELDS}
+            # Capitals of names stay as they are in any style.
+            return named | ({"title": f"{{{self.title}}}"} if self.title else {})
         names = re.sub(r",? et al\.?", " and others", self.authors)
         names = re.sub(r" & |, ", " and ", names)
         named = {"author": names, "year": self.year, "journal": self.journal, "volume": self.volume, "pages": self.page}
-        return {name: value for name, value in (named | {"doi": self.doi, "note": self.text}).items() if value}
+        note = "" if names and self.year and (self.journal or self.doi) else self.text
+        return {name: value for name, value in (named | {"doi": self.doi, "note": note}).items() if value}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +116,7 @@ class CitedSources(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a source."""
-        keys = ("text", "authors", "year", "journal", "volume", "page", "doi")
+        keys = ("text", "authors", "title", "year", "journal", "volume", "page", "doi")
         return [{"key": key} | {name: getattr(one, name) or None for name in keys} for key, one in self.keyed.items()]
 
     def bibtex(self) -> str:
@@ -97,7 +125,7 @@ class CitedSources(Result):
         own = {"author": "{lunarsci contributors}", "title": f"{{{TITLE}}}", "note": note}
         entries = [_entry("misc", "lunarsci", {name: value for name, value in own.items() if value}, braced=False)]
         for key, one in self.keyed.items():
-            entries.append(_entry("article" if one.journal else "misc", key, one.fields))
+            entries.append(_entry(one.kind, key, one.fields))
         return "\n".join(entries)
 
 
@@ -108,7 +136,46 @@ def _entry(kind: str, key: str, fields: Mapping[str, str], braced: bool = True) 
 
 
 def _tex(name: str, value: str) -> str:
-    return value if name == "doi" else re.sub(r"([&%$#_])", r"\\\1", value)
+    return value if name in ("doi", "howpublished") else re.sub(r"([&%$#_])", r"\\\1", value)
+
+
+@cache
+def works() -> Mapping[str, Mapping[str, Any]]:
+    """The works of `references.toml` by their names."""
+    return tomllib.loads((files(SPECTRA_DATA) / "references.toml").read_text("utf-8"))
+
+
+def reference_to(name: str, text: str = "") -> Reference:
+    """A work of `references.toml` by its name; `text` as a result has it, made of its fields if ''."""
+    work = works()[name]
+    who, where = str(work.get("author", work.get("editor", ""))), str(work.get("journal", ""))
+    said = {key: str(work.get(key, "")) for key in ("year", "volume", "pages", "doi")}
+    place = ", ".join(
+        part for part in (work.get("title"), f"{where} {said['volume']}".strip(), said["pages"], said["doi"]) if part
+    )
+    short = who.strip("{}") if who.count(" and ") < 4 else f"{who.split(' and ')[0]} and others"
+    whole = f"{short} ({said['year']}), {place}" if said["year"] else f"{short}, {place}"
+    return Reference(
+        text or whole, who, said["year"], where, said["volume"], said["pages"], said["doi"], known=name, work=work
+    )
+
+
+def _of_tables(names: Sequence[str]) -> Iterator[Reference]:
+    """The works that tables of lunarsci rest on."""
+    for name, work in works().items():
+        if not set(names).isdisjoint(work.get("tables", ())):
+            yield reference_to(name)
+
+
+def _cited(text: str) -> Reference:
+    """A source of a result: the work that has its DOI, or its author and year where the result has no DOI."""
+    found = reference_of(text)
+    for name, work in works().items():
+        if found.doi and str(work.get("doi", "")).lower() == found.doi.lower():
+            return reference_to(name, text)
+    same = works().get(found.key, {})
+    alone = found.journal == "" or found.volume in ("", same.get("volume"))
+    return reference_to(found.key, text) if same and not found.doi and alone else found
 
 
 def reference_of(text: str) -> Reference:
@@ -138,14 +205,21 @@ def reference_of(text: str) -> Reference:
 def cite(results: Sequence[str | Path | Result] | str | Path | Result) -> CitedSources:
     """What to cite for results: those of functions, JSON files of commands, or folders of their -o.
 
-    Sources that differ only in what follows the DOI are one. Raises DataError for what is no result.
+    The sources that a result names, and the works that its tables rest on, such as laboratory spectra, catalogues of
+    craters and priors. Sources that differ only in what follows the DOI are one. Raises DataError for what is no
+    result.
     """
     given = [results] if isinstance(results, str | Path | Result) else list(results)
-    paths = [item for item in given if not isinstance(item, Result)]
-    documents = read_results(paths)[0] if paths else []
-    texts = [text for document in documents for text in document.provenance.get("sources") or ()]
-    texts += [text for item in given if isinstance(item, Result) for text in item.made_from.sources]
+    documents = read_results(given)[0] if given else []
+    records = [document.provenance for document in documents]
+    texts = [text for record in records for text in record.get("sources") or ()]
+    tables = [PurePath(str(one.get("name", one.get("path", "")))).name for record in records for one in _named(record)]
     found: dict[str, Reference] = {}
-    for one in map(reference_of, map(str, texts)):
-        found.setdefault(one.doi or one.text, one)
+    for one in (*map(_cited, map(str, texts)), *_of_tables(tables)):
+        found.setdefault(one.known or one.doi or one.text, one)
     return CitedSources(references=list(found.values()), documents=documents)
+
+
+def _named(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """The tables that a record names, where it does."""
+    yield from (one for one in record.get("tables") or () if isinstance(one, Mapping))

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, read_json, text
 from lunarsci.provenance import sha256
+from lunarsci.result import Result
 
 PICTURES = {".png": b"\x89PNG", ".svg": b"<"}
 """Suffixes of pictures that a page takes, and how they begin."""
@@ -75,16 +77,30 @@ class GivenPicture:
     content: bytes
 
 
-def read_results(paths: Sequence[str | Path]) -> tuple[list[Document], list[GivenPicture]]:
-    """Documents and pictures in the order given.
+def read_results(given: Sequence[str | Path | Result]) -> tuple[list[Document], list[GivenPicture]]:
+    """Documents and pictures in the order given; a result of a function is what its file would be.
 
     Raises DataError for what is none of them, ParameterError where no document is given.
     """
+    paths = [one for one in given if not isinstance(one, Result)]
     pictures = [_picture(Path(path)) for path in paths if Path(path).suffix.lower() in PICTURES]
-    documents = [_read(path) for path in paths if Path(path).suffix.lower() not in PICTURES]
+    documents = [
+        _in_memory(one, number) if isinstance(one, Result) else _read(one)
+        for number, one in enumerate(given, 1)
+        if isinstance(one, Result) or Path(one).suffix.lower() not in PICTURES
+    ]
     if not documents:
         raise ParameterError(f"no result is given; {REMEDY}")
     return documents, pictures
+
+
+def _in_memory(result: Result, number: int) -> Document:
+    """A result of a function, named by its kind and its place among those given."""
+    made = result.to_json()
+    found = json.loads(made)
+    schema = found["schema"].removeprefix("lunarsci/")
+    name = f"{schema.rpartition('/')[0]} ({number})"
+    return Document(name, schema, found["result"], found["provenance"], sha256=sha256(made.encode()))
 
 
 def _read(path: str | Path) -> Document:

@@ -67,16 +67,28 @@ class ReportedResults(Result):
 
 
 def report(
-    results: Sequence[str | Path] | str | Path, request: ReportRequest | None = None, **options: Any
+    results: Sequence[str | Path | Result] | str | Path | Result,
+    path: str | Path | None = None,
+    request: ReportRequest | None = None,
+    **options: Any,
 ) -> ReportedResults:
-    """Make a page of results: JSON files of commands, folders of their -o, and pictures of their --plot.
+    """Make a page of results: those of functions, JSON files of commands, folders of their -o, and pictures.
 
-    Raises DataError for what is none of these, ParameterError where there is no result among them.
+    With `path` the page is written there, as by `lunarsci report -o`; a file of that name is replaced. `request`,
+    options: options of `ReportRequest`, a title and a terrain. `rows()` of what it gives are the answers of the
+    page. Raises DataError for what is no result and for a path that cannot be written, ParameterError where there is
+    no result.
     """
     wanted = request_of(ReportRequest, request, options)
-    paths = [results] if isinstance(results, str | Path) else list(results)
-    documents, pictures = read_results(paths)
-    return ReportedResults(page=page_of(documents, pictures, wanted))
+    given = [results] if isinstance(results, str | Path | Result) else list(results)
+    documents, pictures = read_results(given)
+    made = ReportedResults(page=page_of(documents, pictures, wanted))
+    if path is not None:
+        try:
+            Path(path).write_bytes(made.html())
+        except OSError as error:
+            raise DataError(f"{path}: cannot be written: {error.strerror}; give another path") from error
+    return made
 
 
 def page_of(documents: Sequence[Document], pictures: Sequence[GivenPicture], wanted: ReportRequest) -> Page:

@@ -14,7 +14,7 @@ import pytest
 import lunarsci
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.guide import doctor
-from lunarsci.guide.cite import cite, reference_of
+from lunarsci.guide.cite import CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.contents import CONTENTS
 from lunarsci.guide.info import CSV_COLUMNS, KINDS, MAGIC, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
@@ -187,14 +187,47 @@ SOURCES = (
 def test_sources_become_entries(tmp_path: Path) -> None:
     record = Provenance(command="lunarsci spectra fit", sources=SOURCES).to_dict(time=False)
     found = cite(written(tmp_path, "fit.json", to_json(document("spectra-fit/1", {"spectra": []}, record))))
-    assert list(found.keyed) == ["ding2024", "lucey2000", "lucey2000b", "pike1974", "astm"]
-    entries = dict(re.findall(r"@(?:article|misc)\{(\w+),\n(.*?)\n\}", found.bibtex(), re.DOTALL))
+    assert list(found.keyed) == ["ding2024", "lucey2000", "lucey2000b", "pike1974", "astm-e490"]
+    entries = dict(re.findall(r"@(?:article|misc|techreport)\{([\w-]+),\n(.*?)\n\}", found.bibtex(), re.DOTALL))
     assert list(entries) == ["lunarsci", *found.keyed]
-    assert "author = {Lucey and Blewett and Jolliff}" in entries["lucey2000"]
-    assert "pages = {20297}" in entries["lucey2000"] and "volume = {105}" in entries["lucey2000"]
+    assert "author = {Lucey, Paul G. and Blewett, David T. and Jolliff, Bradley L.}" in entries["lucey2000"]
+    assert "author = {Lucey and Blewett and Taylor and Hawke}" in entries["lucey2000b"]
+    assert "pages = {20297--20305}" in entries["lucey2000"] and "volume = {105}" in entries["lucey2000"]
+    assert "title = {{Lunar rock investigation" in entries["ding2024"] and "Zhao, Yu-Yan Sara" in entries["ding2024"]
+    assert "note" not in entries["pike1974"] + entries["ding2024"]
     assert "doi = {10.1016/0012-821X(74)90114-9}" in entries["pike1974"]
     assert found.bibtex().count("{") == found.bibtex().count("}")
     assert json.loads(found.to_json())["result"]["sources"][0]["key"] == "ding2024"
+
+
+def test_works_behind_tables_are_cited(tmp_path: Path) -> None:
+    """Laboratory libraries, craters and priors: by the tables that a result was made with, each work once."""
+    tables = dict.fromkeys(("end_members.csv", "source_craters.csv", "priors.toml"), "0" * 64)
+    record = Provenance(command="lunarsci spectra unmix", sources=SOURCES[:1], tables=tables).to_dict(time=False)
+    found = cite(written(tmp_path, "unmix.json", to_json(document("spectra-unmix/1", {"spectra": []}, record))))
+    assert {"kokaly2017", "korda2023", "iau-gazetteer", "hu2019", "ishigami2007", "ding2024"} <= set(found.keyed)
+    assert [one.doi for one in found.references].count("10.1038/s41467-024-46233-8") == 1
+    assert "Data Series 1035" in found.bibtex() and r"Meteoritics \& Planetary Science" not in found.bibtex()
+
+
+def test_every_entry_of_the_table_of_works_is_one() -> None:
+    """What every style needs, braces that close, signs of TeX escaped, and a name after its author and year."""
+    found = CitedSources(references=[reference_to(name) for name in works()], documents=[])
+    entries = re.findall(r"@(\w+)\{([\w-]+),\n(.*?)\n\}\n", found.bibtex(), re.DOTALL)
+    assert [name for _, name, _ in entries] == ["lunarsci", *works()]
+    wanted = {"article": ("author", "journal"), "book": ("title", "publisher"), "techreport": ("author", "institution"),
+              "incollection": ("author", "booktitle"), "inproceedings": ("author", "booktitle"),
+              "misc": ("author", "title")}  # fmt: skip
+    for kind, name, body in entries:
+        fields = dict(re.findall(r"^  (\w+) = \{(.*)\},$", body, re.MULTILINE))
+        assert set(wanted[kind]) <= set(fields), name
+        assert len(fields) == body.count("\n") + 1 and body.count("{") == body.count("}"), name
+        assert all(
+            not re.search(r"(?<!\\)[&%$#_]", said) for key, said in fields.items() if key not in ("doi", "howpublished")
+        )
+        assert name in ("lunarsci", "zhao-ga-plsr", "iau-gazetteer", "astm-e490", "heiken1991") or name.startswith(
+            f"{re.split('[ ,]', fields['author'].lower())[0]}{fields['year']}"
+        ), name
 
 
 def test_a_year_and_a_doi_are_found_where_they_are() -> None:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lunarsci
+from lunarsci.errors import DataError
 from lunarsci.report.job import report
 from lunarsci.report.relief import MOST_NODES
 
@@ -245,3 +247,17 @@ def test_the_ground_is_thinned_and_says_so(folder: Path) -> None:
 
 def test_without_a_terrain_there_is_no_ground(folder: Path) -> None:
     assert "data-relief=" not in report(folder / "fit.json").html().decode()
+
+
+def test_results_in_memory_have_the_page_of_their_files(tmp_path: Path) -> None:
+    """The function of notebooks gives what the command gives of the file, but for the name of the file."""
+    found = lunarsci.wheel_forces(sinkage=0.01)
+    file = tmp_path / "forces.json"
+    file.write_text(found.to_json())
+    made = lunarsci.report([found, file], tmp_path / "page.html", title="Forces")
+    assert (tmp_path / "page.html").read_bytes().startswith(b"<!DOCTYPE html>") and made.page.title == "Forces"
+    in_memory, read = ({key: text for key, text in row.items() if key not in ("file", "title")} for row in made.rows())
+    assert in_memory == read and read["answer"]
+    assert made.rows()[0]["file"] == "regolith-forces (1)"
+    with pytest.raises(DataError, match="cannot be written"):
+        lunarsci.report(found, tmp_path / "none" / "page.html")
