@@ -65,11 +65,11 @@ def attributes_of(area: str) -> dict[str, tuple[str, str]]:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.ClassDef) and (text := ast.get_docstring(node, clean=False)):
                 for name, said in attributes_in(text).items():
-                    found.setdefault(name, _unit_and_meaning(said))
+                    found.setdefault(name, unit_and_meaning(said))
     return found
 
 
-def _unit_and_meaning(text: str) -> tuple[str, str]:
+def unit_and_meaning(text: str) -> tuple[str, str]:
     found = re.search(r"\s*\[([^\]]+)\]\s*(?:\([^)]*\))?\s*$", text)
     return (found[1], text[: found.start()]) if found else ("", text)
 
@@ -84,7 +84,7 @@ def fields_text(path: str) -> str:
     said = attributes(kind)
     rows = []
     for field in dataclasses.fields(kind):
-        unit, meaning = _unit_and_meaning(said.get(field.name, ""))
+        unit, meaning = unit_and_meaning(said.get(field.name, ""))
         needed = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         default = "needed" if needed else "" if field.default in (None, dataclasses.MISSING) else f"`{field.default}`"
         rows.append(f"| `{field.name}` | {_cell(unit)} | {default} | {_cell(meaning)} |")
@@ -110,7 +110,7 @@ def rover_text(name: str) -> str:
     rows = []
     for table, key, value, source in _entries(tomllib.loads(read_rover(name).text)):
         said = attributes(_class(PARTS[table])) if table in PARTS else {}
-        meaning = _unit_and_meaning(said.get(ALIKE.get(key, key), ""))
+        meaning = unit_and_meaning(said.get(ALIKE.get(key, key), ""))
         rows.append(
             f"| `[{table}]` `{key}` | {_cell(meaning[0])} | {_cell(value)} | {_cell(meaning[1])} | {_cell(source)} |"
         )

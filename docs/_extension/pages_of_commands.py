@@ -2,13 +2,15 @@
 
 import json
 import re
+import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
 import typer
 from lunarsci.cli import command_line
-from pages_of_code import attributes_of
+from pages_of_code import attributes_of, unit_and_meaning
 
 from lunarsci.result import UNITS, unit_of
 
@@ -213,10 +215,27 @@ NUMBER = re.compile(r"value|published|sigma|sd|mean|median|min|max|p\d+|(ground|
 """Those of them that have the unit of their parent."""
 
 
-def _meaning(key: str, known: dict[str, tuple[str, str]], said: dict[str, tuple[str, str]]) -> tuple[str, str]:
-    """Unit and meaning of a key: of the glossary, of its ending, of what is said in the code, or of its part."""
+@cache
+def written(area: str) -> dict[str, tuple[str, str]]:
+    """End of a key's path to unit and meaning, of those that `key_meanings.toml` has for an area of commands."""
+    tables = tomllib.loads((ROOT / "docs/_extension/key_meanings.toml").read_text("utf-8"))
+    return {end: unit_and_meaning(text) for end, text in tables.get(area, {}).items()}
+
+
+def written_end(key: str, area: str) -> str:
+    """The longest end of a key's path that is written of; empty where none is."""
+    parts = key.replace("[]", "").split(".")
+    ends = (".".join(parts[first:]) for first in range(len(parts)))
+    return next((end for end in ends if end in written(area)), "")
+
+
+def _meaning(key: str, known: dict[str, tuple[str, str]], area: str) -> tuple[str, str]:
+    """Unit and meaning of a key: written of it, of the glossary, of its ending, of the code, or of its part."""
     parts = [part.removesuffix("[]") for part in key.split(".")]
-    name = parts[-1]
+    name, said = parts[-1], attributes_of(area)
+    if end := written_end(key, area):
+        unit, meaning = written(area)[end]
+        return unit or unit_of(name), meaning
     if name in known:
         return known[name]
     for ending, text in ENDINGS.items():
@@ -247,9 +266,9 @@ def keys_text() -> str:
             found.setdefault(path, {}).update(dict.fromkeys(_keys(answer["result"])))
     parts = []
     for path in sorted(found):
-        rows, said = [], attributes_of(path.split()[0])
+        rows = []
         for key in sorted(found[path]):
-            unit, meaning = _meaning(key, known, said)
+            unit, meaning = _meaning(key, known, path.split()[0])
             rows.append(f"| `{key}` | {unit} | {meaning} |")
         parts.append(
             f"## `lunarsci {path}`\n\n| key of `result` | unit | meaning |\n| --- | --- | --- |\n" + "\n".join(rows)
