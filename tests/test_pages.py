@@ -55,6 +55,18 @@ def test_no_sentence_stands_in_two_pages() -> None:
                     assert pages.setdefault(sentence, name_of(page)) == name_of(page), sentence
 
 
+SENTENCE = re.compile(r"(?<=[.?!])[)*]* (?=[A-Z`*\[(\d$])")
+LONGEST = 60
+"""Words of a sentence; links, equations and tables are not counted."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_sentence_is_too_long(page: Path) -> None:
+    items = [item for part in paragraphs(page) if part[0] not in "#|" for item in re.split(r"\n *(?:-|\d+\.) ", part)]
+    plain = [re.sub(r"\]\([^)]*\)|\$[^$]*\$", "] x", " ".join(item.split())) for item in items]
+    assert [one for item in plain for one in SENTENCE.split(item) if len(one.split()) > LONGEST] == []
+
+
 PRIVATE = re.compile(r"(?<![`\w])(suites?|vouch\w*|lopsided|stranger|hangs? together|of the norm|filed by)\b")
 """Words of our own for what the field has a word for: `docs/project/style.md`."""
 
