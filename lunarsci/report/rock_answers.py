@@ -6,9 +6,8 @@ from typing import Any
 from lunarsci.report.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.report.words import counted, measured, number, percent
 from lunarsci.result import FINE
-from lunarsci.spectra.jobs.verdicts import fit_verdict
+from lunarsci.spectra.jobs.verdicts import fit_verdict, shares_verdict
 
-UNSHARED = "Shares of minerals are not determined."
 ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
 ALL = 0.995
@@ -81,50 +80,17 @@ def _fit_in_short(one: Result) -> str:
 
 
 def _one_fit(one: Result) -> str:
-    name, abundance = one.get("id", "the spectrum"), one.get("abundance") or {}
-    shares = _mineral_shares(one)
-    if shares:
-        domain = f" {sentence(str(abundance.get('status')))}" if abundance.get("in_domain") is False else ""
-        return f"Shares of minerals in {name}: {', '.join(shares)}.{domain}{_chosen(one)}"
-    if (one.get("status") or "converged") not in FINE:
-        return f"{name}: {_verdict(one)}{one['status']}.{_ratios(one)} {UNSHARED}"
+    """What its command says below its tables, then which assemblages cannot be told apart, and the pyroxenes."""
+    verdict = shares_verdict(one) if "kind" in one else fit_verdict(one)
+    status = (one.get("choice") or {}).get("status")
+    chosen = f" Taken to fit: {status}." if status else ""
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."
         if ratio and (ratio.get("sigma") or 0) < HALF
         else ""
     )
-    said = _chosen(one) or (
-        f" It was fitted with {one['assemblage'].replace('-', ', ')} as asked; other minerals were not tried."
-        if one.get("assemblage")
-        else ""
-    )
-    why = f"{name}: the fit leaves {100 * one['rms_ln']:.2g} % of reflectance." if one.get("rms_ln") else f"{name}."
-    return f"{why}{said}{strength}{_ratios(one)} {UNSHARED}"
-
-
-def _verdict(one: Result) -> str:
-    """What its command says of the minerals, before the status of the fit."""
-    if {"assemblage", "bands", "choice", "compositions"} <= one.keys() and "abundance" not in one:
-        return f"{fit_verdict(one)}. Fit: "
-    return ""
-
-
-def _ratios(one: Result) -> str:
-    """Ratios of the minerals of a solid rock, whose shares are not known."""
-    told = [
-        f"{name.replace('_', ' ')} {percent(item['fraction'])} (95 %: {percent(item['low95'])} to "
-        f"{percent(item['high95'])})"
-        for name, item in ((one.get("abundance") or {}).get("ratios") or {}).items()
-        if item["fraction"] is not None
-    ]
-    return f" Not calibrated on rocks: {', '.join(told)}." if told else ""
-
-
-def _chosen(one: Result) -> str:
-    """The verdict on which minerals are there, where they were compared."""
-    status = (one.get("choice") or {}).get("status")
-    return f" Minerals: {status}." if status else ""
+    return f"{one.get('id', 'the spectrum')}: {verdict}.{chosen}{strength}"
 
 
 def _mineral_shares(one: Result) -> list[str]:
