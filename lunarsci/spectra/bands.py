@@ -16,7 +16,7 @@ from lunarsci import records
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
-from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
+from lunarsci.spectra.band_rows import curve_of_centre, grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
     BANDS,
     CONTINUUM,
@@ -109,6 +109,15 @@ class SpectrumBands:
         used = {band.continuum: None for band in self.bands.values() if band.continuum in CONTINUA}
         smoothed = self.smoothed[None]
         return {name: continuum(name, self.wavelength_nm, smoothed)[0] for name in used}
+
+    def curves(self) -> "dict[str, tuple[FloatArray, FloatArray]]":
+        """By key of each band that is there: wavelengths about its centre, and the curve that this is the minimum of."""
+        grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
+        return {
+            band.key: curve_of_centre(grid, self.reflectance, own.continuum, band, own.center_nm)
+            for band in BANDS
+            if (own := self.bands[band.key]).center_nm is not None
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""

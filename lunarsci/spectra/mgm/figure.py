@@ -86,7 +86,10 @@ def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
         x, level, color = wavelength[inside], continua[name][inside], look["color"]
         upper.plot(x, level, **look, label=f"{name} continuum")
         lower.plot(x, item.reflectance[inside] / level, ".", markersize=2, color=color, alpha=0.4)
-        lower.plot(x, smoothed[inside] / level, linewidth=1, color=color)
+        lower.plot(x, smoothed[inside] / level, **(look | {"linewidth": 0.7, "alpha": 0.6}))
+    for nm, curve in item.curves().values():
+        lower.plot(nm, curve, color="black", linewidth=1.8)
+    upper.plot([], [], color="black", linewidth=1.8, label="polynomials of the centre (below)")
     top = float(np.max(smoothed))
     upper.set_ylim(max(0.0, float(np.min(smoothed)) - 0.15 * top), 1.2 * top)
     lower.axhline(1, color="0.8", linewidth=0.8, zorder=0)
