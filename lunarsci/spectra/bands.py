@@ -28,6 +28,7 @@ from lunarsci.spectra.band_status import (
     NOTE_DEEPEST,
     OK,
     QUANTITIES,
+    SPARSE,
     STATUS,
     Codes,
     sentence,
@@ -320,6 +321,14 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         for place, reason in self.reasons.items() if which == STATUS else ():
             found[place] = f"no result: {reason}"
         return found
+
+    @property
+    def uncovered(self) -> dict[int, str]:
+        """By place, why spectra have none, those whose channels cannot show either band among them."""
+        codes = self.arrays.codes[..., STATUS]
+        lacking = np.flatnonzero(np.isin(codes, (SPARSE, NOT_COVERED)).all(axis=1)).tolist()
+        reach = " or ".join("{:.0f}-{:.0f} nm".format(*band.reach_nm) for band in BANDS)
+        return dict.fromkeys(lacking, f"the channels do not reach over {reach}, close enough for a band") | self.reasons
 
     def columns(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json` as columns of records."""
