@@ -6,10 +6,12 @@ from typing import Any
 from lunarsci.report.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.report.words import counted, measured, number, percent
 from lunarsci.result import FINE
-from lunarsci.spectra.jobs.verdicts import fit_verdict, shares_verdict
+from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
 
 ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
+UNDECIDED = ("composition decides nothing", "composition hardly decides")
+"""What `match` says where its posterior is the prior, or nearly."""
 ALL = 0.995
 """Share of a map from which it counts as all of it: 100 % when rounded; assumed."""
 HALF = 0.5
@@ -59,7 +61,7 @@ def _one_bands(one: Result) -> str:
     ]
     if not found:
         return f"{one['id']} has no absorption band near 1 or 2 µm that could be measured."
-    return f"{one['id']} absorbs {' and '.join(found)}."
+    return f"{one['id']} absorbs {' and '.join(found)}. {sentence(bands_verdict(one))}"
 
 
 def _times(value: Any, factor: float) -> Any:
@@ -102,7 +104,11 @@ def _mineral_shares(one: Result) -> list[str]:
 
 
 def match(result: Result) -> ResultAnswer:
-    return ResultAnswer(each(result["rocks"], _one_match, "rock", _match_in_short))
+    rocks = result["rocks"]
+    open_ones = [rock for rock in rocks if any(text in str(rock.get("status")) for text in UNDECIDED)]
+    of = "" if len(open_ones) == len(rocks) else f" of {len(open_ones)} of {counted(len(rocks), 'rock')}"
+    worth = f"Composition decides nothing{of}: the numbers are the prior's." if open_ones else ""
+    return ResultAnswer(each(rocks, _one_match, "rock", _match_in_short), trust=worth)
 
 
 def _one_match(rock: Result) -> str:

@@ -32,7 +32,7 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
     if alone:
         return (
             "pyroxene; its centres are those of pyroxenes without olivine, but some olivine is not ruled out; quote "
-            "only lines above whose condition you know to hold"
+            "only regressions whose condition you know to hold"
         )
     return "pyroxene; the centres are not those of one pyroxene alone: olivine or several pyroxenes; `spectra fit` next"
 
