@@ -194,7 +194,10 @@ def curve_of_centre(
     Wavelengths of the narrow window, or the wide one where that alone counts, and reflectance over continuum. [nm, -]
     """
     work, c, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
-    t, own = work.t, np.array([*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)])
+    t, own = (
+        work.t,
+        np.array([*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]),
+    )
     take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, VALUES * count)
     smooth(grid.smoother, t, VALUES * count, SMOOTHED * count)
     tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.own)

@@ -188,7 +188,10 @@ def test_a_match_that_decides_nothing_is_not_approved() -> None:
     rock = KNOWN["match modes"]["result"]["rocks"][0]
     undecided = rock | {"status": "composition decides nothing: no composition of the rock is known; the posterior is"}
     clear = rock | {"status": "likeliest Finsen (0.90); composition speaks strongly (ln Bayes factors differ by 9.0)"}
-    assert answer(of("match modes", rocks=[undecided])).trust == "Composition decides nothing: the numbers are the prior's."
+    assert (
+        answer(of("match modes", rocks=[undecided])).trust
+        == "Composition decides nothing: the numbers are the prior's."
+    )
     assert "of 1 of 2 rocks: the numbers" in answer(of("match modes", rocks=[undecided, clear])).trust
     assert answer(of("match modes", rocks=[clear])).trust.startswith("The command found nothing against")
 

@@ -52,7 +52,9 @@ def test_one_of_two_pyroxenes_is_sure_where_neither_is(fitted: dict[str, Any]) -
     """As of the boulder ce4-083-rock: nothing without a pyroxene fits it, and either does."""
     boulder = fitted | {"choice": chosen(CPX=0.55, OL_CPX=0.11, OPX_CPX=0.15, OL_OPX=0.17, OL=0.02)}
     said = fit_verdict(boulder)
-    assert said.startswith("a pyroxene is sure, which one is open (orthopyroxene 32 %, clinopyroxene 81 %); also open: ")
+    assert said.startswith(
+        "a pyroxene is sure, which one is open (orthopyroxene 32 %, clinopyroxene 81 %); also open: "
+    )
     assert "olivine (30 %)" in said and "no mineral is sure" not in said
     kind = {"name": "solid-rock", "stated": True, "probabilities": {"solid-rock": 1.0}}
     one = boulder | {"kind": kind, "normative": None, "abundance": None}
