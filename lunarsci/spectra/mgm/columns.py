@@ -185,7 +185,7 @@ def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dic
 
 
 def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
-    """`unmix_olivine`, `unmix_olivine_low` and the like, whether the method applies, and `olivine_in_mafic` of rocks."""
+    """`unmix_olivine`, `unmix_olivine_low`, …, whether the method applies, and `olivine_in_mafic`, … of rocks."""
     columns: dict[str, Any] = {}
     for modes in found:
         columns[f"{modes.method}_in_domain"] = modes.in_domain
