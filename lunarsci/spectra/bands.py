@@ -112,7 +112,7 @@ class SpectrumBands:
         return {name: continuum(name, self.wavelength_nm, smoothed)[0] for name in used}
 
     def curves(self) -> "dict[str, tuple[FloatArray, FloatArray]]":
-        """By key of each band that is there: wavelengths about its centre, and the curve that this is the minimum of."""
+        """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
         grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
         return {
             band.key: curve_of_centre(grid, self.reflectance, own.continuum, band, own.center_nm)
