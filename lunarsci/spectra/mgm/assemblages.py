@@ -17,7 +17,7 @@ GROUPS = {"pyroxene": ("OPX", "CPX")}
 SURE = 0.93
 """Probability from which something is called sure, as of `Choice.family`; assumed."""
 BIC_OF_CHOICE = (
-    "BIC of all assemblages is of channels joined to 20 nm and of the comparison's own errors: it compares them, and is "
+    "BIC of all assemblages is of channels joined to 20 nm and of the comparison's own errors: it compares them and is "
     "another than that of the fit"
 )
 BANDS, COMPOSITIONS = "mgm_bands.csv", "mgm_compositions.csv"
