@@ -16,7 +16,7 @@ from lunarsci import records
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
-from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
+from lunarsci.spectra.band_rows import curve_of_centre, grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
     BANDS,
     CONTINUUM,
@@ -28,6 +28,7 @@ from lunarsci.spectra.band_status import (
     NOTE_DEEPEST,
     OK,
     QUANTITIES,
+    SPARSE,
     STATUS,
     Codes,
     sentence,
@@ -109,6 +110,15 @@ class SpectrumBands:
         used = {band.continuum: None for band in self.bands.values() if band.continuum in CONTINUA}
         smoothed = self.smoothed[None]
         return {name: continuum(name, self.wavelength_nm, smoothed)[0] for name in used}
+
+    def curves(self) -> "dict[str, tuple[FloatArray, FloatArray]]":
+        """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
+        grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
+        return {
+            band.key: curve_of_centre(grid, self.reflectance, own.continuum, band, own.center_nm)
+            for band in BANDS
+            if (own := self.bands[band.key]).center_nm is not None
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""
@@ -311,6 +321,14 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         for place, reason in self.reasons.items() if which == STATUS else ():
             found[place] = f"no result: {reason}"
         return found
+
+    @property
+    def uncovered(self) -> dict[int, str]:
+        """By place, why spectra have none, those whose channels cannot show either band among them."""
+        codes = self.arrays.codes[..., STATUS]
+        lacking = np.flatnonzero(np.isin(codes, (SPARSE, NOT_COVERED)).all(axis=1)).tolist()
+        reach = " or ".join("{:.0f}-{:.0f} nm".format(*band.reach_nm) for band in BANDS)
+        return dict.fromkeys(lacking, f"the channels do not reach over {reach}, close enough for a band") | self.reasons
 
     def columns(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json` as columns of records."""
