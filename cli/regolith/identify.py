@@ -50,7 +50,7 @@ States = Annotated[
 ]
 ASSUMED = "What is assumed, and so what is solved for"
 OPTIONS = {
-    "rover": option(ROVER),
+    "rover": option(f"{ROVER.rstrip('.')}; left out, yutu2."),
     "exponent": option("Assume N and solve K_s; 1.0 if neither is given.", panel=ASSUMED),
     "stiffness": option("Assume K_s in kPa m^-N and solve N.", panel=ASSUMED),
     "cohesion": option("Assume c in Pa and solve φ; 520 if neither is given.", panel=ASSUMED),
@@ -127,7 +127,7 @@ def _site_table(result: IdentifiedSoil) -> TextTable:
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     count = len(found.observations)
-    default = " (the default; another by --rover)" if result.rover == IdentifyRequest().rover else ""
+    default = " (the default)" if result.asked and result.asked.options["rover"] is None else ""
     title = (
         f"The site from {count} state{'s' if count > 1 else ''} with the wheel of {result.rover}{default}, "
         f"{found.draws} draws each, sign convention '{found.reading}'"

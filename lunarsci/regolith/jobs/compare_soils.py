@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import Source, read_input, text
-from lunarsci.regolith.jobs.identify import IdentifiedSoil
+from lunarsci.regolith.jobs.identify import DEFAULT_ROVER, IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.compare import Site, SoilComparison
-
-
-DEFAULT_ROVER = "yutu2"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
