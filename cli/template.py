@@ -9,7 +9,11 @@ from .shared.report import Report
 from .shared.table import TextTable
 
 Kind = Annotated[
-    str, typer.Argument(metavar="KIND", help="What to begin: rover, soil, plan, mission, craters or telemetry.")
+    str,
+    typer.Argument(
+        metavar="KIND",
+        help="What to begin: rover, soil, prior, plan, mission, craters, telemetry, or states of wheels.",
+    ),
 ]
 
 

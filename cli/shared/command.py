@@ -65,7 +65,10 @@ def command(
             output = Output(**chosen, folder=named)
             output.check()
             try:
-                with heard_warnings(output, lambda text: _with_flags(text, context)) as heard, _computing(output, where):
+                with (
+                    heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
+                    _computing(output, where),
+                ):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))

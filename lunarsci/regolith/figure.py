@@ -40,6 +40,10 @@ PARAMETER_LABELS = {
     "shear_modulus_mm": "shear modulus K$_x$ [mm]",
     "external_friction_angle_deg": "external friction angle φ$_y$ [°]",
     "lateral_modulus_mm": "lateral shear modulus K$_y$ [mm]",
+    "skid_exponent_slip": "fall of the exponent with skid n$_2$ [-]",
+    "max_stress_c1": "angle of largest stress c$_1$ [-]",
+    "max_stress_c2": "rise of that angle with slip c$_2$ [-]",
+    "exit_c3": "exit angle c$_3$ [-]",
 }
 """A parameter of the soil along an axis, the same in every picture."""
 LEAST_PA = 10.0
@@ -240,7 +244,7 @@ def posterior_figure(
         panel.plot([row["low95"], row["high95"]], [foot] * 2, color=OWN, linewidth=2, label="95 %")
         panel.plot([row["low68"], row["high68"]], [foot] * 2, color=OWN, linewidth=4, label="68 %")
         panel.plot(row["median"], foot, "o", color=OTHER, markersize=4, label="median")
-        panel.set_xlabel(PARAMETER_LABELS.get(name, name))
+        panel.set_xlabel(PARAMETER_LABELS[name])
         panel.set_yticks([])
         panel.spines["left"].set_visible(False)
         if law.of == "ln":

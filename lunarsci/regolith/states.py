@@ -153,6 +153,11 @@ def read_state_table(
     """
     file, table = source.name, read_csv_table(source)
     columns = [str(name) for name in table.columns]
+    if "normal_force_n" in needed and "normal_force_n" not in columns and {"wheel", "slip_ratio"} <= {*columns}:
+        raise DataError(
+            f"{file}: no column normal_force_n: states of a drive without forces; `lunarsci twin update` learns the "
+            "soil from them, `lunarsci twin loads --motion motion.csv --states states.csv` adds forces"
+        )
     unused = check_columns(file, columns, KNOWN, (*(("time_s", "wheel") if wheels else ()), *needed))
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")

@@ -12,12 +12,14 @@ import pytest
 from astropy import units
 from scipy import stats
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.identify import Estimate
 from lunarsci.regolith.jobs.compare_soils import compare_soils
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, agreement, identify
 from lunarsci.regolith.jobs.infer import InferredSoil, infer
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest, wheel_forces
+from lunarsci.regolith.prior import CONTACT, PARAMETERS
 
 
 @pytest.fixture(scope="module")
@@ -215,10 +217,20 @@ def test_states_of_an_unnamed_rover_are_said_to_have_the_wheel_of_yutu2(
         found = identify(table, draws=2)
     said = [str(one.message) for one in heard if "no rover is named" in str(one.message)]
     assert len(said) == (0 if silent else 1)
-    assert silent or f"36 N on each, here {load_n:g} N" in said[0] and "with `rover`" in said[0]
+    assert silent or (f"36 N on each, here {load_n:g} N" in said[0] and "with `rover`" in said[0])
     assert found.rover == "yutu2" and json.loads(found.to_json())["provenance"]["options"]["rover"] == "yutu2"
     assert "with the wheel of yutu2 (the default)" in str(found)
     assert identify(table, rover="yutu2", draws=2).to_dict() == found.to_dict()
+
+
+def test_states_without_forces_name_the_ways_on() -> None:
+    table = pd.DataFrame({"time_s": [0.0], "wheel": ["FL"], "sinkage_m": [0.008], "slip_ratio": [0.1]})
+    with pytest.raises(DataError, match=r"without forces; `lunarsci twin update` .* `lunarsci twin loads --motion"):
+        infer(table)
+
+
+def test_every_parameter_of_a_contact_has_its_words_in_the_picture() -> None:
+    assert set(PARAMETERS) | set(CONTACT) <= PARAMETER_LABELS.keys()
 
 
 def test_a_comparison_takes_the_wheel_of_the_result(measured_wheel: str, tmp_path: Path) -> None:

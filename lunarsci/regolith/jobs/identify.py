@@ -51,7 +51,7 @@ class IdentifyRequest:
 
     Attributes
     ----------
-    rover : rover or wheel, a name or a TOML file; left out, yutu2, with a warning where the states do not look like its.
+    rover : rover or wheel, a name or a TOML file; left out, yutu2, with a warning where its wheels have other loads.
     exponent [-], stiffness [kPa m^-N] : bearing pair N, K_s.
     cohesion [Pa], friction_angle [deg] : shear pair c, phi.
     shear_modulus : K_x. [mm]
@@ -196,9 +196,7 @@ def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErr
     wheel = read_wheel(description)
     tables = {f"{named} (rover)": sha256(description.text.encode())}
     assumed = [name for name in description.assumed if name.startswith("wheel.")]
-    origin = MadeFrom(
-        inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named}
-    )
+    origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
     found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed)
     if rover is None:
         _warn_of_default(source.name, found, description)
