@@ -65,7 +65,10 @@ def command(
             output = Output(**chosen, folder=named)
             output.check()
             try:
-                with heard_warnings(output) as heard, _computing(output, where):
+                with (
+                    heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
+                    _computing(output, where),
+                ):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
@@ -153,12 +156,12 @@ def _provenance(context: typer.Context, report: Report, options: Mapping[str, An
 
 
 @contextmanager
-def heard_warnings(output: Output) -> Iterator[list[str]]:
-    """Collect lunarsci's warnings, each once, and say them on stderr as they come."""
+def heard_warnings(output: Output, told: Callable[[str], str] = str) -> Iterator[list[str]]:
+    """Collect lunarsci's warnings, each once and as `told` words it, and say them on stderr as they come."""
     heard: list[str] = []
 
     def hear(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        text = str(message)
+        text = told(str(message))
         if issubclass(category, LunarSciWarning) and text not in heard:
             heard.append(text)
             say(f"warning: {text}", quiet=output.quiet)
