@@ -12,6 +12,7 @@ SHOWN = 100
 UNKNOWN = "not determined"
 MOST_VERDICTS = 6
 """Spectra whose verdicts are shown."""
+SAYS = "What this says"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ def verdict_table(records: Sequence[Mapping[str, Any]], verdict: Callable[[Mappi
     """One sentence about each spectrum, where these are few."""
     if len(records) > MOST_VERDICTS:
         return []
-    return [TextTable([], [], title="What this says", notes=[f"{item['id']}: {verdict(item)}" for item in records])]
+    return [TextTable([], [], title=SAYS, notes=[f"{item['id']}: {verdict(item)}" for item in records])]
 
 
 def plus_minus(
