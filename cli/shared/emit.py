@@ -99,7 +99,9 @@ def _counted(report: Report) -> str:
     """How many inputs of a batch failed, and the first of them."""
     names = list(dict.fromkeys(failure.split(": ")[0] for failure in report.failures))
     first = ", ".join(names[:NAMED]) + (", …" if len(names) > NAMED else "")
-    found = next((f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), "")
+    found = next(
+        (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
+    )
     return f"{found}{len(report.failures)} without: {first}; all of them: --field provenance.failures"
 
 
