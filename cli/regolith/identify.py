@@ -64,11 +64,11 @@ OPTIONS = {
     "draws": option("Monte Carlo draws per state.", min=2, max=1_000_000),
     "seed": option("Seed of the random numbers.", min=0),
     "sinkage_error": option("1σ of the sinkage, in m.", panel=ERRORS),
-    "force_error": option("1σ of the forces, relative.", panel=ERRORS, show_default="0.1/3"),
+    "force_error": option("1σ of the forces, relative.", panel=ERRORS, show_default="1/30"),
     "travel_error": option(
-        "1σ of the travelled distance, relative; slip errs by it times 1 - |s|.", panel=ERRORS, show_default="0.04/3"
+        "1σ of the travelled distance, relative; slip errs by it times 1 - |s|.", panel=ERRORS, show_default="4/300"
     ),
-    "side_slip_error": option("1σ of the side slip, relative.", panel=ERRORS, show_default="0.04/3"),
+    "side_slip_error": option("1σ of the side slip, relative.", panel=ERRORS, show_default="4/300"),
     "sensitivity": option("How much of each variance comes from each measured quantity.", panel=ERRORS),
 }
 

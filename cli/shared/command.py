@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from .emit import emit
 from .examples import epilog
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
-from .talk import INTERRUPTED, say
+from .talk import interrupted, say
 
 
 def command(
@@ -80,7 +81,7 @@ def command(
                 raise type(error)(_with_flags(_noted(error), context)) from error
             except KeyboardInterrupt as error:
                 say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
-                raise typer.Exit(INTERRUPTED) from None
+                raise typer.Exit(interrupted()) from None
             raise typer.Exit(code)
 
         extended = _extended(signature, asked, shared)
@@ -104,7 +105,7 @@ def _computing(output: Output, where: Mapping[str, Any]) -> Iterator[None]:
         return
     from lunarsci.blocks import computing
 
-    with computing(keep=output.path, force=output.force, **where):
+    with computing(keep=output.path, force=output.force, told=partial(say, quiet=output.quiet), **where):
         yield
 
 

@@ -13,6 +13,7 @@ MOST_NAMED = 3
 """Things that a note names of those it holds for."""
 MOST_VERDICTS = 6
 """Spectra whose verdicts are shown."""
+SAYS = "What this says"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ def verdict_table(records: Sequence[Mapping[str, Any]], verdict: Callable[[Mappi
     """One sentence about each spectrum, where these are few."""
     if len(records) > MOST_VERDICTS:
         return []
-    return [TextTable([], [], title="What this says", notes=[f"{item['id']}: {verdict(item)}" for item in records])]
+    return [TextTable([], [], title=SAYS, notes=[f"{item['id']}: {verdict(item)}" for item in records])]
 
 
 def plus_minus(

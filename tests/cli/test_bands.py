@@ -75,7 +75,7 @@ def test_the_plane_is_refused_like_every_picture(run: Run, rocks: Path, tmp_path
     assert run("spectra", "bands", rocks, "--plane", twice, "--plot", twice).code == 2
     twice.write_text("mine")
     refused = run("spectra", "bands", rocks, "--plane", twice)
-    assert (refused.code, len(refused.err)) == (1, 1)
+    assert (refused.code, len(refused.err)) == (2, 1)
     assert "--force" in refused.err[0]
     assert twice.read_text() == "mine"
 
