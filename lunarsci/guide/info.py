@@ -100,7 +100,8 @@ MAGIC = {
 WAVELENGTH = re.compile(r"wave|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel", re.IGNORECASE)
 """Names of a first column that make a table one of spectra."""
 SPECTRAL, LEAST_LINES, MOST_LINES = ((0.2, 5.0), (200.0, 5000.0)), 8, 200
-"""Where a first column of another name may lie, in µm and nm; rows that it needs at least, and that are looked at."""
+"""Where a first column of another name may lie, in µm and nm; rows that it needs at least, and that are looked at;
+assumed."""
 LONG = 1 << 26
 """Bytes from which on telemetry is read in pieces."""
 _Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci import records
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import FloatArray
 from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
 from lunarsci.spectra.band_rows import curve_of_centre, grid_of, measure_rows, nothing_of
@@ -33,7 +33,7 @@ from lunarsci.spectra.band_status import (
     Codes,
     sentence,
 )
-from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection
+from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection, alike_channels
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
@@ -114,11 +114,8 @@ class SpectrumBands:
     def curves(self) -> "dict[str, tuple[FloatArray, FloatArray]]":
         """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
         grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
-        return {
-            band.key: curve_of_centre(grid, self.reflectance, own.continuum, band, own.center_nm)
-            for band in BANDS
-            if (own := self.bands[band.key]).center_nm is not None
-        }
+        seen = [(band, own, at) for band in BANDS if (at := (own := self.bands[band.key]).center_nm) is not None]
+        return {b.key: curve_of_centre(grid, self.reflectance, own.continuum, b, at) for b, own, at in seen}
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""
@@ -229,9 +226,7 @@ def band_arrays(
     if wavelength.size > MOST_CHANNELS:
         raise DataError(f"{wavelength.size} channels are more than {MOST_CHANNELS}; average some of them")
     found = BandArrays(*nothing_of(len(values)))
-    with np.errstate(invalid="ignore"):
-        usable = np.isfinite(values) & (values > 0)
-    for mask, rows in _alike(usable):
+    for mask, rows in alike_channels(np.isfinite(values) & (values > 0)):
         if mask.sum() >= FEWEST_CHANNELS:
             part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
             errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
@@ -239,18 +234,6 @@ def band_arrays(
             own = _measured(given, wanted=continuum_name, smoothing=used)
             found.numbers[rows], found.codes[rows] = own["numbers"], own["codes"]
     return found
-
-
-def _alike(usable: BoolArray) -> "list[tuple[BoolArray, IntArray]]":
-    """Usable channels (n,), and the rows of (m, n) that have just these, in the order of the rows."""
-    if usable.all():
-        return [(usable[0], np.arange(len(usable)))] if len(usable) else []
-    packed = np.packbits(usable, axis=1)
-    keys = np.ascontiguousarray(packed).view(f"V{packed.shape[1]}").ravel()
-    _, first, place = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(place, kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(place))[:-1])
-    return [(usable[at], rows) for at, rows in zip(first, parts, strict=True)]
 
 
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
