@@ -14,10 +14,11 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.atomic import STOPPING, written
+from lunarsci.errors import TakenError
 from lunarsci.names import nearest
 
 from .shared.aliases import current
-from .shared.talk import FAILED, INTERRUPTED, failure_line, say
+from .shared.talk import FAILED, USAGE, failure_line, interrupt, interrupted, say
 
 GROUPS = {
     "spectra": "What the rock is made of: absorption bands and minerals from reflectance spectra.",
@@ -46,7 +47,8 @@ NO_CHOICE, CHOICE = re.compile(r"'([^']*)' is not one of (.+)\."), re.compile(r"
 MOMENT_S = 2.0
 """What a command is given to end by itself after Ctrl-C; assumed."""
 EXIT_CODES = (
-    "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe; 130 interrupted."
+    "Exit codes: 0 done; 1 failed, or some inputs of a batch; 2 wrong usage, or --force is wanted; 3 finished, but not "
+    "to be trusted or not safe; 130 interrupted by Ctrl-C, 143 by SIGTERM."
 )
 
 
@@ -111,16 +113,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code: Any = _program(*_parts(arguments))(arguments, standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
-        code = INTERRUPTED
+        code = interrupted()
     except BrokenPipeError:
         code = FAILED
     except Exception as error:
         code = _report(error, verbose="-v" in arguments or "--verbose" in arguments)
     _settle_stdout()
-    if as_program and code == INTERRUPTED:
+    if as_program and code == interrupted():
         # Python would wait for threads that still compute.
         sys.stderr.flush()
-        os._exit(INTERRUPTED)
+        os._exit(code)
     return int(code)
 
 
@@ -133,7 +135,7 @@ def _report(error: Exception, *, verbose: bool) -> int:
         import traceback
 
         traceback.print_exception(error)
-    return FAILED
+    return USAGE if isinstance(error, TakenError) else FAILED
 
 
 def _report_usage(error: Any, message: str) -> int:
@@ -161,7 +163,7 @@ def _prepare_process() -> None:
     """
     for number in STOPPING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup and a shell's background jobs want it
-            signal.signal(number, signal.default_int_handler)
+            signal.signal(number, interrupt)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure:
@@ -182,7 +184,7 @@ def _leave_when_told() -> None:
         blocks = sys.modules.get("lunarsci.blocks")
         kept = blocks.what_is_kept() if blocks else []
         say("; ".join(["interrupted", *(kept or [written()])]))
-        os._exit(INTERRUPTED)
+        os._exit(interrupted(number))
 
     threading.Thread(target=watch, daemon=True).start()
 

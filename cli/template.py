@@ -12,8 +12,8 @@ Kind = Annotated[
     str,
     typer.Argument(
         metavar="KIND",
-        help="What to begin: rover (Yutu-2's numbers), small-four (a rover of four "
-        "wheels), soil, plan, mission, craters or telemetry.",
+        help="What to begin: rover (Yutu-2's numbers), small-four (a rover of four wheels), soil, prior, plan, "
+        "mission, craters, telemetry, or states of wheels.",
     ),
 ]
 

@@ -59,6 +59,7 @@ class Computing:
     memory : bytes that this process may take, such as `1.5GB`; None leaves the size of blocks to each computation.
     keep : the file that is being made: done blocks are kept in a folder beside it until it is there.
     force : whether blocks kept for another computation may be thrown away.
+    told : is called with a line that says that it goes on after blocks that an earlier run kept.
     """
 
     scheduler: str | None = None
@@ -66,6 +67,7 @@ class Computing:
     memory: str | None = None
     keep: Path | None = None
     force: bool = False
+    told: Callable[[str], None] | None = None
     _client: Any = field(default=None, init=False, repr=False)
     _kept: list[KeptBlocks] = field(default_factory=list, init=False, repr=False)
     _stages: Counter[str] = field(default_factory=Counter, init=False, repr=False)
@@ -128,13 +130,14 @@ def computing(
     memory: str | None = None,
     keep: str | Path | None = None,
     force: bool = False,
+    told: Callable[[str], None] | None = None,
 ) -> Iterator[Computing]:
     """Say where blocks of rows are computed within; the parameters are those of `Computing`.
 
     An error tells, in a note, what was kept. Raises RequestError.
     """
     file = None if keep is None else Path(keep)
-    here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force)
+    here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force, told=told)
     before = _HERE.set(here)
     _UNDER_WAY.append(here)
     done = False
@@ -308,6 +311,8 @@ def blocks_in_order(
         return
     kept = KeptBlocks(here.folder_of(stage), about() if callable(about) else about, total, rows, force=here.force)
     here._kept.append(kept)
+    if kept.done and here.told:
+        here.told(f"{stage}: going on after {len(kept.done)} of {len(kept.blocks)} blocks kept from an earlier run")
     missing = [block for block in kept.blocks if block.start not in kept.done]
     for block, arrays in run_blocks(work, missing, fetch=fetch, progress=progress, done=total - sum(map(len, missing))):
         kept.keep(block, arrays)

@@ -5,6 +5,7 @@
     ├── ParameterError    a value lies outside what the formula or the command accepts
     │   └── RequestError  options of a job that are impossible, alone or together
     ├── OutputError       a result cannot be written where it was asked for
+    │   └── TakenError    something is there that only `force` may replace
     └── SchedulerError    a cluster cannot compute what it was given
 
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
@@ -35,6 +36,10 @@ class RequestError(ParameterError):
 
 class OutputError(LunarSciError, OSError):
     """A result cannot be written where it was asked for."""
+
+
+class TakenError(OutputError):
+    """Something is there already that only `force` may replace; the command line leaves with exit code 2."""
 
 
 class SchedulerError(LunarSciError, RuntimeError):

@@ -41,6 +41,25 @@ _BEGINNING = 65536
 _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
+NO_DATA = (
+    ".md",
+    ".rst",
+    ".html",
+    ".htm",
+    ".pdf",
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".gif",
+    ".svg",
+    ".toml",
+    ".py",
+    ".sh",
+    ".log",
+)
+"""Ends of names in a folder of inputs that are left out."""
+ABOUT_OTHERS = ("readme", "license", "licence", "changelog", "makefile")
+NAMED_LEFT = 10
 _ROWS = 3
 """From so many rows on the last number of a table is set beside those above it; assumed."""
 
@@ -342,7 +361,22 @@ def _files_of_folder(path: str) -> list[str]:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
     if not found:
         raise DataError(f"{path}: folder holds no files; name the files or a pattern")
-    return found
+    if left := [name for name in found if no_data(name)]:
+        names = ", ".join(Path(name).name for name in left[:NAMED_LEFT]) + (", …" if len(left) > NAMED_LEFT else "")
+        warnings.warn(f"{path}: {len(left)} files left out, no data by their names: {names}", LunarSciWarning, 2)
+    if len(left) == len(found):
+        raise DataError(f"{path}: folder holds no files of data; name the files or a pattern")
+    return [name for name in found if name not in left]
+
+
+def no_data(name: str) -> bool:
+    """Whether a file is no data by its name alone: a text about the others, a picture, a page, a script, a log.
+
+    >>> no_data("in/readme.txt"), no_data("in/map.png"), no_data("in/rock.txt")
+    (True, True, False)
+    """
+    path = Path(name)
+    return path.suffix.lower() in NO_DATA or path.stem.casefold() in ABOUT_OTHERS
 
 
 def _is_folder(path: str) -> bool:

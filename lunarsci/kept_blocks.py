@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
-from lunarsci.errors import OutputError
+from lunarsci.errors import OutputError, TakenError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,8 +50,8 @@ class KeptBlocks:
             if found is not None and (other := _difference(found, header)):
                 if not force:
                     self._manifest.close()
-                    raise OutputError(f"{folder.parent}: holds blocks of another computation ({other}); finish that, "
-                                      "delete the folder, or add `force` to begin anew")  # fmt: skip
+                    raise TakenError(f"{folder.parent}: holds blocks of another computation ({other}); finish that, "
+                                     "delete the folder, or add `force` to begin anew")  # fmt: skip
                 found = None
             header["rows"] = rows if found is None else found["rows"]
             self.blocks = spans(total, header["rows"])

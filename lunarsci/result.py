@@ -4,19 +4,23 @@ The functions of `import lunarsci` and the commands of the command line are the 
 option with its default, and a `Result` has what `--json`, `--csv` and `--plot` show.
 """
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import re
+import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
 from textwrap import fill
+from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.names import one_of
 from lunarsci.provenance import Provenance, document, plain, to_json
 
@@ -155,10 +159,11 @@ class MadeFrom:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Which function was called, as its users know it, and every option, resolved."""
+    """Which function was called, as its users know it, every option, resolved, and what it warned of."""
 
     command: str
     options: Mapping[str, Any]
+    warnings: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -244,6 +249,7 @@ class Result(ABC):
             tables=made.tables,
             sources=made.sources,
             seed=made.seed,
+            warnings=self.asked.warnings if self.asked else (),
             untrusted=self.untrusted,
             failures=self.failures,
         )
@@ -277,13 +283,45 @@ def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
         bound = signature.bind(*args, **options)
         replaced = bound.arguments.pop("options", {})
         request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
-        found = function(*bound.args, **bound.kwargs)
+        with _heard(sys._getframe(1)) as heard:
+            found = function(*bound.args, **bound.kwargs)
         fields = {item.name: plain(getattr(request, item.name)) for item in dataclasses.fields(request)}
-        object.__setattr__(found, "asked", Asked(f"lunarsci.{function.__name__}", fields))
+        object.__setattr__(found, "asked", Asked(f"lunarsci.{function.__name__}", fields, heard))
         return found
 
     run.__doc__ = f"{inspect.getdoc(function)}\n\n{options_text(kind)}"
     return run
+
+
+@contextlib.contextmanager
+def _heard(caller: FrameType) -> Iterator[list[str]]:
+    """Lunarsci's warnings, each once; in the end they are passed on as of the user's line.
+
+    A caller inside lunarsci, such as the command line, hears them by itself.
+    """
+    heard: list[str] = []
+    if str(caller.f_globals.get("__name__")).startswith("lunarsci."):
+        yield heard
+        return
+    show = warnings.showwarning
+
+    def hear(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if not issubclass(category, LunarSciWarning):
+            show(message, category, *where, **more)
+        elif str(message) not in heard:
+            heard.append(str(message))
+
+    as_errors = next((how[0] for how in warnings.filters if issubclass(LunarSciWarning, how[2])), "") == "error"
+    try:
+        with warnings.catch_warnings():
+            if not as_errors:
+                warnings.simplefilter("always", LunarSciWarning)
+            warnings.showwarning = hear
+            yield heard
+    finally:
+        seen = caller.f_globals.setdefault("__warningregistry__", {})
+        for text in heard:
+            warnings.warn_explicit(text, LunarSciWarning, caller.f_code.co_filename, caller.f_lineno, registry=seen)
 
 
 def options_text(kind: type) -> str:

@@ -5,6 +5,7 @@ import io
 import json
 import pickle
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, get_args
@@ -22,7 +23,7 @@ from lunarsci.cli.shared.report import Report
 from typer.testing import CliRunner
 
 import lunarsci
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, request_of
@@ -135,6 +136,18 @@ def test_a_result_records_what_it_was_asked_with() -> None:
     assert made["options"]["rover"] == "yutu2" and made["options"]["reading"] == "signed"
     again = lunarsci.wheel_forces(WheelForcesRequest(sinkage=0.01), slip=0.2)
     assert again.asked == found.asked == pickle.loads(pickle.dumps(found)).asked
+
+
+def test_a_warning_points_once_at_the_line_of_the_user_and_is_kept() -> None:
+    state = pd.DataFrame({"sinkage_m": [0.008], "slip_ratio": 0.05, "normal_force_n": 32.03, "drawbar_pull_n": -1.3})
+    for _ in range(2):
+        with pytest.warns(LunarSciWarning, match="for reproducing published numbers only") as caught:
+            found = lunarsci.identify(state, reading="slip-branch")
+        assert [warning.filename for warning in caught] == [__file__]
+        assert json.loads(found.to_json())["provenance"]["warnings"] == [str(caught[0].message)]
+    with pytest.raises(LunarSciWarning), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lunarsci.identify(state, reading="slip-branch")
 
 
 def test_a_result_prints_as_its_command(capsys: pytest.CaptureFixture[str]) -> None:

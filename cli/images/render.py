@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 CAMERA, GROUND, LIGHT = "Camera", "Ground", "Light"
 OPTIONS = {
     "rig": option("The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, or a TOML file.", panel=CAMERA),
-    "x": option("Where the left camera is, in m.", panel=CAMERA),
-    "y": option("Where the left camera is, in m.", panel=CAMERA),
+    "x": option("Where the left camera is, along x, in m.", panel=CAMERA),
+    "y": option("Where the left camera is, along y, in m.", panel=CAMERA),
     "heading": option("Where it looks, from x towards y, in deg.", panel=CAMERA),
     "down": option("How far below the horizon, in deg.", panel=CAMERA),
     "roll": option("Turned clockwise about its axis, in deg.", panel=CAMERA),

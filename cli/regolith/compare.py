@@ -27,7 +27,10 @@ OPTIONS = {
 }
 Found = Annotated[
     str | None,
-    typer.Argument(metavar="[RESULT.json]", help="A result of `regolith infer` or `identify`, by --json; - is stdin."),
+    typer.Argument(
+        metavar="[RESULT.json]",
+        help="A result of `regolith infer` or `identify`, by --json, or a belief of `twin update`; - is stdin.",
+    ),
 ]
 
 

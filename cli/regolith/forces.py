@@ -66,7 +66,7 @@ def forces(request: WheelForcesRequest) -> Report:
     Slip beyond ±0.6 is said to be outside what was compared with wheels. At a slip of -1, where the wheel is locked,
     and at a side slip of 90 deg, forces are the limits of the equations. Where cohesion alone would pull more than the
     wheel presses, as at next to no sinkage, the exit code is 3. A sinkage of the wheel's radius or more is refused.
-    Choices that only the integrals know, such as --shear, need no --exact.
+    Options that only the integrals have, such as --shear, take the integrals without --exact.
 
     With --slip FIRST:LAST:N a curve; under --load also what it is worth: pull at 20 % slip and per weight, tractive
     efficiency, and the slope that such wheels climb.

@@ -50,7 +50,7 @@ States = Annotated[
 ]
 ASSUMED = "What is assumed, and so what is solved for"
 OPTIONS = {
-    "rover": option(ROVER),
+    "rover": option(f"{ROVER.rstrip('.')}; left out, yutu2."),
     "exponent": option("Assume N and solve K_s; 1.0 if neither is given.", panel=ASSUMED),
     "stiffness": option("Assume K_s in kPa m^-N and solve N.", panel=ASSUMED),
     "cohesion": option("Assume c in Pa and solve φ; 520 if neither is given.", panel=ASSUMED),
@@ -64,9 +64,11 @@ OPTIONS = {
     "draws": option("Monte Carlo draws per state.", min=2, max=1_000_000),
     "seed": option("Seed of the random numbers.", min=0),
     "sinkage_error": option("1σ of the sinkage, in m.", panel=ERRORS),
-    "force_error": option("1σ of the forces, relative.", panel=ERRORS),
-    "travel_error": option("1σ of the travelled distance, relative; slip errs by it times 1 - |s|.", panel=ERRORS),
-    "side_slip_error": option("1σ of the side slip, relative.", panel=ERRORS),
+    "force_error": option("1σ of the forces, relative.", panel=ERRORS, show_default="1/30"),
+    "travel_error": option(
+        "1σ of the travelled distance, relative; slip errs by it times 1 - |s|.", panel=ERRORS, show_default="4/300"
+    ),
+    "side_slip_error": option("1σ of the side slip, relative.", panel=ERRORS, show_default="4/300"),
     "sensitivity": option("How much of each variance comes from each measured quantity.", panel=ERRORS),
 }
 
@@ -127,7 +129,7 @@ def _site_table(result: IdentifiedSoil) -> TextTable:
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     count = len(found.observations)
-    default = " (the default; another by --rover)" if result.rover == IdentifyRequest().rover else ""
+    default = " (the default)" if result.asked and result.asked.options["rover"] is None else ""
     title = (
         f"The site from {count} state{'s' if count > 1 else ''} with the wheel of {result.rover}{default}, "
         f"{found.draws} draws each, sign convention '{found.reading}'"

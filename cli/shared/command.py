@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from .emit import emit
 from .examples import epilog
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
-from .talk import INTERRUPTED, say
+from .talk import interrupted, say
 
 
 def command(
@@ -65,7 +66,10 @@ def command(
             output = Output(**chosen, folder=named)
             output.check()
             try:
-                with heard_warnings(output) as heard, _computing(output, where):
+                with (
+                    heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
+                    _computing(output, where),
+                ):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
@@ -77,7 +81,7 @@ def command(
                 raise type(error)(_with_flags(_noted(error), context)) from error
             except KeyboardInterrupt as error:
                 say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
-                raise typer.Exit(INTERRUPTED) from None
+                raise typer.Exit(interrupted()) from None
             raise typer.Exit(code)
 
         extended = _extended(signature, asked, shared)
@@ -101,7 +105,7 @@ def _computing(output: Output, where: Mapping[str, Any]) -> Iterator[None]:
         return
     from lunarsci.blocks import computing
 
-    with computing(keep=output.path, force=output.force, **where):
+    with computing(keep=output.path, force=output.force, told=partial(say, quiet=output.quiet), **where):
         yield
 
 
@@ -153,12 +157,12 @@ def _provenance(context: typer.Context, report: Report, options: Mapping[str, An
 
 
 @contextmanager
-def heard_warnings(output: Output) -> Iterator[list[str]]:
-    """Collect lunarsci's warnings, each once, and say them on stderr as they come."""
+def heard_warnings(output: Output, told: Callable[[str], str] = str) -> Iterator[list[str]]:
+    """Collect lunarsci's warnings, each once and as `told` words it, and say them on stderr as they come."""
     heard: list[str] = []
 
     def hear(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        text = str(message)
+        text = told(str(message))
         if issubclass(category, LunarSciWarning) and text not in heard:
             heard.append(text)
             say(f"warning: {text}", quiet=output.quiet)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.atomic import write_files
-from lunarsci.errors import OutputError, ParameterError
+from lunarsci.errors import OutputError, RequestError
 from lunarsci.names import meant
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
@@ -19,10 +19,15 @@ from .layout import terminal_width
 from .options import Output
 from .printing import FORMATS, chosen, chosen_csv, render, to_csv
 from .report import Report
+from .table import MOST_VERDICTS, SAYS
 from .talk import UNTRUSTED, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+NAMED = 5
+"""Failed inputs that are named at the end."""
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
@@ -40,7 +45,8 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
         failed = error
     contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
-    value, doubt = ("", "") if output.field_path is None else field_of(report.result, output.field_path)
+    whole = {"provenance": record, "schema": f"lunarsci/{report.schema}"}
+    value, doubt = ("", "") if output.field_path is None else field_of(report.result, output.field_path, whole)
     made = _as_file(report, output, record)
     text: Iterable[bytes] = [value.encode()] if value else () if made else _as_text(report, output, record)
     if output.path and output.folder:
@@ -55,8 +61,13 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
         raise failed
     if output.folder or not output.path or report.written:
         _print(text)
+    else:
+        for remark in _verdicts(report):
+            say(remark, quiet=output.quiet)
     for failure in report.failures:
         say(f"error: {failure}")
+    if report.failures:
+        say(_counted(report))
     for remark in filter(None, (report.untrusted, doubt)):
         say(remark)
     return report.exit_code or (UNTRUSTED if doubt else 0)
@@ -76,6 +87,24 @@ def _print(text: Iterable[bytes]) -> None:
         raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
 
 
+def _verdicts(report: Report) -> list[str]:
+    """What the result says in a sentence each, for those who had it written to a file; of few spectra."""
+    if not 0 < len(report.result.get("spectra", ())) <= MOST_VERDICTS:
+        return []
+    tables = report.tables() if callable(report.tables) else report.tables
+    return [note for table in tables if table.title == SAYS for note in table.notes]
+
+
+def _counted(report: Report) -> str:
+    """How many inputs of a batch failed, and the first of them."""
+    names = list(dict.fromkeys(failure.split(": ")[0] for failure in report.failures))
+    first = ", ".join(names[:NAMED]) + (", …" if len(names) > NAMED else "")
+    found = next(
+        (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
+    )
+    return f"{found}{len(report.failures)} without: {first}; all of them: --field provenance.failures"
+
+
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
     """The content of a file in one of the report's own formats; None where the result is wanted as text."""
     asked = output.asked != "text" or output.chosen or output.field_path is not None
@@ -91,7 +120,7 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
         return json_chunks(document(report.schema, report.result, record))
     if output.wanted == "csv":
         if report.rows is None:
-            raise ParameterError("this result is no table; use --json")
+            raise RequestError("this result is no table; use --json")
         return chosen_csv(report.rows, output.chosen) if output.chosen else to_csv(report.rows)
     if report.raw is not None and output.wanted == "text" and not output.chosen:
         return [report.raw().encode()]
@@ -103,10 +132,15 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 
-def field_of(result: Any, path: str) -> tuple[str, str]:
-    """A value of a result as a line of text, and why it should not be used; '' if it may be."""
+def field_of(result: Any, path: str, whole: Mapping[str, Any] | None = None) -> tuple[str, str]:
+    """A value of a result as a line of text, and why it should not be used; '' if it may be.
+
+    `whole`: the parts of the document beside the result, which a path may begin with.
+    """
     value, doubt = _opened(result), ""
     steps = path.split(".")
+    if whole and steps[0] in whole and steps[0] not in value:
+        value = whole
     for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
         if value is None and depth:
             break
@@ -161,7 +195,7 @@ def _known(value: Any) -> str:
 
 def _picture(draw: "Callable[[], Iterable[Figure]] | None", target: Path) -> bytes:
     if draw is None:
-        raise ParameterError("there is nothing to draw; leave --plot out")
+        raise RequestError("there is nothing to draw; leave --plot out")
     from lunarsci.figure import picture_bytes
 
     return picture_bytes(draw(), target)

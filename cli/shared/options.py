@@ -3,7 +3,7 @@
 import dataclasses
 import inspect
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -270,6 +270,34 @@ def _name_choices(kind: Any, told: Any) -> None:
         told.help = f"{told.help.rstrip('.')}. Choices: {', '.join(map(str, choices))}."
 
 
+def _rovers() -> list[str]:
+    from lunarsci.rovers import known_rovers
+
+    return [*known_rovers()]
+
+
+def _soils() -> list[str]:
+    from lunarsci.regolith.soil import known_soils
+
+    return [*known_soils()]
+
+
+def _assemblages() -> list[str]:
+    from itertools import combinations
+
+    from lunarsci.spectra.mgm.assemblages import MINERALS
+
+    return ["auto", *("-".join(some) for n in range(1, len(MINERALS) + 1) for some in combinations(MINERALS, n))]
+
+
+NAMES: dict[str, Callable[[], list[str]]] = {"rover": _rovers, "soil": _soils, "assemblage": _assemblages}
+"""What a shell may complete a value of an option with."""
+
+
+def _completed(names: Callable[[], list[str]]) -> Callable[[str], list[str]]:
+    return lambda incomplete: [name for name in names() if name.startswith(incomplete)]
+
+
 def request_parameters(request: type, options: Mapping[str, RequestOption]) -> list[inspect.Parameter]:
     """The fields of a request that have an option, as parameters of a command, in the order of the options.
 
@@ -288,6 +316,8 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)
         _name_choices(kind, said.told)
+        if name in NAMES and not said.told.param_decls:
+            said.told.autocompletion = _completed(NAMES[name])
         if kind is bool and not said.told.param_decls and said.told.default is ...:
             said.told.param_decls = (f"--{name.replace('_', '-')}",)
         annotation = Annotated[kind, said.told]

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.errors import ParameterError, RequestError
 from lunarsci.names import known_name
 from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain
@@ -141,14 +142,22 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
 
 
 def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Iterator[bytes]:
-    """Some columns of that CSV, in their order. Raises ParameterError for one that is not there."""
+    """Some columns of that CSV, in their order. Raises RequestError for one that is not there."""
     reader = csv.reader(io.StringIO(b"".join(to_csv(rows)).decode()))
     names = next(reader)
-    places = [names.index(known_name(name, names, "a column of --csv")) for name in columns]
+    places = [names.index(_column(name, names, "a column of --csv")) for name in columns]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([row[k] for k in places] for row in (names, *reader))
     yield text.getvalue().encode()
+
+
+def _column(name: str, known: Sequence[str], what: str) -> str:
+    """The name as it is known. Raises RequestError, wrong usage, that names the nearest, and all."""
+    try:
+        return known_name(name, known, what)
+    except ParameterError as error:
+        raise RequestError(f"--columns: {error}") from None
 
 
 def _cell(value: Any) -> Any:
@@ -163,13 +172,13 @@ def chosen(
 ) -> list[TextTable]:
     """The columns of these names alone: of the tables, by header with or without unit, or else of the CSV.
 
-    Raises ParameterError for a name that is neither.
+    Raises RequestError for a name that is neither.
     """
     if found := matched(tables, names):
         return found
     if rows is None:
         headers = [bare(header) for table in tables for header in table.headers if bare(header)]
-        known_name(names[0], headers, "a column")
+        _column(names[0], headers, "a column")
     cells = list(csv.reader(io.StringIO(b"".join(chosen_csv(rows or (), names)).decode())))
     return [TextTable(cells[0], [[_rounded(cell) for cell in row] for row in cells[1:]])]
 

@@ -5,12 +5,20 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from .talk import say
+
+LINE_EVERY_S = 60.0
+"""Between lines of progress in a log."""
+
 
 @contextmanager
 def progress(description: str, *, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """Yield `update(done, total)`; it draws a bar on a terminal's stderr and does nothing elsewhere."""
-    if quiet or sys.stderr is None or not sys.stderr.isatty():
+    """Yield `update(done, total)`; it draws a bar on a terminal's stderr, and says a line a minute elsewhere."""
+    if quiet or sys.stderr is None:
         yield lambda done, total: None
+        return
+    if not sys.stderr.isatty():
+        yield minutely(description)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
@@ -20,6 +28,20 @@ def progress(description: str, *, quiet: bool = False) -> Iterator[Callable[[int
         task = bar.add_task(description, total=None, pace="")
         pace = Pace()
         yield lambda done, total: bar.update(task, completed=done, total=total, pace=pace.said(done, total))
+
+
+def minutely(description: str, clock: Callable[[], float] = time.monotonic) -> Callable[[int, int], None]:
+    """`update(done, total)` for a log: a plain line a minute, the first one after a minute."""
+    pace, last = Pace(clock), clock()
+
+    def update(done: int, total: int) -> None:
+        nonlocal last
+        said = pace.said(done, total)
+        if clock() - last >= LINE_EVERY_S and done < total:
+            last = clock()
+            say(f"{description}: {said}")
+
+    return update
 
 
 class Pace:

@@ -1,6 +1,5 @@
 """Tables for people: ready-made cells under headers, and numbers whose digits follow their errors."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +9,11 @@ from lunarsci.provenance import plain
 SHOWN = 100
 """Rows that a table for people has at most."""
 UNKNOWN = "not determined"
+MOST_NAMED = 3
+"""Things that a note names of those it holds for."""
 MOST_VERDICTS = 6
 """Spectra whose verdicts are shown."""
+SAYS = "What this says"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +55,31 @@ def bare(header: str) -> str:
     return header.partition("[")[0].strip()
 
 
-def counted(notes: Sequence[str], total: int, things: str) -> list[str]:
-    """Each note once, with the number of `total` things it holds for where there are several."""
-    return [note if total == 1 else f"{note} ({count} of {total} {things})" for note, count in Counter(notes).items()]
+def counted(notes: Sequence[str], total: int, things: str, names: Sequence[str] = ()) -> list[str]:
+    """Each note once, with how many of `total` things it holds for where there are several, and the first of `names`.
+
+    >>> counted(["dark", "dark", "red"], 3, "spectra", ["a", "b", "b"])
+    ['dark (2 of 3 spectra: a, b)', 'red (1 of 3 spectra: b)']
+    """
+    if total == 1:
+        return list(dict.fromkeys(notes))
+    own: dict[str, list[str]] = {}
+    for note, name in zip(notes, names or [""] * len(notes), strict=True):
+        own.setdefault(note, []).append(name)
+    return [f"{note} ({len(found)} of {total} {things}{_first(found)})" for note, found in own.items()]
+
+
+def _first(names: Sequence[str]) -> str:
+    shown = [name for name in names[:MOST_NAMED] if name]
+    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    return f": {', '.join(shown)}{more}" if shown else ""
 
 
 def verdict_table(records: Sequence[Mapping[str, Any]], verdict: Callable[[Mapping[str, Any]], str]) -> list[TextTable]:
     """One sentence about each spectrum, where these are few."""
     if len(records) > MOST_VERDICTS:
         return []
-    return [TextTable([], [], title="What this says", notes=[f"{item['id']}: {verdict(item)}" for item in records])]
+    return [TextTable([], [], title=SAYS, notes=[f"{item['id']}: {verdict(item)}" for item in records])]
 
 
 def plus_minus(

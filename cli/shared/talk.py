@@ -1,12 +1,26 @@
 """Exit codes, and the one place that talks to people: single lines on stderr."""
 
 import contextlib
+import signal
 import sys
+from typing import Any
 
 from lunarsci.errors import LunarSciError
 from lunarsci.printable import printable, shortened
 
-FAILED, UNTRUSTED, INTERRUPTED = 1, 3, 130
+FAILED, USAGE, UNTRUSTED = 1, 2, 3
+_heard = [int(signal.SIGINT)]
+
+
+def interrupt(number: int, frame: Any) -> None:
+    """Unwind as Ctrl-C does, whichever signal it was, and remember which."""
+    _heard[:] = [number]
+    signal.default_int_handler(number, frame)
+
+
+def interrupted(number: int | None = None) -> int:
+    """The exit code of a command that a signal ended, the last one heard if not told: 130 Ctrl-C, 143 a polite kill."""
+    return 128 + (number or _heard[0])
 
 
 def say(text: str, *, quiet: bool = False) -> None:

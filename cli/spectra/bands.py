@@ -91,8 +91,9 @@ def _spread_nm(record: Mapping[str, Any], key: str) -> float | None:
 
 def _band_notes(result: "MeasuredBands", records: Sequence[Mapping[str, Any]]) -> list[str]:
     names = {"1000": "1 µm", "2000": "2 µm"}
-    lines = [f"{names[key]} band: {text}" for key, text in result.remarks()]
-    return counted(sorted(lines), len(records), "spectra") + (_shared_errors(records[0]) if len(records) == 1 else [])
+    found = sorted((f"{names[key]} band: {text}", place, own) for place, own, key, text in result.remarks())
+    lines, owners = [line for line, _, _ in found], [own for _, _, own in found]
+    return counted(lines, len(records), "spectra", owners) + (_shared_errors(records[0]) if len(records) == 1 else [])
 
 
 def _shared_errors(record: Mapping[str, Any]) -> list[str]:

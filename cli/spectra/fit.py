@@ -239,6 +239,8 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
+    from lunarsci.spectra.mgm.assemblages import BIC_OF_CHOICE
+
     rows = [
         [item["assemblage"], f"{100 * item['probability']:.0f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
         for item in choice["candidates"]
@@ -249,6 +251,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
         choice["status"],
         "probability: of the evidence, as far as laboratory spectra taught to believe it; fewer minerals come first",
         f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
+        BIC_OF_CHOICE,
     ]
     return TextTable(headers, rows, title="all assemblages, the most probable first", notes=notes)
 
@@ -266,6 +269,11 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         for share in modes.fractions
     ]
     notes = [f"{modes.method}: {modes.status}" for modes in found]
+    notes += [
+        f"{modes.method}: the mixture leaves {100 * modes.rms_ln:.1f} % of R (rms) beside a level, a slope and a bend"
+        for modes in found
+        if modes.dark and modes.rms_ln is not None
+    ]
     shown = [modes.certified for modes in found if modes.certified is not None and modes.certified < 0.95]
     notes += [f"95 %: so few suites show that it holds in {100 * min(shown):.0f} % at least, no more"] if shown else []
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)

@@ -165,7 +165,8 @@ def normative_table(found: UnmixedSpectra) -> list[TextTable]:
     """Composition of weathered soils, where there are any."""
     records = [record for record in found.records if record["normative"]]
     rows = [[record["id"], *(_ranged(record["normative"][name]) for name in NORMATIVE)] for record in records]
-    notes = counted([record["normative"]["status"] for record in records], len(records), "spectra")
+    names = [record["id"] for record in records]
+    notes = counted([record["normative"]["status"] for record in records], len(records), "spectra", names)
     title = "composition by regression; no shares of minerals"
     headers = ["spectrum", *(f"{text} [wt %]" for text in NORMATIVE.values())]
     return [TextTable(headers, rows, title=title, notes=notes)] if rows else []

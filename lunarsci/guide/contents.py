@@ -1,12 +1,25 @@
 """What is in a file of each kind, by the readers that the commands use."""
 
+import re
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from lunarsci.inputs import InputFile, InputStream, read_json
+from lunarsci.documents import toml_document
+from lunarsci.errors import LunarSciWarning
+from lunarsci.inputs import InputFile, InputStream, read_json, text
 
+LARGEST_WHEEL = "lrv"
+"""Whose radius no sinkage passes, where the rover is not known."""
 MOST = 6
 """Names that are listed."""
+LIKE = {
+    r"rpm|heading|yaw|odomet|encoder|^[fmr][lr]_": "could be telemetry; `twin states` wants the columns of "
+    "`lunarsci template telemetry`",
+    r"slip|sink|drawbar|pull|torque|load|force|(^|_)f[xyz]($|_)": "could be wheel states; `regolith infer` wants "
+    "sinkage_m, normal_force_n, drawbar_pull_n, and slip_ratio, see `lunarsci template states`",
+}
+"""Columns, two or more, that tell what a table of another kind could be."""
 
 
 def _listed(names: Any) -> str:
@@ -115,6 +128,13 @@ def _soil(file: InputFile) -> Mapping[str, Any]:
     return dataclasses.asdict(read_soil(file.name))
 
 
+def _prior(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.regolith.prior import UNITS, read_prior
+
+    laws, given = read_prior(file, contact=True), toml_document(text(file))
+    return {name: f"{laws[name].median:g} {UNITS[name]}, {laws[name].of} ± {laws[name].sd:g}" for name in given}
+
+
 def _pose(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.images.rig_files import read_pose
 
@@ -176,15 +196,27 @@ def _rows(file: InputFile) -> Mapping[str, Any]:
     return told
 
 
+def _other_table(file: InputFile) -> Mapping[str, Any]:
+    """What `_rows` says; a remark where two columns or more tell what it could be meant for."""
+    from lunarsci.tables import read_csv_table
+
+    columns = [str(name) for name in read_csv_table(file).columns]
+    for words, meant in LIKE.items():
+        if len(found := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
+            warnings.warn(f"columns {', '.join(found[:4])}: {meant}", LunarSciWarning, stacklevel=2)
+            break
+    return _rows(file)
+
+
 def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.states import read_state_table
     from lunarsci.regolith.wheel import read_wheel
 
-    table = read_state_table(file, read_wheel("yutu2"))
+    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL))
     return {
         **_rows(file),
         "columns of no use": _listed(table.unused) or "none",
-        "range checked for": "the wheel of yutu2",
+        "range checked for": f"wheels of up to {largest.radius_m:g} m",
     }
 
 
@@ -230,7 +262,8 @@ def _result(file: InputFile) -> Mapping[str, Any]:
 CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
     "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "rig": _rig, "terrain": _terrain,
-    "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "motion": _rows,
-    "positions": _rows, "track": _rows, "soils": _rows, "table": _rows, "result": _result,
+    "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
+    "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
+    "result": _result,
 }  # fmt: skip
 """What a reader says of a file, by its kind."""

@@ -4,10 +4,12 @@ The kind is told from the content first, and from the name only where the conten
 said by the reader that the commands use, so that a file that they would refuse is known to be one.
 """
 
+import re
 import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
@@ -40,6 +42,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),
     "mission": KindOfFile("mission of several targets", ("twin plan --mission",)),
     "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", "regolith forces --rover")),
+    "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
     "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
     "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
     "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
@@ -50,6 +53,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "soil map": KindOfFile("soil by place", ("twin predict --soil", "twin update --soil")),
     "telemetry": KindOfFile("telemetry of a drive", ("twin states",)),
     "states": KindOfFile("states of wheels", ("regolith identify", "regolith infer", "twin update", "twin compare")),
+    "slips": KindOfFile("states of wheels without forces", ("twin update", "twin compare", "twin loads --states")),
     "motion": KindOfFile("motion of a rover", ("twin loads --motion",)),
     "positions": KindOfFile("localised positions", ("twin states --positions", "twin update --positions")),
     "track": KindOfFile("depth of a track", ("twin states --track", "images render --track")),
@@ -79,8 +83,8 @@ CSV_COLUMNS = {
     "craters": ("latitude_deg", "longitude_deg", "diameter_km"),
     "terrain": ("x_m", "y_m", "height_m"),
     "track": ("x_m", "y_m", "rut_m"),
-    "states": ("sinkage_m", "slip_ratio"),
-    "states ": ("sinkage_m", "normal_force_n"),
+    "states": ("sinkage_m", "normal_force_n"),
+    "slips": ("sinkage_m", "slip_ratio"),
     "motion": ("time_s", "x_m", "y_m", "yaw_deg"),
     "positions": ("time_s", "x_m", "y_m"),
     "soils": ("stiffness_kpa_m_n",),
@@ -93,6 +97,11 @@ MAGIC = {
     b"\x89HDF": "cube",
     b"CDF": "cube",
 }
+WAVELENGTH = re.compile(r"wave|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel", re.IGNORECASE)
+"""Names of a first column that make a table one of spectra."""
+SPECTRAL, LEAST_LINES, MOST_LINES = ((0.2, 5.0), (200.0, 5000.0)), 8, 200
+"""Where a first column of another name may lie, in µm and nm; rows that it needs at least, and that are looked at;
+assumed."""
 LONG = 1 << 26
 """Bytes from which on telemetry is read in pieces."""
 _Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]
@@ -256,6 +265,8 @@ def _kind_of_toml(file: InputFile) -> str:
         document = toml_document(file.data.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise DataError(f"{file.name}: not a readable TOML file: {error}") from error
+    if any(isinstance(table, dict) and "median" in table for table in document.values()):
+        return "prior"
     return next((kind for kind, keys in TOML_KEYS.items() if all(key in document for key in keys)), "config")
 
 
@@ -263,12 +274,35 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if suffix == ".fit":
         return "mgm"
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    separator = separator_of(lines[0]) if lines else ","
-    columns = [name.strip() for name in next(csv_rows(name, lines[:1], delimiter=separator), [])]
+    columns = _cells(name, lines[:1])
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):
         return kind.strip()
     if "%ECSV" in text[:20]:
         return "library" if "mineral" in text and "end_member" in text else "spectra"
-    return "table" if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns) else "spectra"
+    if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns):
+        return "table"
+    return "spectra" if len(columns) < 2 or _is_wavelength(columns[0], name, lines) else "table"
+
+
+def _cells(name: str, lines: Sequence[str]) -> list[str]:
+    separator = separator_of(lines[0]) if lines else ","
+    return [cell.strip() for cell in next(csv_rows(name, lines, delimiter=separator), [])]
+
+
+def _is_wavelength(column: str, name: str, lines: Sequence[str]) -> bool:
+    """Whether the first column of a table is named as a wavelength or a number, or runs one way as one does."""
+    try:
+        float(column)
+        return True
+    except ValueError:
+        if WAVELENGTH.search(column):
+            return True
+    try:
+        values = [float(_cells(name, [line])[0]) for line in lines[1:MOST_LINES]]
+    except (ValueError, IndexError):
+        return False
+    steps = {one < other for one, other in pairwise(values) if one != other}
+    within = any(low <= min(values) and max(values) <= high for low, high in SPECTRAL) if values else False
+    return within and len(values) >= LEAST_LINES and len(steps) == 1 and len({*values}) == len(values)

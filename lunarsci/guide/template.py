@@ -1,4 +1,4 @@
-"""Files to begin with: every key of a rover, soil, plan, mission, catalogue or telemetry, with its unit and a value.
+"""Files to begin with: every key of a rover, soil, plan, mission, table of states or other, with its unit and a value.
 
 What stands behind a key is the description of the attribute of the class that the key is read into. A key that may be
 left out is written as a comment. The reader of such files takes what is written here as it is.
@@ -254,6 +254,45 @@ def _telemetry() -> str:
     return "\n".join([*lines, ""])
 
 
+def _states() -> str:
+    """What the closed form says of a wheel of Yutu-2 under its load, over slip."""
+    from lunarsci.regolith.jobs.wheel_forces import wheel_forces
+    from lunarsci.regolith.states import COLUMNS
+
+    told = {
+        "sinkage_m": "depth of the wheel's lowest point below the undisturbed ground. [m]; down is positive",
+        "slip_ratio": "1 - v / (r_s ω) where the wheel drives, r_s ω / v - 1 where it skids. [-1 to 1], not %",
+        "side_slip_deg": "angle from the wheel's heading to its velocity. [deg]; 0 where it runs straight",
+        "normal_force_n": "of the ground on the wheel, its load. [N]; positive",
+        "drawbar_pull_n": "net force of the ground along the heading. [N]; positive where the wheel pulls",
+        "lateral_force_n": "of the ground across the heading. [N]; with the sign of the side slip that it acts against",
+    }
+    lines = [
+        "# Wheel states, a row each: made up, by the closed form, lunar-typical soil, yutu2's wheel, without noise.",
+        "# slip_ratio, side_slip_deg and lateral_force_n may be blank or left out. NAME_sigma is the standard",
+        "# deviation of NAME, in its unit; without it the default errors of `lunarsci regolith infer` are taken.",
+        *(f"# {name}: {told[name]}" for name in COLUMNS),
+        ",".join([*COLUMNS, "sinkage_m_sigma", "synthetic"]),
+    ]
+    for row in wheel_forces(rover="yutu2", load=36.5, slip="0:0.5:6", side_slip=2.0).rows():
+        lines.append(",".join([*(f"{row[name]:.5g}" for name in COLUMNS), "0.0005", "true"]))
+    return "\n".join([*lines, ""])
+
+
+def _prior() -> str:
+    from lunarsci.regolith.prior import UNITS, default_prior
+
+    lines = [
+        "# Priors of the parameters of a soil: those of the Moon, which hold without a file. Leave out what you keep.",
+        "# `of`: what has a normal law: `ln` the logarithm, `ln tan` the logarithm of the tangent, `value` itself.",
+        "# `median`: of the parameter, in its unit. `sd`: standard deviation of what `of` names: of a logarithm 0.7 is",
+        "# a factor of exp(0.7) = 2 to either side, with 68 %; 0 for a parameter that is known.",
+    ]
+    for name, law in default_prior().items():
+        lines += ["", f"# [{UNITS[name]}]", f"[{name}]", *_block(dataclasses.asdict(law), {})]
+    return "\n".join([*lines, ""])
+
+
 KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "rover": ("rover.toml", _rover),
     "small-four": ("rover.toml", lambda: _rover("small-four")),
@@ -262,5 +301,7 @@ KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "mission": ("mission.toml", _mission),
     "craters": ("craters.csv", _craters),
     "telemetry": ("telemetry.csv", _telemetry),
+    "states": ("states.csv", _states),
+    "prior": ("prior.toml", _prior),
 }
 """What there is: the usual name of such a file, and what makes its text."""

@@ -129,7 +129,7 @@ def posterior_figure(
         panel.plot([row["low95"], row["high95"]], [foot] * 2, color=OWN, linewidth=2, label="95 %")
         panel.plot([row["low68"], row["high68"]], [foot] * 2, color=OWN, linewidth=4, label="68 %")
         panel.plot(row["median"], foot, "o", color=OTHER, markersize=4, label="median")
-        panel.set_xlabel(PARAMETER_LABELS.get(name, name))
+        panel.set_xlabel(PARAMETER_LABELS[name])
         panel.set_yticks([])
         panel.spines["left"].set_visible(False)
         if law.of == "ln":

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import ParameterError
+from lunarsci.regolith.belief import SoilBelief
 from lunarsci.tables import table_hashes, table_rows
 
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
@@ -147,6 +148,12 @@ def site_of(result: Mapping[str, Any]) -> tuple[Site, dict[str, Any]]:
         if any(values[key] is None for key in pair):
             values |= dict.fromkeys(pair)
     return Site(**values), curves
+
+
+def site_of_belief(belief: SoilBelief) -> Site:
+    """The medians of a belief."""
+    ends = belief.intervals()
+    return Site(**{own: ends[names[1]][0] for own, names in SITE_NAMES.items()})
 
 
 def nearest(found: Sequence[SoilComparison], aspect: str) -> list[SoilComparison]:

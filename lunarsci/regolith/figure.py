@@ -33,6 +33,10 @@ PARAMETER_LABELS = {
     "shear_modulus_mm": "shear modulus K$_x$ [mm]",
     "external_friction_angle_deg": "external friction angle φ$_y$ [°]",
     "lateral_modulus_mm": "lateral shear modulus K$_y$ [mm]",
+    "skid_exponent_slip": "fall of the exponent with skid n$_2$ [-]",
+    "max_stress_c1": "angle of largest stress c$_1$ [-]",
+    "max_stress_c2": "rise of that angle with slip c$_2$ [-]",
+    "exit_c3": "exit angle c$_3$ [-]",
 }
 """A parameter of the soil along an axis, the same in every picture."""
 LEAST_PA = 10.0

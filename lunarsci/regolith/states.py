@@ -73,6 +73,7 @@ class WheelStates:
         slip, side slip or lateral force was not measured.
     stated : whether the errors of the forces come from the file, not from `MeasurementErrors`.
     alike : whether they are alike in all states, as those of forces that were computed of a motion with drawn soils.
+    wheels : names of the wheels, each once; none where the file has no column `wheel`.
     """
 
     id: tuple[str, ...]
@@ -80,6 +81,7 @@ class WheelStates:
     sigmas: FloatArray
     stated: bool = False
     alike: bool = False
+    wheels: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.id)
@@ -151,6 +153,11 @@ def read_state_table(
     """
     file, table = source.name, read_csv_table(source)
     columns = [str(name) for name in table.columns]
+    if "normal_force_n" in needed and "normal_force_n" not in columns and {"wheel", "slip_ratio"} <= {*columns}:
+        raise DataError(
+            f"{file}: no column normal_force_n: states of a drive without forces; `lunarsci twin update` learns the "
+            "soil from them, `lunarsci twin loads --motion motion.csv --states states.csv` adds forces"
+        )
     unused = check_columns(file, columns, KNOWN, (*(("time_s", "wheel") if wheels else ()), *needed))
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
@@ -240,7 +247,8 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     stated = any(f"{name}_sigma" in frame for name in COLUMNS[3:])
     alike = "forces_from" in frame and bool((frame["forces_from"][keep] == FROM_MOTION).all())
     sigmas = np.where(np.isfinite(values), found.sigmas[keep], 0.0)
-    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike)
+    wheels = tuple(sorted(set(found.wheels))) if "wheel" in frame else ()
+    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels)
 
 
 def _kept_rows(found: StateTable) -> BoolArray:

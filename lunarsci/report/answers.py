@@ -21,6 +21,7 @@ def answer(document: Document) -> ResultAnswer:
     with as_written(document):
         found = made(document.result) if made else _unknown(document)
         trusted, said = trust(document.provenance)
+        said = found.trust if trusted and found.trust else said
     tone = found.tone if trusted or found.tone == STOP else DOUBT
     text = f"{said} Otherwise: {found.text}" if tone == DOUBT and found.tone == GO else found.text
     return ResultAnswer(text, tone, said)

@@ -207,18 +207,19 @@ def unknown(document: Document) -> list[str]:
 def _of_kind(document: Document) -> list[str]:
     """What the commands say below the tables of all results of a kind."""
     from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED
+    from lunarsci.spectra.mgm.assemblages import BIC_OF_CHOICE
     from lunarsci.twin.jobs.forces import TOGETHER
     from lunarsci.twin.jobs.states import DEEPEST
 
     result = document.result
-    ratios = [one for one in result.get("spectra") or () if (one.get("abundance") or {}).get("ratios")]
-    found = {
-        "spectra-fit": (ROCKS_UNCALIBRATED, ratios),
-        "twin-forces": (TOGETHER, result.get("totals")),
-        "twin-states": (DEEPEST, result.get("sinkages")),
-    }
-    text, shown = found.get(document.kind, ("", None))
-    return [text] if shown else []
+    spectra = result.get("spectra") or ()
+    found = (
+        ("spectra-fit", ROCKS_UNCALIBRATED, any((one.get("abundance") or {}).get("ratios") for one in spectra)),
+        ("spectra-fit", BIC_OF_CHOICE, any(one.get("choice") for one in spectra)),
+        ("twin-forces", TOGETHER, result.get("totals")),
+        ("twin-states", DEEPEST, result.get("sinkages")),
+    )
+    return [text for kind, text, shown in found if kind == document.kind and shown]
 
 
 def _line(names: Sequence[str], text: str) -> str:

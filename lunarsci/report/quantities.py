@@ -1,6 +1,7 @@
 """The numbers of a result, each with its error, the parts of it, and why it should not be used, if so."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,9 +25,14 @@ PARTS = {
     "high": "to",
 }
 """Ends of keys that are a part of an error, and what each is."""
+OF_CONTINUUM = re.compile(r"b[acd](1000|2000)(_nm)?")
+"""Bands, whose systematic part is the spread over continua alone."""
 VALUES = ("value", "mean", "fraction", "median")
 """Keys of a number that its object is named for."""
-SAID = ("notes", "remarks", "reasons", "reason", "caveat", "status", "why_none", "refused", "must_mend", "not_compared")
+SAID = (
+    *("notes", "remarks", "reasons", "reason", "doubt", "caveat", "status", "why_none", "refused", "must_mend"),
+    "not_compared",
+)
 """Keys whose text says what an answer does not know."""
 GROUPS = ("chemistry", "compositions", "spectra", "rocks", "parameters", "joint", "abundances", "end_members", "maps")
 """Keys that add nothing to a name."""
@@ -73,12 +79,14 @@ def quantities(record: Mapping[str, Any], of: tuple[str, ...] = (), most: int | 
     """All of them, in their order; of lists of objects those of one, or the first `most`."""
     spent = _keys_of_parts(record)
     kept = next((key for key in VALUES if _is_number(record.get(key))), "")
+    shared = doubt_about(record) if "in_domain" in record else ""
     alone = bool(kept) and any(key in record for key in ("in_range", "reason", "low"))
     for key, item in record.items():
         if key in spent or key in SAID or item is None or key.endswith("_note") or (alone and key != kept):
             continue
         if isinstance(item, Mapping):
-            yield from quantities(item, of if key in GROUPS else (*of, key), most)
+            told = {"doubt": shared} if shared and _is_number(item.get("fraction")) else {}
+            yield from quantities({**item, **told}, of if key in GROUPS else (*of, key), most)
         elif isinstance(item, list):
             yield from _of_list(key, item, of, most)
         elif _is_number(item):
@@ -99,9 +107,10 @@ def _of_list(key: str, items: list[Any], of: tuple[str, ...], most: int | None) 
 
 
 def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quantity:
-    parts = {PARTS[part]: record[name] for part, name in _parts_of(record, key).items()}
+    named = PARTS | ({"systematic": PARTS["continuum"]} if OF_CONTINUUM.fullmatch(key) else {})
+    parts = {named[part]: record[name] for part, name in _parts_of(record, key).items()}
     name, symbol, above = _named(record, key, of)
-    doubt = doubt_about(record)
+    doubt = str(record.get("doubt") or ("" if "in_domain" in record else doubt_about(record)))
     if not doubt and _is_number(record.get("prior_sigma")) and from_prior(record.get("sigma"), record["prior_sigma"]):
         doubt = PRIORS_OWN
     if not doubt and isinstance(record.get("domain"), str):

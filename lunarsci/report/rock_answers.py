@@ -6,11 +6,12 @@ from typing import Any
 from lunarsci.report.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.report.words import counted, measured, number, percent
 from lunarsci.result import FINE
-from lunarsci.spectra.jobs.verdicts import fit_verdict
+from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
 
-UNSHARED = "Shares of minerals are not determined."
 ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
+UNDECIDED = ("composition decides nothing", "composition hardly decides")
+"""What `match` says where its posterior is the prior, or nearly."""
 ALL = 0.995
 """Share of a map from which it counts as all of it: 100 % when rounded; assumed."""
 HALF = 0.5
@@ -60,7 +61,7 @@ def _one_bands(one: Result) -> str:
     ]
     if not found:
         return f"{one['id']} has no absorption band near 1 or 2 µm that could be measured."
-    return f"{one['id']} absorbs {' and '.join(found)}."
+    return f"{one['id']} absorbs {' and '.join(found)}. {sentence(bands_verdict(one))}"
 
 
 def _times(value: Any, factor: float) -> Any:
@@ -81,50 +82,17 @@ def _fit_in_short(one: Result) -> str:
 
 
 def _one_fit(one: Result) -> str:
-    name, abundance = one.get("id", "the spectrum"), one.get("abundance") or {}
-    shares = _mineral_shares(one)
-    if shares:
-        domain = f" {sentence(str(abundance.get('status')))}" if abundance.get("in_domain") is False else ""
-        return f"Shares of minerals in {name}: {', '.join(shares)}.{domain}{_chosen(one)}"
-    if (one.get("status") or "converged") not in FINE:
-        return f"{name}: {_verdict(one)}{one['status']}.{_ratios(one)} {UNSHARED}"
+    """What its command says below its tables, then which assemblages cannot be told apart, and the pyroxenes."""
+    verdict = shares_verdict(one) if "kind" in one else fit_verdict(one)
+    status = (one.get("choice") or {}).get("status")
+    chosen = f" Taken to fit: {status}." if status else ""
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."
         if ratio and (ratio.get("sigma") or 0) < HALF
         else ""
     )
-    said = _chosen(one) or (
-        f" It was fitted with {one['assemblage'].replace('-', ', ')} as asked; other minerals were not tried."
-        if one.get("assemblage")
-        else ""
-    )
-    why = f"{name}: the fit leaves {100 * one['rms_ln']:.2g} % of reflectance." if one.get("rms_ln") else f"{name}."
-    return f"{why}{said}{strength}{_ratios(one)} {UNSHARED}"
-
-
-def _verdict(one: Result) -> str:
-    """What its command says of the minerals, before the status of the fit."""
-    if {"assemblage", "bands", "choice", "compositions"} <= one.keys() and "abundance" not in one:
-        return f"{fit_verdict(one)}. Fit: "
-    return ""
-
-
-def _ratios(one: Result) -> str:
-    """Ratios of the minerals of a solid rock, whose shares are not known."""
-    told = [
-        f"{name.replace('_', ' ')} {percent(item['fraction'])} (95 %: {percent(item['low95'])} to "
-        f"{percent(item['high95'])})"
-        for name, item in ((one.get("abundance") or {}).get("ratios") or {}).items()
-        if item["fraction"] is not None
-    ]
-    return f" Not calibrated on rocks: {', '.join(told)}." if told else ""
-
-
-def _chosen(one: Result) -> str:
-    """The verdict on which minerals are there, where they were compared."""
-    status = (one.get("choice") or {}).get("status")
-    return f" Minerals: {status}." if status else ""
+    return f"{one.get('id', 'the spectrum')}: {verdict}.{chosen}{strength}"
 
 
 def _mineral_shares(one: Result) -> list[str]:
@@ -136,7 +104,11 @@ def _mineral_shares(one: Result) -> list[str]:
 
 
 def match(result: Result) -> ResultAnswer:
-    return ResultAnswer(each(result["rocks"], _one_match, "rock", _match_in_short))
+    rocks = result["rocks"]
+    open_ones = [rock for rock in rocks if any(text in str(rock.get("status")) for text in UNDECIDED)]
+    of = "" if len(open_ones) == len(rocks) else f" of {len(open_ones)} of {counted(len(rocks), 'rock')}"
+    worth = f"Composition decides nothing{of}: the numbers are the prior's." if open_ones else ""
+    return ResultAnswer(each(rocks, _one_match, "rock", _match_in_short), trust=worth)
 
 
 def _one_match(rock: Result) -> str:

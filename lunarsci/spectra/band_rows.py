@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,18 +13,28 @@ from lunarsci.lanes import aligned, choose, highest, load, root, spread, store
 from lunarsci.spectra.band_choice import CHOICES, OTHER_NM, TRIED, Places, go_on, judge, own_continuum, record, verdict
 from lunarsci.spectra.band_polynomial import (
     AREA,
+    COEFFICIENTS,
     CURVE,
+    FOUND,
+    HALF_NM,
+    HEFT,
+    INNER,
+    LOWEST,
+    MIDDLE_NM,
     NOISE,
     ONTO,
     PER_LEVEL,
     RATIO,
     ROWS,
+    SIZE,
     SPARE,
     VALUES,
     WIDE_DEPTH,
     WIDE_NM,
     BandWork,
     X,
+    fit,
+    minima,
 )
 from lunarsci.spectra.band_shape import (
     AREA_VARIANCE,
@@ -68,6 +78,7 @@ from lunarsci.spectra.band_status import (
     Band,
     Codes,
 )
+from lunarsci.spectra.band_window import NARROW, WIDE, window_of
 from lunarsci.spectra.continuum import CONTINUA, HULL, LEVEL, LINEAR, SMOOTHED, tables_of, tie_down, ties_of
 from lunarsci.spectra.lane_rows import take_eight, uncounted
 from lunarsci.spectra.noise import WINDOW, running_medians
@@ -82,6 +93,10 @@ CHUNK = 512
 
 SAME_NM = 1e-6
 """Centres closer than this are those of the same tie points."""
+
+
+DRAWN = 161
+"""Points of a curve that is drawn."""
 
 
 LEAST_SIGNAL = 0.01
@@ -167,6 +182,59 @@ def measure_rows(
 def _work(grid: BandGrid) -> BandWork:
     t, tie, nodes, own = tables_of(grid.ties, ROWS)
     return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, own)
+
+
+def curve_of_centre(
+    grid: BandGrid, reflectance: FloatArray, continuum_name: str, band: Band, center_nm: float
+) -> tuple[FloatArray, FloatArray]:
+    """The curve whose minimum is the centre of a band of one spectrum: both polynomials, joined as their centres were.
+
+    Returns
+    -------
+    Wavelengths of the narrow window, or the wide one where that alone counts, and reflectance over continuum. [nm, -]
+    """
+    work, c, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
+    t, own = (
+        work.t,
+        np.array([*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]),
+    )
+    take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, VALUES * count)
+    smooth(grid.smoother, t, VALUES * count, SMOOTHED * count)
+    tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.own)
+    _remove(t, c, own[0], own[1], count)
+    wide, narrow = (_polynomial(grid, work, c, own, shares) for shares in (WIDE, NARROW))
+    if not narrow.found or abs(wide.center_nm - narrow.center_nm) < SAME_NM:
+        return wide.nm, wide.value(wide.nm)
+    part = float(np.clip((center_nm - narrow.center_nm) / (wide.center_nm - narrow.center_nm), 0.0, 1.0))
+    nm = wide.nm if part == 1.0 else narrow.nm
+    return nm, part * wide.value(nm) + (1 - part) * narrow.value(nm)
+
+
+class _Polynomial(NamedTuple):
+    """A polynomial in a window: where its channels count half or more, its minimum, whether there is one. [nm]"""
+
+    nm: FloatArray
+    center_nm: float
+    found: bool
+    middle_nm: float
+    half_nm: float
+    coefficients: FloatArray
+
+    def value(self, nm: FloatArray) -> FloatArray:
+        return np.asarray(np.polynomial.polynomial.polyval((nm - self.middle_nm) / self.half_nm, self.coefficients))
+
+
+def _polynomial(grid: BandGrid, work: BandWork, c: int, own: Any, shares: tuple[float, float]) -> _Polynomial:
+    t, k, count = work.t, work.k, grid.wavelength_nm.size
+    first, behind = window_of(grid, work, c, own, *shares, shares == WIDE)
+    fit(t, k, RATIO + c, first, behind, count)
+    minima(k)
+    middle, half = float(k[MIDDLE_NM, 0]), float(k[HALF_NM, 0])
+    counting = grid.wavelength_nm[first:behind][t[HEFT * count + first : HEFT * count + behind, 0] >= 0.5]
+    found = bool(k[INNER, 0] > 0 and k[FOUND, 0] > 0)
+    coefficients = k[COEFFICIENTS : COEFFICIENTS + SIZE, 0].copy()
+    nm = np.linspace(counting[0], counting[-1], DRAWN)
+    return _Polynomial(nm, middle + half * float(k[LOWEST, 0]), found, middle, half, coefficients)
 
 
 def nothing_of(count: int) -> tuple[FloatArray, Codes]:

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci import records
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import FloatArray
 from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
-from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
+from lunarsci.spectra.band_rows import curve_of_centre, grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
     BANDS,
     CONTINUUM,
@@ -28,11 +28,12 @@ from lunarsci.spectra.band_status import (
     NOTE_DEEPEST,
     OK,
     QUANTITIES,
+    SPARSE,
     STATUS,
     Codes,
     sentence,
 )
-from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection
+from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection, alike_channels
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
@@ -109,6 +110,12 @@ class SpectrumBands:
         used = {band.continuum: None for band in self.bands.values() if band.continuum in CONTINUA}
         smoothed = self.smoothed[None]
         return {name: continuum(name, self.wavelength_nm, smoothed)[0] for name in used}
+
+    def curves(self) -> "dict[str, tuple[FloatArray, FloatArray]]":
+        """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
+        grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
+        seen = [(band, own, at) for band in BANDS if (at := (own := self.bands[band.key]).center_nm) is not None]
+        return {b.key: curve_of_centre(grid, self.reflectance, own.continuum, b, at) for b, own, at in seen}
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""
@@ -219,9 +226,7 @@ def band_arrays(
     if wavelength.size > MOST_CHANNELS:
         raise DataError(f"{wavelength.size} channels are more than {MOST_CHANNELS}; average some of them")
     found = BandArrays(*nothing_of(len(values)))
-    with np.errstate(invalid="ignore"):
-        usable = np.isfinite(values) & (values > 0)
-    for mask, rows in _alike(usable):
+    for mask, rows in alike_channels(np.isfinite(values) & (values > 0)):
         if mask.sum() >= FEWEST_CHANNELS:
             part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
             errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
@@ -229,18 +234,6 @@ def band_arrays(
             own = _measured(given, wanted=continuum_name, smoothing=used)
             found.numbers[rows], found.codes[rows] = own["numbers"], own["codes"]
     return found
-
-
-def _alike(usable: BoolArray) -> "list[tuple[BoolArray, IntArray]]":
-    """Usable channels (n,), and the rows of (m, n) that have just these, in the order of the rows."""
-    if usable.all():
-        return [(usable[0], np.arange(len(usable)))] if len(usable) else []
-    packed = np.packbits(usable, axis=1)
-    keys = np.ascontiguousarray(packed).view(f"V{packed.shape[1]}").ravel()
-    _, first, place = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(place, kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(place))[:-1])
-    return [(usable[at], rows) for at, rows in zip(first, parts, strict=True)]
 
 
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
@@ -311,6 +304,14 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         for place, reason in self.reasons.items() if which == STATUS else ():
             found[place] = f"no result: {reason}"
         return found
+
+    @property
+    def uncovered(self) -> dict[int, str]:
+        """By place, why spectra have none, those whose channels cannot show either band among them."""
+        codes = self.arrays.codes[..., STATUS]
+        lacking = np.flatnonzero(np.isin(codes, (SPARSE, NOT_COVERED)).all(axis=1)).tolist()
+        reach = " or ".join("{:.0f}-{:.0f} nm".format(*band.reach_nm) for band in BANDS)
+        return dict.fromkeys(lacking, f"the channels do not reach over {reach}, close enough for a band") | self.reasons
 
     def columns(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json` as columns of records."""

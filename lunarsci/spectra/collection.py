@@ -31,6 +31,18 @@ class AlikeSpectra(NamedTuple):
     shifts: FloatArray
 
 
+def alike_channels(usable: BoolArray) -> list[tuple[BoolArray, IndexArray]]:
+    """Usable channels (n,), and the rows of (m, n) that have just these, in the order of the rows."""
+    if usable.all():
+        return [(usable[0], np.arange(len(usable)))] if len(usable) else []
+    packed = np.packbits(usable, axis=1)
+    keys = np.ascontiguousarray(packed).view(f"V{packed.shape[1]}").ravel()
+    _, first, place = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(place, kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(place))[:-1])
+    return [(usable[at], rows) for at, rows in zip(first, parts, strict=True)]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumRows(Sequence[Spectrum]):
     """n spectra on the same wavelengths; a `Spectrum`, which has the rules for all, is made of a row when asked for.

@@ -75,6 +75,20 @@ def test_the_plane_is_refused_like_every_picture(run: Run, rocks: Path, tmp_path
     assert run("spectra", "bands", rocks, "--plane", twice, "--plot", twice).code == 2
     twice.write_text("mine")
     refused = run("spectra", "bands", rocks, "--plane", twice)
-    assert (refused.code, len(refused.err)) == (1, 1)
+    assert (refused.code, len(refused.err)) == (2, 1)
     assert "--force" in refused.err[0]
     assert twice.read_text() == "mine"
+
+
+def test_channels_that_show_neither_band_are_a_failure_as_of_a_fit(run: Run, tmp_path: Path) -> None:
+    short = tmp_path / "short.csv"
+    short.write_text("wavelength_nm,a\n" + "\n".join(f"{nm},0.{20 + nm % 7}" for nm in range(500, 850, 5)) + "\n")
+    for command in ("bands", "fit"):
+        done = run("spectra", command, short)
+        assert (done.code, done.out) == (1, "")
+        assert done.err[-1].startswith(f"error: {short}: a: no result: the channels do not reach over 8")
+
+
+def test_notes_of_a_batch_name_their_spectra(run: Run, rocks: Path) -> None:
+    said = run("spectra", "bands", rocks).out
+    assert "(1 of 2 spectra: olivine)" in said

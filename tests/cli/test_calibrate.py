@@ -142,7 +142,7 @@ def test_files_hold_the_spectra_and_the_provenance(run: Run, label: Path, tmp_pa
     done = run(*COMMAND, label, "-o", target, "--no-time")
     assert (done.code, done.out, done.err) == (0, "", [f"written: {target}"])
     again = run(*COMMAND, label, "-o", target)
-    assert again.code == 1
+    assert again.code == 2
     assert "--force" in again.err[0]
     first = target.read_bytes()
     assert run(*COMMAND, label, "-o", target, "--no-time", "--force").code == 0

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from lunarsci.kept_blocks import KeptBlocks
+
 Run = Callable[..., "object"]
 COMMANDS = {
     "bands": ("spectra", "bands"),
@@ -93,10 +95,15 @@ def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], 
     target = tmp_path / "result.json"
     done = run(*command, "-o", target)
     assert (done.code, done.out) == (0, "")
-    assert done.err == [f"written: {target}"]
+    assert done.err[0] == f"written: {target}"
+    if command[1] in ("bands", "fit"):  # and what it says, for those who wait for the answer
+        assert len(done.err) == 2 and done.err[1].startswith("synthetic_rock: ")
+        assert len(run(*command, "-o", target, "--force", "-q").err) == 0
+    else:
+        assert len(done.err) == 1
     before = target.read_bytes()
     again = run(*command, "-o", target)
-    assert (again.code, again.out) == (1, "")
+    assert (again.code, again.out) == (2, "")
     assert "--force" in again.err[0]
     assert target.read_bytes() == before
     assert run(*command, "-o", target, "--force").code == 0
@@ -316,6 +323,28 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
     assert done.code == 1
     assert [s["id"] for s in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
     assert sum(line.startswith("error: ") for line in done.err) == 2
+    empty, missing = (str(bad_spectra[name]) for name in ("empty.csv", "missing.csv"))
+    assert done.err[-1].startswith(f"1 with a result, 2 without: {empty}, {missing}; ")
+    listed = run("spectra", "bands", empty, rock, missing, "--field", "provenance.failures")
+    assert listed.code == 1
+    assert [why.split(": ")[0] for why in json.loads(listed.out)] == [empty, missing]
+
+
+def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run: Run, rock: Path) -> None:
+    for form in (["--csv"], []):
+        done = run("spectra", "bands", rock, *form, "--columns", "bc1000_mn")
+        assert (done.code, done.out) == (2, "")
+        assert "--columns: 'bc1000_mn' is not a column" in done.err[0] and "did you mean 'bc1000_nm'?" in done.err[0]
+
+
+def test_blocks_of_another_computation_are_wrong_usage(run: Run, rock: Path) -> None:
+    target, partial = rock.parent / "out.csv", rock.parent / "out.csv.partial" / "bands"
+    KeptBlocks(partial, {"options": "others"}, 20, 16).close(remove=False)
+    many = [rock.parent / f"{k}.csv" for k in range(20)]
+    for name in many:
+        name.write_bytes(rock.read_bytes())
+    done = run("spectra", "bands", *many, "--csv", "-o", target)
+    assert done.code == 2 and "another computation" in done.err[-1] and not target.exists()
 
 
 def test_a_pattern_without_files_does_not_stop_a_batch(run: Run, rock: Path) -> None:
@@ -346,8 +375,12 @@ def test_coarse_steps_and_samples_are_refused(run: Run) -> None:
 
 def test_a_folder_is_a_batch(run: Run, rock: Path) -> None:
     (rock.parent / "second.csv").write_bytes(rock.read_bytes())
+    for name in ("readme.txt", "rock.png"):
+        (rock.parent / name).write_text("about the others")
     done = run("spectra", "bands", rock.parent, "--json")
-    assert len(json.loads(done.out)["result"]["spectra"]) == 2
+    assert done.code == 0 and len(json.loads(done.out)["result"]["spectra"]) == 2
+    assert done.err == [f"warning: {rock.parent}: 2 files left out, no data by their names: readme.txt, rock.png"]
+    assert run("spectra", "bands", rock.parent / "*", "--json").code == 1  # a pattern takes what it names
 
 
 def test_what_is_not_to_be_trusted_is_printed_and_exits_3(run: Run, states: Path) -> None:
@@ -416,7 +449,8 @@ def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(
     assert "%" in drawn
 
 
-def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_leaves_nothing_behind_and_names_itself(name: str, tmp_path: Path) -> None:
     target = tmp_path / "drive"
     process = subprocess.Popen(
         [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0005", "-o", str(target)],
@@ -427,9 +461,10 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     # Wherever it falls, in a destructor or while machine code is made, where Python loses it, once is enough.
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=4)
-    process.send_signal(signal.SIGINT)
+    number = getattr(signal, name)
+    process.send_signal(number)
     out, err = process.communicate(timeout=30)
-    assert process.returncode == 130, err
+    assert process.returncode == 128 + number, err
     assert out == b""
     assert err.decode().splitlines()[-1].startswith("interrupted")
     assert not target.exists()

@@ -1,6 +1,7 @@
 """What a progress bar says of the pace, by a clock of its own."""
 
-from lunarsci.cli.shared.progress import Pace
+import pytest
+from lunarsci.cli.shared.progress import Pace, minutely
 
 
 def test_the_pace_is_of_this_run_alone() -> None:
@@ -18,3 +19,19 @@ def test_another_stage_begins_anew() -> None:
     pace.said(64, 64)
     assert pace.said(0, 8) == "0 of 8"
     assert pace.said(4, 8) == "4 of 8 · 2 a second · 2 s left"
+
+
+def test_a_log_has_a_line_a_minute_and_none_for_what_is_short(capsys: pytest.CaptureFixture[str]) -> None:
+    now = 0.0
+    update = minutely("fitting", lambda: now)
+    for second in range(0, 151, 10):
+        now = float(second)
+        update(second, 300)
+    assert capsys.readouterr().err.splitlines() == [
+        "fitting: 60 of 300 · 1 a second · 4 min left",
+        "fitting: 120 of 300 · 1 a second · 3 min left",
+    ]
+    quick = minutely("fitting", lambda: now)
+    quick(0, 3)
+    quick(3, 3)
+    assert capsys.readouterr().err == ""

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,21 @@ def test_the_joint_posterior_is_taken_where_there_is_one(run: Run, states: Path,
     joint = json.loads(result.read_text())["result"]["joint"]["parameters"]
     site = json.loads(run("regolith", "compare", result, "--json").out)["result"]["site"]
     assert site["friction_angle_deg"] == joint["friction_angle_deg"]["median"]
+
+
+def test_a_belief_is_compared_by_its_medians(run: Run, states: Path, tmp_path: Path) -> None:
+    """ln K_s, ln N and ln tan φ are the first, second and fifth of its means."""
+    belief = tmp_path / "belief.json"
+    done = run("regolith", "infer", states, "--posterior", belief)
+    assert done.code == 0 and "name yours with --rover" in done.err[0]
+    text = json.loads(belief.read_text())
+    site = json.loads(run("regolith", "compare", belief, "--json").out)["result"]["site"]
+    found = [site[name] for name in ("stiffness_kpa_m_n", "sinkage_exponent")]
+    assert found == pytest.approx([math.exp(one) for one in text["mean"][:2]])
+    assert math.tan(math.radians(site["friction_angle_deg"])) == pytest.approx(math.exp(text["mean"][4]))
+    text["history"] = [{"states": "drive 1", "doubt": "positions are not explained"}]
+    belief.write_text(json.dumps(text))
+    assert "a doubtful belief: drive 1: positions" in run("regolith", "compare", belief).err[0]
 
 
 @pytest.mark.parametrize(

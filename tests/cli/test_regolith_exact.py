@@ -191,7 +191,7 @@ def test_a_result_that_lacks_its_curves_is_refused_by_name(run: Run, tmp_path: P
     done = run("regolith", "compare", path)
     assert done.code == 1
     assert "half.json" in done.err[-1]
-    assert "regolith identify --json" in done.err[-1]
+    assert "regolith infer --json" in done.err[-1] and "give --stiffness" in done.err[-1]
 
 
 def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> None:

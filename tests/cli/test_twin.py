@@ -51,7 +51,7 @@ def test_a_folder_a_film_and_pages(run: Run, plan: Path, tmp_path: Path) -> None
     assert result["worst"].keys() == {"member", "parameters", "why"}
     assert result["validity"]["invalid_share"] == result["invalid_share"] == 0.0
     again = run("twin", "predict", plan, "--animate", film)
-    assert (again.code, again.out, len(again.err)) == (1, "", 1) and "--force" in again.err[0]
+    assert (again.code, again.out, len(again.err)) == (2, "", 1) and "--force" in again.err[0]
 
 
 @pytest.mark.parametrize(("y", "code"), [(0.7, 3), (1.1, 0)])

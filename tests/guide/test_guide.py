@@ -1,5 +1,6 @@
 """What files are, files to begin with, what to cite, and whether lunarsci works here."""
 
+import io
 import json
 import re
 import tomllib
@@ -19,7 +20,10 @@ from lunarsci.guide.contents import CONTENTS
 from lunarsci.guide.info import CSV_COLUMNS, KINDS, MAGIC, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
+from lunarsci.inputs import InputFile
 from lunarsci.provenance import Provenance, document, to_json
+from lunarsci.regolith.prior import default_prior, read_prior
+from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers import read_rover
 
 
@@ -112,7 +116,7 @@ def test_every_attribute_of_the_classes_behind_a_rover_is_described() -> None:
 
 def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
     told = {*TOML_KEYS, *(kind.strip() for kind in CSV_COLUMNS), *MAGIC.values(), *SUFFIXES.values()}
-    told |= {"spectra", "library", "mgm", "config", "belief", "soil map", "telemetry", "result", "table"}
+    told |= {"prior", "spectra", "library", "mgm", "config", "belief", "soil map", "telemetry", "result", "table"}
     assert told == KINDS.keys()
     assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones", "picture"}
 
@@ -145,6 +149,9 @@ def test_commands_that_info_names_exist() -> None:
         ("a.csv", "time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.1,0,0\n", "motion"),
         ("a.csv", "time_s,x_m,y_m,sigma_m\n0,0,0,0.1\n", "positions"),
         ("a.csv", "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n0.008,0.05,32.03,-1.3\n", "states"),
+        ("a.csv", "time_s,wheel,sinkage_m,slip_ratio\n0,FL,0.008,0.05\n", "slips"),
+        ("a.csv", "x,rock\n" + "".join(f"{n},0.1\n" for n in range(450, 2400, 50)), "spectra"),
+        ("a.csv", "450,0.1\n500,0.2\n", "spectra"),
         ("a.toml", "[spectra.bands]\nsmooth = 3\n", "config"),
         ("a.toml", "position_m = [0.0, 0.0, 1.5]\nheading_deg = 0.0\ndown_deg = 20.0\nroll_deg = 0.0\n", "pose"),
         ("a.png", b"\x89PNG\r\n\x1a\n", "picture"),
@@ -155,6 +162,37 @@ def test_a_file_is_known_by_its_content(name: str, text: str | bytes, kind: str,
     found = info(written(tmp_path, name, text))
     assert (found.kind, found.trouble) == (kind, "")
     assert found.commands
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "told"),
+    [
+        (
+            "trial_num,beta,slip,avg_Fx,avg_Fz",
+            [[1 + k // 9, 0, 0.1, 5, -20] for k in range(27)],
+            "could be wheel states",
+        ),
+        ("t,X,Y,heading,FL_rpm", [[5 + k, k, 0, 0, 9] for k in range(20)], "could be telemetry"),
+        ("id,feo_wt", [[k, 9.8] for k in range(1, 31)], ""),
+    ],
+)
+def test_a_table_of_something_else_is_no_spectrum(
+    header: str, rows: list[list[float]], told: str, tmp_path: Path
+) -> None:
+    text = "\n".join([header, *(",".join(map(str, row)) for row in rows)])
+    found = info(written(tmp_path, "a.csv", text))
+    assert (found.kind, found.commands, len(found.remarks)) == ("table", [], 1 if told else 0)
+    assert told in " ".join(found.remarks)
+
+
+def test_templates_of_states_and_priors_say_the_same_as_their_readers() -> None:
+    """States of lunar-typical soil, 820 kPa/m at N = 1 assumed; the priors are those that hold without a file."""
+    prior = template("prior").text
+    assert read_prior(InputFile("prior.toml", prior.encode())) == default_prior()
+    states = io.StringIO(template("states").text)
+    found = lunarsci.identify(states, rover="yutu2", draws=2).found.site["stiffness_kpa_m_n"].value
+    soil = read_soil("lunar-typical")
+    assert soil.sinkage_exponent == 1.0 and found == pytest.approx(soil.stiffness_kpa_m_n, rel=0.01)
 
 
 def test_a_terrain_says_its_size(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ import pytest
 from astropy import units
 from scipy import stats
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.identify import Estimate
 from lunarsci.regolith.jobs.compare_soils import compare_soils
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, agreement, identify
 from lunarsci.regolith.jobs.infer import InferredSoil, infer
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest, wheel_forces
+from lunarsci.regolith.prior import CONTACT, PARAMETERS
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +31,12 @@ def states() -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def identified(states: pd.DataFrame) -> IdentifiedSoil:
-    return identify(states, lateral_modulus=20, draws=64, sensitivity=True)
+    return identify(states, rover="yutu2", lateral_modulus=20, draws=64, sensitivity=True)
 
 
 @pytest.fixture(scope="module")
 def inferred(states: pd.DataFrame) -> InferredSoil:
-    return infer(states, draws=16)
+    return infer(states, rover="yutu2", draws=16)
 
 
 def test_forces_have_units_and_a_request_can_be_changed() -> None:
@@ -193,6 +196,41 @@ def test_scatter_within_the_errors_is_no_contradiction() -> None:
     assert ours.probability == pytest.approx(stats.chi2.sf(199 * ours.reduced_chi_square, 199))
     close = agreement("friction_angle_deg", [Estimate(v, 0.03) for v in values], np.arange(200.0))
     assert close is not None and not close.agree
+
+
+WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
+
+
+@pytest.mark.parametrize(
+    ("wheels", "load_n", "silent"),
+    [((), 36.0, False), (WHEELS, 36.0, True), (WHEELS, 80.0, False), (WHEELS[:2], 36.0, False)],
+)
+def test_states_of_an_unnamed_rover_are_said_to_have_the_wheel_of_yutu2(
+    wheels: tuple[str, ...], load_n: float, silent: bool
+) -> None:
+    """Silent only where wheels and loads are those of Yutu-2: 135 kg at 1.622 m/s² on six wheels, 36.5 N each."""
+    table = pd.DataFrame({"sinkage_m": [0.008] * 6, "normal_force_n": load_n, "drawbar_pull_n": -1.3})
+    if wheels:
+        table["wheel"] = [wheels[k % len(wheels)] for k in range(6)]
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        found = identify(table, draws=2)
+    said = [str(one.message) for one in heard if "no rover is named" in str(one.message)]
+    assert len(said) == (0 if silent else 1)
+    assert silent or (f"36 N on each, here {load_n:g} N" in said[0] and "with `rover`" in said[0])
+    assert found.rover == "yutu2" and json.loads(found.to_json())["provenance"]["options"]["rover"] == "yutu2"
+    assert "with the wheel of yutu2 (the default)" in str(found)
+    assert identify(table, rover="yutu2", draws=2).to_dict() == found.to_dict()
+
+
+def test_states_without_forces_name_the_ways_on() -> None:
+    table = pd.DataFrame({"time_s": [0.0], "wheel": ["FL"], "sinkage_m": [0.008], "slip_ratio": [0.1]})
+    with pytest.raises(DataError, match=r"without forces; `lunarsci twin update` .* `lunarsci twin loads --motion"):
+        infer(table)
+
+
+def test_every_parameter_of_a_contact_has_its_words_in_the_picture() -> None:
+    assert set(PARAMETERS) | set(CONTACT) <= PARAMETER_LABELS.keys()
 
 
 def test_a_comparison_takes_the_wheel_of_the_result(measured_wheel: str, tmp_path: Path) -> None:

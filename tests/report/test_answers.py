@@ -12,8 +12,10 @@ from lunarsci.report.answers import ANSWERS, answer
 from lunarsci.report.documents import Document, document_of, read_results
 from lunarsci.report.page import TITLES
 from lunarsci.report.parts import assumed, budget, tables, unknown
+from lunarsci.report.quantities import quantities
 from lunarsci.report.sentences import DOUBT, GO, STOP
 from lunarsci.report.words import counted, measured, percent, words
+from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
 
 from .conftest import FORMER, documents
 
@@ -79,8 +81,10 @@ def test_verdicts_are_told_in_the_words_of_the_command() -> None:
             status = status[key]
         assert str(status) in answer(of(name)).text
         assert "most likely came from" not in answer(of(name)).text
-    assert "Out of domain: what was stated to be dark was compared with no" in answer(of("unmix")).text
-    assert "other minerals were not tried" in answer(of("fit")).text
+    assert bands_verdict(KNOWN["bands"]["result"]["spectra"][0])[1:] in answer(of("bands")).text
+    assert shares_verdict(KNOWN["unmix"]["result"]["spectra"][0]) in answer(of("unmix")).text
+    for name in ("fit", "fit auto"):
+        assert fit_verdict(KNOWN[name]["result"]["spectra"][0]) in answer(of(name)).text
     assert "Not determined: external friction angle" in answer(of("identify solved")).text
     assert "synthetic; the verdict says nothing about a real site" in answer(of("predict")).text
 
@@ -180,3 +184,25 @@ def test_folders_pictures_and_nothing(tmp_path: Path) -> None:
     (tmp_path / "false.png").write_bytes(b"GIF89a")
     with pytest.raises(DataError, match="no PNG picture"):
         read_results([tmp_path, tmp_path / "false.png"])
+
+
+def test_a_match_that_decides_nothing_is_not_approved() -> None:
+    rock = KNOWN["match modes"]["result"]["rocks"][0]
+    undecided = rock | {"status": "composition decides nothing: no composition of the rock is known; the posterior is"}
+    clear = rock | {"status": "likeliest Finsen (0.90); composition speaks strongly (ln Bayes factors differ by 9.0)"}
+    assert (
+        answer(of("match modes", rocks=[undecided])).trust
+        == "Composition decides nothing: the numbers are the prior's."
+    )
+    assert "of 1 of 2 rocks: the numbers" in answer(of("match modes", rocks=[undecided, clear])).trust
+    assert answer(of("match modes", rocks=[clear])).trust.startswith("The command found nothing against")
+
+
+def test_what_is_said_against_shares_hangs_on_them_and_errors_are_named() -> None:
+    share = {"fraction": 0.4, "low": 0.3, "high": 0.5, "low95": 0.1, "high95": 0.7}
+    own = {"in_domain": False, "status": "out of domain: too dark", "rms_ln": 0.05, "olivine": share}
+    found = {one.name: one.remark for one in quantities({"abundance": own})}
+    assert found == {"residual, root mean square [ln R]": "", "share of olivine": "out of domain: too dark"}
+    [band] = quantities({"bc1000_nm": 950.0, "bc1000_sigma_nm": 4.0, "bc1000_systematic_nm": 3.0})
+    assert band.parts == {"standard error": "4", "choice of continuum": "3"}
+    assert "another than that of the fit" in " ".join(unknown(of("fit auto")))

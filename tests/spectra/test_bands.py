@@ -283,3 +283,16 @@ def test_too_few_channels_is_an_error_alone_and_a_reason_in_a_batch() -> None:
     assert failed.status.startswith("no result: 8 usable")
     assert isinstance(good, SpectrumBands)
     assert failed.to_dict().keys() == good.to_dict().keys()
+
+
+def test_the_drawn_curve_goes_through_the_mark_of_a_band() -> None:
+    """The depth is that of the polynomials, not of the smoothed spectrum."""
+    noise = 0.004 * np.random.default_rng(4).standard_normal(GRID.size)
+    for values in (reflectance(), reflectance() * (1 + noise)):
+        found = measured(values)
+        curves = found.curves()
+        assert curves.keys() == found.bands.keys()
+        for key, (nm, curve) in curves.items():
+            band = found.bands[key]
+            assert float(np.interp(band.center_nm, nm, curve)) == pytest.approx(1 - band.depth, abs=2e-4)
+            assert nm[curve.argmin()] == pytest.approx(band.center_nm, abs=5.0)

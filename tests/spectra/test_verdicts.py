@@ -9,10 +9,11 @@ import pytest
 
 import lunarsci
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
+from lunarsci.spectra.mgm.assemblages import standing
 from lunarsci.spectra.mgm.batch import batch_of
+from lunarsci.spectra.mgm.columns import rows_one_by_one
 
 GRID = np.arange(500.0, 2450.0, 10.0)
-CHANCES = {"olivine": 0.28, "orthopyroxene": 0.03, "clinopyroxene": 0.98, "plagioclase": 0.11}
 
 
 def made_up(seed: int = 0, **centers: float) -> tuple[np.ndarray, np.ndarray]:
@@ -32,13 +33,42 @@ def test_an_assumed_assemblage_is_said_to_be_one(fitted: dict[str, Any]) -> None
     assert "OPX-CPX was assumed" in said and "--assemblage auto" in said and "bands of orthopyroxene" in said
 
 
+def chosen(**probabilities: float) -> dict[str, Any]:
+    """What was made of assemblages of these probabilities, `_` for `-`."""
+    rows = [{"assemblage": key.replace("_", "-"), "probability": chance} for key, chance in probabilities.items()]
+    return {"candidates": rows, "strong": False}
+
+
 def test_only_what_is_sure_is_called_so(fitted: dict[str, Any]) -> None:
-    chosen = fitted | {"choice": {"mineral_probability": CHANCES, "strong": False}}
-    said = fit_verdict(chosen)
-    assert said.startswith("sure: clinopyroxene; open: olivine (28 %), plagioclase (11 %); not needed: orthopyroxene")
-    none = fitted | {"choice": {"mineral_probability": CHANCES | {"clinopyroxene": 0.92}, "strong": False}}
-    assert fit_verdict(none).startswith("no mineral is sure; open: olivine (28 %), clinopyroxene (92 %)")
-    assert "if so, " in said or "no composition" in said
+    said = fit_verdict(fitted | {"choice": chosen(CPX=0.61, OL_CPX=0.26, CPX_PLG=0.11, OL_OPX=0.02)})
+    assert said.startswith("sure: clinopyroxene; open: olivine (28 %), plagioclase (11 %); not needed to fit, but not ")
+    assert "ruled out: orthopyroxene" in said
+    none = fit_verdict(fitted | {"choice": chosen(CPX=0.72, OL=0.28)})
+    assert none.startswith("no mineral is sure; open: olivine (28 %), clinopyroxene (72 %); not needed")
+    assert "if so, " in none or "no composition" in none
+
+
+def test_one_of_two_pyroxenes_is_sure_where_neither_is(fitted: dict[str, Any]) -> None:
+    """As of the boulder ce4-083-rock: nothing without a pyroxene fits it, and either does."""
+    boulder = fitted | {"choice": chosen(CPX=0.55, OL_CPX=0.11, OPX_CPX=0.15, OL_OPX=0.17, OL=0.02)}
+    said = fit_verdict(boulder)
+    assert said.startswith(
+        "a pyroxene is sure, which one is open (orthopyroxene 32 %, clinopyroxene 81 %); also open: "
+    )
+    assert "olivine (30 %)" in said and "no mineral is sure" not in said
+    kind = {"name": "solid-rock", "stated": True, "probabilities": {"solid-rock": 1.0}}
+    one = boulder | {"kind": kind, "normative": None, "abundance": None}
+    assert shares_verdict(one).startswith("a pyroxene is sure, which one is open")
+
+
+def test_what_a_script_takes_agrees_with_the_verdict() -> None:
+    [auto] = lunarsci.fit(made_up(), assemblage="auto", starts=1).records
+    found = standing({one["assemblage"]: one["probability"] for one in auto["choice"]["candidates"]})
+    assert {key: auto["choice"][key] for key in found} == found
+    assert auto["choice"]["group_probability"]["pyroxene"] > 0.99
+    [row, *_] = rows_one_by_one([auto | {"choice": auto["choice"] | {"sure": ["olivine", "pyroxene"]}}], {})
+    assert (row["sure"], row["open"]) == ("olivine+pyroxene", "+".join(found["open"]))
+    assert row["probability_of_pyroxene"] > 0.99
 
 
 def test_a_strained_fit_is_in_doubt(fitted: dict[str, Any]) -> None:
@@ -61,9 +91,14 @@ def test_no_share_out_of_domain_is_to_be_quoted() -> None:
     record: dict[str, Any] = {
         "kind": {"name": "not-determined", "stated": False, "probabilities": {"rock": 0.76, "soil": 0.24}}
     }
-    record |= {"normative": None, "abundance": unmix, "abundances": {"unmix": unmix}}
+    record |= {"normative": None, "abundance": unmix, "abundances": {"unmix": unmix}, "status": "converged"}
     assert "no share to be quoted: too uncertain" in shares_verdict(record)
     assert "not decided (rock 76 %, soil 24 %), state `--kind`" in shares_verdict(record)
+    assert "misses" not in shares_verdict(record)
+    ratio = {"fraction": 0.28, "low95": 0.0, "high95": 0.75}
+    rock = shares_verdict(record | {"abundance": unmix | {"ratios": {"olivine_in_mafic": ratio}, "rms_ln": 0.19}})
+    assert "ratios with their intervals: olivine in mafic 28 % (95 %: 0 to 75)" in rock
+    assert "the mixture misses the spectrum by 19 % (rms)" in rock
     both = shares_verdict(record | {"abundances": {"unmix": unmix, "nbsr": nbsr}})
     assert "by `nbsr`, with its interval: orthopyroxene 40 % (95 %: 10 to 89)" in both and "49" not in both
 

@@ -1,13 +1,14 @@
 """A site beside soils of the literature."""
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.documents import json_document
-from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import Source, read_input, text
-from lunarsci.regolith.jobs.identify import IdentifiedSoil
+from lunarsci.regolith.jobs.identify import DEFAULT_ROVER, IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -15,9 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.compare import Site, SoilComparison
-
-
-DEFAULT_ROVER = "yutu2"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +84,8 @@ def compare_soils(
 
     Parameters
     ----------
-    result : of `identify` or `infer`, or the JSON of one; else options give the site.
+    result : of `identify` or `infer`, or the JSON of one, or a belief, whose medians are taken; else options give the
+        site.
 
     Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
     """
@@ -97,7 +96,9 @@ def compare_soils(
 
     asked = request_of(CompareSoilsRequest, request, options)
     if (result is None) != asked.stated:
-        raise RequestError("give either a result of `regolith identify --json`, or `stiffness` and its like")
+        raise RequestError(
+            "give either a result of `regolith infer --json` or `identify`, or a belief; or `stiffness` and its like"
+        )
     site, curves, inputs, wheel = _site(result, asked)
     if asked.rover is None and wheel is not None:
         rover, width, tables = str(wheel["of"]), float(wheel["width_m"]), dict[str, str]()
@@ -123,7 +124,8 @@ def _site(
     result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest
 ) -> "tuple[Site, Mapping[str, Any] | None, Mapping[str, str], Mapping[str, Any] | None]":
     """The site, curves of single states, the files that they come from, and the wheel, where the result has it."""
-    from lunarsci.regolith.compare import Site, site_of
+    from lunarsci.regolith.belief import SCHEMA, doubt, read_belief
+    from lunarsci.regolith.compare import Site, site_of, site_of_belief
 
     if result is None:
         site = Site(
@@ -139,10 +141,19 @@ def _site(
     file = read_input(result)
     content = text(file)
     try:
-        found = json_document(content)["result"]
+        document = json_document(content)
+        if isinstance(document, dict) and document.get("schema") == SCHEMA:
+            belief = read_belief(file)
+            if told := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
+                warnings.warn(f"{file.name}: a doubtful belief: {told}", LunarSciWarning, stacklevel=3)
+            return site_of_belief(belief), None, {file.name: file.sha256}, None
+        found = document["result"]
         return *site_of(found), {file.name: file.sha256}, found.get("wheel")
     except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, ParameterError):
+        if isinstance(error, ParameterError | DataError):
             raise
-        message = f"{file.name}: is no result of `regolith identify --json`; make one, or give --stiffness"
+        message = (
+            f"{file.name}: is no result of `regolith infer --json` or `regolith identify --json`, and no belief of "
+            "`twin update`; make one, or give `stiffness`"
+        )
         raise DataError(message) from error

@@ -1,10 +1,12 @@
 """The soil that wheel states reveal, each state by itself: bearing, longitudinal and lateral shear."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import RequestError
+from lunarsci.constants import LUNAR_GRAVITY
+from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.wheel import PAPER, ShearSign
 from lunarsci.result import MadeFrom, Result, job, request_of
@@ -17,8 +19,13 @@ if TYPE_CHECKING:
     from lunarsci.regolith.sensitivity import Sensitivity
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
+    from lunarsci.rovers import RoverDescription
 
 
+DEFAULT_ROVER, ITS_WHEELS = "yutu2", frozenset(("FL", "FR", "ML", "MR", "RL", "RR"))
+"""Whose wheel is taken where none is named, and the names of its wheels."""
+LIKE_LOAD = 0.25
+"""Share by which the median load of states may differ from that of the rover's wheels, and be theirs; assumed."""
 LABELS = {
     "stiffness_kpa_m_n": "stiffness K_s",
     "exponent": "sinkage exponent N",
@@ -44,7 +51,7 @@ class IdentifyRequest:
 
     Attributes
     ----------
-    rover : rover or wheel, a name or a TOML file.
+    rover : rover or wheel, a name or a TOML file; left out, yutu2, with a warning where its wheels have other loads.
     exponent [-], stiffness [kPa m^-N] : bearing pair N, K_s.
     cohesion [Pa], friction_angle [deg] : shear pair c, phi.
     shear_modulus : K_x. [mm]
@@ -57,7 +64,7 @@ class IdentifyRequest:
     sensitivity : whether to say how much of each variance comes from each measured quantity.
     """
 
-    rover: str = "yutu2"
+    rover: str | None = None
     exponent: float | None = None
     stiffness: float | None = None
     cohesion: float | None = None
@@ -168,27 +175,50 @@ def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray
 
 @dataclass(frozen=True, slots=True)
 class StatesOfWheel:
-    """Wheel states, the wheel, where both come from, and keys of the rover's file that are guesses."""
+    """Wheel states, the rover or wheel as it was named, the wheel, where all come from, and guesses in its file."""
 
     states: "WheelStates"
+    rover: str
     wheel: "Wheel"
     origin: MadeFrom
     assumed: Sequence[str]
 
 
-def read_wheel_states(states: Source, rover: str, errors: "MeasurementErrors") -> StatesOfWheel:
-    """Read the wheel states and the wheel. Raises DataError."""
+def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErrors") -> StatesOfWheel:
+    """Read the wheel states and the wheel, Yutu-2's where none is named. Raises DataError."""
     from lunarsci.provenance import sha256
     from lunarsci.regolith.states import read_states
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.rovers import read_rover
 
-    description, source = read_rover(rover), read_input(states)
+    named = rover or DEFAULT_ROVER
+    description, source = read_rover(named), read_input(states)
     wheel = read_wheel(description)
-    tables = {f"{rover} (rover)": sha256(description.text.encode())}
+    tables = {f"{named} (rover)": sha256(description.text.encode())}
     assumed = [name for name in description.assumed if name.startswith("wheel.")]
-    origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER])
-    return StatesOfWheel(read_states(source, wheel, errors), wheel, origin, assumed)
+    origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
+    found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed)
+    if rover is None:
+        _warn_of_default(source.name, found, description)
+    return found
+
+
+def _warn_of_default(file: str, given: StatesOfWheel, rover: "RoverDescription") -> None:
+    """Say that nobody named a rover, unless wheels and loads are those of the one that is taken."""
+    import numpy as np
+
+    mass = rover.table("mass")
+    usual = (mass["body_kg"] / len(ITS_WHEELS) + mass["wheel_kg"]) * LUNAR_GRAVITY.value
+    load = float(np.median(given.states.values[:, 3]))
+    if set(given.states.wheels) == ITS_WHEELS and abs(load / usual - 1) < LIKE_LOAD:
+        return
+    size = f"radius {1e3 * given.wheel.radius_m:g} mm, width {1e3 * given.wheel.width_m:g} mm"
+    warnings.warn(
+        f"{file}: no rover is named, so the wheel of {DEFAULT_ROVER} is taken ({size}; {usual:.0f} N on each, here "
+        f"{load:.3g} N): another wheel gives another soil; name yours with `rover`, {DEFAULT_ROVER} if it is this one",
+        LunarSciWarning,
+        stacklevel=3,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -304,20 +334,27 @@ def identify(
 
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
     """
-    from dataclasses import replace
+    asked = request_of(IdentifyRequest, request, options)
+    known = asked.assumptions
+    return identified(read_wheel_states(states, asked.rover, asked.errors), asked, known, progress)
 
+
+def identified(
+    given: StatesOfWheel,
+    asked: IdentifyRequest,
+    known: "Assumptions",
+    progress: Callable[[int, int], None] | None,
+) -> IdentifiedSoil:
+    """The same of states that are read."""
     from lunarsci.regolith.identify import identify as identify_soil
     from lunarsci.regolith.sensitivity import sensitivities
 
-    asked = request_of(IdentifyRequest, request, options)
-    known = asked.assumptions
-    given = read_wheel_states(states, asked.rover, asked.errors)
     same: dict[str, Any] = {"reading": asked.reading, "seed": asked.seed}
     found = identify_soil(given.states, given.wheel, known, draws=asked.draws, progress=progress, **same)
     shares = sensitivities(given.states, given.wheel, known, **same) if asked.sensitivity else None
     return IdentifiedSoil(
         found=found,
-        rover=asked.rover,
+        rover=given.rover,
         wheel=given.wheel,
         slip=given.states.values[:, 1],
         shares=shares,

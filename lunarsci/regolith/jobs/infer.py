@@ -1,16 +1,21 @@
 """All soil parameters from all wheel states at once, as a posterior."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
-from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest, StatesOfWheel, read_wheel_states
-from lunarsci.regolith.jobs.identify import identify as identify_each
+from lunarsci.regolith.jobs.identify import (
+    IdentifiedSoil,
+    IdentifyRequest,
+    StatesOfWheel,
+    identified,
+    read_wheel_states,
+)
 from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
-from lunarsci.result import MadeFrom, job, request_of
+from lunarsci.result import job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,9 +152,10 @@ def infer(
     from lunarsci.regolith.prior import prior_hash
     from lunarsci.regolith.wheel import read_wheel
 
-    asked, source = request_of(InferRequest, request, options), read_input(states)
-    alone = identify_each(source, asked, progress=progress)
-    given = read_wheel_states(source, asked.rover, asked.errors)
+    asked = request_of(InferRequest, request, options)
+    known = asked.assumptions
+    given = read_wheel_states(states, asked.rover, asked.errors)
+    alone = identified(given, asked, known, progress)
     posterior, scores, inputs = _posterior(asked, given, progress)
     predicted = None
     if asked.predict is not None:
@@ -164,12 +170,7 @@ def infer(
         slip=alone.slip,
         shares=alone.shares,
         assumed=alone.assumed,
-        origin=MadeFrom(
-            inputs={**made.inputs, **inputs},
-            tables={**made.tables, **prior_hash()},
-            sources=made.sources,
-            seed=asked.seed,
-        ),
+        origin=replace(made, inputs={**made.inputs, **inputs}, tables={**made.tables, **prior_hash()}),
         posterior=posterior,
         scores=scores,
         predicted=predicted,

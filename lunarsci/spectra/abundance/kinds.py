@@ -293,7 +293,7 @@ def _named(shares: Mapping[str, float]) -> str:
 
 
 def _between(shares: Mapping[str, float], weathered: float) -> str:
-    if weathered >= WEATHERED:
-        return "weathered-soil or solid-rock, which look alike: state the kind"
-    first, second = sorted(shares, key=lambda kind: -shares[kind])[:2]
-    return f"{first} ({shares[first]:.2f}) or {second} ({shares[second]:.2f}): state the kind"
+    pair = ["weathered-soil", "solid-rock"] if weathered >= WEATHERED else list(shares)
+    told = [f"{name} {100 * shares[name]:.0f} %" for name in sorted(pair, key=lambda kind: -shares[kind])[:2]]
+    alike = ", which look alike" if weathered >= WEATHERED else ""
+    return f"{', '.join(told)}{alike}: not decided, state the kind"

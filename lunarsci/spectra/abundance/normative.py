@@ -269,7 +269,8 @@ def _unfit(kind: KindVerdict) -> str:
     if kind.stranger:
         return "; ".join(kind.reasons)
     soil, rock = (kind.probabilities[name] for name in ("weathered-soil", "solid-rock"))
-    return "as likely a solid rock as a soil: state the kind" if rock > soil and not kind.stated else ""
+    told = f"solid rock {100 * rock:.0f} %, soil {100 * soil:.0f} %: not decided, state the kind"
+    return told if rock > soil and not kind.stated else ""
 
 
 PER_PAGE = 40

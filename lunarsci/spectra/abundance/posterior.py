@@ -73,7 +73,8 @@ class DrawnShares:
     draws : (k, m) shares, `weight` (k,) of them, which sums to 1. [-]
     index : (k,) places of the draws in the random mixtures.
     unlike : distance from the nearest random mixtures, in units of that which `USUAL` of them keep to their like.
-    rms_ln : root mean square of ln R less that of the draws' weighted mean. [-]
+    rms_ln : root mean square of what ln R has beside that of the draws' weighted mean and what powders differ by
+        without bands (`Discrepancy`): a constant, a slope and a bend, here the best ones. [-]
     """
 
     draws: FloatArray
@@ -98,6 +99,11 @@ class Comparison:
     discrepancy: Discrepancy
     components: int
     foretold: bool
+
+    @cached_property
+    def _bandless(self) -> FloatArray:
+        """(c, 3) orthogonal columns: what is constant, linear and quadratic in wavelength."""
+        return np.asarray(np.linalg.qr(np.vander(self.wavelength_nm / 1e3 - ORIGIN_UM, 3))[0])
 
     @cached_property
     def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -164,6 +170,7 @@ class Comparison:
         draws = np.maximum(_corrected(self.mixtures.shares[index], apart[index], weight), 0.0)
         draws /= draws.sum(axis=1, keepdims=True)
         left = ln_reflectance - weight @ self.mixtures.ln_reflectance[index]
+        left -= self._bandless @ (self._bandless.T @ left)
         unlike = float(_nearest(noisy, seen[None])[0]) / self._usual
         return DrawnShares(draws, weight, index, unlike, float(np.sqrt(np.mean(left**2))))
 

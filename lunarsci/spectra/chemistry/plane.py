@@ -208,13 +208,9 @@ def _no_hed(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
 
 
 def _no_mixture(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
+    """What is no mixture of olivine and low-calcium pyroxene, a chondrite's or another."""
     found = _said(bc2000_nm > OPX_MOST_NM, "the 2 µm band is that of clinopyroxene")
     found[bc1000_nm > OLIVINE_NM[0]] = "the 1 µm band is that of olivine or augite"
-    return found
-
-
-def _no_chondrite(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
-    found = _no_mixture(bc1000_nm, bc2000_nm)
     found[_off_trend(bc1000_nm, bc2000_nm) < OLIVINE_SHIFT_NM] = "the two centres are those of pyroxene without olivine"
     return found
 
@@ -228,7 +224,7 @@ _JUDGES = {
     "orthopyroxene": _no_orthopyroxene,
     "hed": _no_hed,
     "mixture": _no_mixture,
-    "chondrite": _no_chondrite,
+    "chondrite": _no_mixture,
 }
 
 

@@ -161,15 +161,15 @@ class MeasuredBands(Result):
             columns[f"{key}_in_range"] = Where(item.present, item.in_range) if item else None
         return Records(columns)
 
-    def remarks(self) -> list[tuple[str, str]]:
-        """Key of the band and sentence of every note and every status that is not `ok`."""
+    def remarks(self) -> list[tuple[int, str, str, str]]:
+        """Place and id of the spectrum, key of the band and sentence of every note and status that is not `ok`."""
         from lunarsci.spectra.band_status import BANDS, NOTE, STATUS
 
         return [
-            (band.key, text)
-            for place, band in enumerate(BANDS)
+            (place, self.batch.spectra.ids[place], band.key, text)
+            for number, band in enumerate(BANDS)
             for which in (NOTE, STATUS)
-            for text in self.measured.texts(place, which)
+            for place, text in enumerate(self.measured.texts(number, which))
             if text not in ("", "ok")
         ]
 
@@ -220,5 +220,5 @@ def bands(
         smoothing=smoothing,
         progress=progress,
     )
-    reasons = {place: f"no result: {reason}" for place, reason in measured.reasons.items()}
+    reasons = {place: f"no result: {reason}" for place, reason in measured.uncovered.items()}
     return MeasuredBands(batch, measured, batch.failures_among(reasons))

@@ -268,7 +268,8 @@ class MgmFits(Result):
         from lunarsci.spectra.mgm.figure import fit_pages
 
         shown = [found[0] for found in self.abundances.values() if found and found[0].method != "nbsr"]
-        return chain(share_pages(shown), fit_pages(self.good))
+        weak = [self.fits[index] for index, choice in self.choices.items() if not choice.strong]
+        return chain(share_pages(shown), fit_pages(self.good, weak))  # type: ignore[arg-type]
 
     def fit_file(self) -> str:
         """A result file of the RELAB MGM program of the first fit; other header lines are those of the start file.

@@ -6,16 +6,13 @@ Made of the keys of `--json`, so that it says no more than they do.
 from collections.abc import Mapping
 from typing import Any
 
+from lunarsci.spectra.mgm import PERCENT_OF
+
 SEEN = 2.0
 """A band is seen where its strength is this many standard errors off 0; assumed."""
-SURE = 0.93
-"""Probability from which something is called sure, as of `Choice.family`; assumed."""
-NAMES = {
-    "fo": "Fo of olivine",
-    "fs": "Fs of orthopyroxene",
-    "wo": "Wo of clinopyroxene",
-    "fs_cpx": "Fs of clinopyroxene",
-}
+MISSED = 0.1
+"""A mixture that leaves more of ln R than this, root mean square, misses the spectrum: three times the details by which
+rocks differ from powders (`posterior`); assumed. [-]"""
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 
@@ -35,7 +32,7 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
     if alone:
         return (
             "pyroxene; its centres are those of pyroxenes without olivine, but some olivine is not ruled out; quote "
-            "only lines above whose condition you know to hold"
+            "only regressions whose condition you know to hold"
         )
     return "pyroxene; the centres are not those of one pyroxene alone: olivine or several pyroxenes; `spectra fit` next"
 
@@ -44,14 +41,17 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     """What a fit, or a choice between assemblages, says."""
     if not record["bands"]:
         return f"no fit: {record['status']}"
-    parts = [_chosen(record["choice"]) if record["choice"] else _assumed(record)]
-    status = str(record["status"])
-    if status != "converged":
-        parts.append(f"in doubt, {status.partition('; ')[2] or status}")
-    known = [f"{NAMES[key]} {item['mean']:.0f} ± {item['sigma']:.0f}" for key, item in _told(record)]
-    sure = status == "converged" and bool(record["choice"] and record["choice"]["strong"])
+    parts = [minerals_said(record["choice"]) if record["choice"] else _assumed(record), *_strained(record)]
+    known = [f"{PERCENT_OF[key]} {item['mean']:.0f} ± {item['sigma']:.0f}" for key, item in _told(record)]
+    sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
     parts += [f"{'' if sure else 'if so, '}{', '.join(known)} mol %"] if known else ["no composition is told"]
     return "; ".join(parts)
+
+
+def _strained(record: Mapping[str, Any]) -> list[str]:
+    """That the fit is in doubt, where it is."""
+    status = str(record["status"])
+    return [] if status == "converged" else [f"in doubt, {status.partition('; ')[2] or status}"]
 
 
 def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
@@ -65,14 +65,25 @@ def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     ]
 
 
-def _chosen(choice: Mapping[str, Any]) -> str:
-    chances = choice["mineral_probability"]
-    sure = [mineral for mineral, chance in chances.items() if chance >= SURE]
-    absent = [mineral for mineral, chance in chances.items() if chance <= 1 - SURE]
-    left = [f"{mineral} ({100 * chance:.0f} %)" for mineral, chance in chances.items() if 1 - SURE < chance < SURE]
-    parts = [f"sure: {', '.join(sure)}" if sure else "no mineral is sure"]
-    parts += [f"open: {', '.join(left)}"] if left else []
-    return "; ".join([*parts, *([f"not needed: {', '.join(absent)}"] if absent else [])])
+def minerals_said(choice: Mapping[str, Any]) -> str:
+    """Which minerals are sure, which are open, and which a fit does without."""
+    from lunarsci.spectra.mgm.assemblages import GROUPS, MINERALS, chances, standing
+
+    probabilities = {one["assemblage"]: one["probability"] for one in choice["candidates"]}
+    found, known = chances(probabilities), standing(probabilities)
+    left, parts = list(known["open"]), []
+    if sure := [name for name in known["sure"] if name not in GROUPS]:
+        parts.append(f"sure: {', '.join(sure)}")
+    for group in GROUPS.keys() & set(known["sure"]):
+        members = [MINERALS[key] for key in GROUPS[group]]
+        left = [name for name in left if name not in members]
+        shown = ", ".join(f"{name} {100 * found[name]:.0f} %" for name in members)
+        parts.append(f"a {group} is sure, which one is open ({shown})")
+    more = "also open" if len(left) < len(known["open"]) else "open"
+    parts = parts or ["no mineral is sure"]
+    parts += [f"{more}: {', '.join(f'{name} ({100 * found[name]:.0f} %)' for name in left)}"] if left else []
+    absent = ", ".join(known["not_needed"])
+    return "; ".join([*parts, *([f"not needed to fit, but not ruled out: {absent}"] if absent else [])])
 
 
 def _assumed(record: Mapping[str, Any]) -> str:
@@ -91,28 +102,47 @@ def _assumed(record: Mapping[str, Any]) -> str:
 
 
 def shares_verdict(record: Mapping[str, Any]) -> str:
-    """What the shares of `spectra unmix` say, and which of them may be quoted."""
+    """What the shares of `spectra unmix` say, and which of them, or which ratios, may be quoted."""
     kind, shares = record["kind"], record["abundance"]
     if not kind:
         return f"no shares: {record['status']}"
-    weights = {name: chance for name, chance in kind["probabilities"].items() if chance > 1 - SURE}
-    parts = []
-    if not kind["stated"] and max(weights.values(), default=0.0) < SURE:
-        shown = ", ".join(f"{name} {100 * chance:.0f} %" for name, chance in weights.items())
-        parts.append(f"the kind is not decided ({shown}), state `--kind` if you know it")
+    parts = [minerals_said(record["choice"])] if record.get("choice") else []
+    parts += _strained(record) + _undecided(kind)
     if record["normative"]:
-        parts.append("no shares of minerals: as a weathered soil it has a composition by regression, above")
+        parts.append("no shares of minerals: a weathered soil has a composition by regression instead")
     elif not shares:
-        parts.append("no shares")
+        parts.append(f"no shares: {record['assemblage']} has one mineral, and no other to be mixed with; state more")
     else:
-        inside = [one for one in record["abundances"].values() if one["in_domain"]]
-        for one in inside:
-            values = [f"{name} {_percent(one[name])}" for name in MINERALS if name in one]
-            parts.append(f"to be quoted, by `{one['method']}`, with its interval: {', '.join(values)}")
-        parts += [] if inside else [f"no share to be quoted: {shares['status'].removeprefix('out of domain: ')}"]
+        parts += _quotable(record)
     if kind["name"] == "solid-rock":
         parts.append("what is known of rocks: docs/validation/rock.md")
     return "; ".join(parts)
+
+
+def _undecided(kind: Mapping[str, Any]) -> list[str]:
+    from lunarsci.spectra.mgm.assemblages import SURE
+
+    weights = {name: chance for name, chance in kind["probabilities"].items() if chance > 1 - SURE}
+    if kind["stated"] or max(weights.values(), default=0.0) >= SURE:
+        return []
+    shown = ", ".join(f"{name} {100 * chance:.0f} %" for name, chance in weights.items())
+    return [f"the kind is not decided ({shown}), state `--kind` if you know it"]
+
+
+def _quotable(record: Mapping[str, Any]) -> list[str]:
+    """Shares in domain; else the ratios of a rock; and whether the mixture misses the spectrum."""
+    shares, parts = record["abundance"], []
+    inside = [one for one in record["abundances"].values() if one["in_domain"]]
+    for one in inside:
+        values = [f"{name} {_percent(one[name])}" for name in MINERALS if name in one]
+        parts.append(f"to be quoted, by `{one['method']}`, with its interval: {', '.join(values)}")
+    parts += [] if inside else [f"no share to be quoted: {shares['status'].removeprefix('out of domain: ')}"]
+    ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in (shares.get("ratios") or {}).items()]
+    parts += [f"ratios with their intervals: {', '.join(ratios)}"] if ratios else []
+    left = shares.get("rms_ln")
+    if left is not None and left > MISSED:
+        parts.append(f"the mixture misses the spectrum by {100 * left:.0f} % (rms), level and slope apart")
+    return parts
 
 
 def _percent(share: Mapping[str, Any]) -> str:

@@ -12,6 +12,14 @@ from lunarsci.names import meant
 from lunarsci.tables import table_rows
 
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
+GROUPS = {"pyroxene": ("OPX", "CPX")}
+"""Minerals that stand for each other in a spectrum: that one of them is there may be sure where each alone is open."""
+SURE = 0.93
+"""Probability from which something is called sure, as of `Choice.family`; assumed."""
+BIC_OF_CHOICE = (
+    "BIC of all assemblages is of channels joined to 20 nm and of the comparison's own errors: it compares them and is "
+    "another than that of the fit"
+)
 BANDS, COMPOSITIONS = "mgm_bands.csv", "mgm_compositions.csv"
 TABLES = (BANDS, COMPOSITIONS)
 
@@ -148,3 +156,36 @@ def _composition(row: Mapping[str, str]) -> CompositionPrior:
         float(row["highest_percent"]),
         row["source"],
     )
+
+
+def chances(probabilities: Mapping[str, float]) -> dict[str, float]:
+    """Probability that each mineral is there, and one at least of each group, of the probabilities of assemblages.
+
+    >>> chances({"OPX": 0.5, "OL-CPX": 0.25, "CPX": 0.25})["pyroxene"]
+    1.0
+    """
+    wanted = {name: (key,) for key, name in MINERALS.items()} | GROUPS
+    return {
+        name: min(1.0, sum(p for one, p in probabilities.items() if not set(keys).isdisjoint(one.split("-"))))
+        for name, keys in wanted.items()
+    }
+
+
+def standing(probabilities: Mapping[str, float]) -> dict[str, list[str]]:
+    """Minerals that are `sure`, `open` and `not_needed` to fit, of the probabilities of assemblages.
+
+    A group is sure where none of its minerals is alone; then all of these are open. What is not needed may be there.
+
+    >>> standing({"OPX": 0.5, "OL-CPX": 0.25, "CPX": 0.25})
+    {'sure': ['pyroxene'], 'open': ['olivine', 'orthopyroxene', 'clinopyroxene'], 'not_needed': ['plagioclase']}
+    """
+    found = chances(probabilities)
+    sure = [name for name in MINERALS.values() if found[name] >= SURE]
+    absent = [name for name in MINERALS.values() if found[name] <= 1 - SURE]
+    for group, keys in GROUPS.items():
+        members = {MINERALS[key] for key in keys}
+        if found[group] >= SURE and members.isdisjoint(sure):
+            sure.append(group)
+            absent = [name for name in absent if name not in members]
+    left = [name for name in MINERALS.values() if name not in (*sure, *absent)]
+    return {"sure": sure, "open": left, "not_needed": absent}

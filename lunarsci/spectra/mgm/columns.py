@@ -174,21 +174,27 @@ def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dic
         common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
     common |= shares
     if record["choice"]:
-        common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
-        common |= {f"probability_of_{name}": chance for name, chance in record["choice"]["mineral_probability"].items()}
+        choice = record["choice"]
+        common |= {f"choice_{key}": choice[key] for key in ("margin", "strong")}
+        common |= {key: "+".join(choice[key]) for key in ("sure", "open", "not_needed")}
+        found = choice["mineral_probability"] | choice["group_probability"]
+        common |= {f"probability_of_{name}": chance for name, chance in found.items()}
     ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
     common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
     return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
 
 
 def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
-    """`unmix_olivine`, `unmix_olivine_low` and the like, and whether the method applies."""
+    """`unmix_olivine`, `unmix_olivine_low`, …, whether the method applies, and `olivine_in_mafic`, … of rocks."""
     columns: dict[str, Any] = {}
     for modes in found:
         columns[f"{modes.method}_in_domain"] = modes.in_domain
         for share in modes.fractions:
             name = f"{modes.method}_{share.mineral}"
             columns |= {name: share.fraction, f"{name}_low": share.low, f"{name}_high": share.high}
+        for ratio in modes.ratios:
+            ends = {f"{ratio.mineral}_{end}": getattr(ratio, end) for end in ("low", "high", "low95", "high95")}
+            columns |= {ratio.mineral: ratio.fraction, **ends}
     return columns
 
 

@@ -47,9 +47,18 @@ def band_pages(measured: Sequence[SpectrumBands]) -> Iterator[Figure]:
     return _pages(measured, _draw_bands, heights=(1.0, 1.0))
 
 
-def fit_pages(fits: Sequence[MgmFit]) -> Iterator[Figure]:
-    """One page per six spectra: spectrum, model, continuum and each band above, the residual below."""
-    return _pages(fits, _draw_fit, heights=(3.0, 1.0))
+def fit_pages(fits: Sequence[MgmFit], weak: Sequence[MgmFit] = ()) -> Iterator[Figure]:
+    """One page per six spectra: spectrum, model, continuum and each band above, the residual below.
+
+    `weak` are those whose assemblage was taken by weak evidence.
+    """
+    doubtful = {id(fit) for fit in weak}
+
+    def draw(upper: Any, lower: Any, fit: MgmFit) -> None:
+        _draw_fit(upper, lower, fit)
+        upper.set_title(_fit_title(fit, weak=id(fit) in doubtful))
+
+    return _pages(fits, draw, heights=(3.0, 1.0))
 
 
 def _pages(
@@ -86,7 +95,10 @@ def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
         x, level, color = wavelength[inside], continua[name][inside], look["color"]
         upper.plot(x, level, **look, label=f"{name} continuum")
         lower.plot(x, item.reflectance[inside] / level, ".", markersize=2, color=color, alpha=0.4)
-        lower.plot(x, smoothed[inside] / level, linewidth=1, color=color)
+        lower.plot(x, smoothed[inside] / level, **(look | {"linewidth": 0.7, "alpha": 0.6}))
+    for nm, curve in item.curves().values():
+        lower.plot(nm, curve, color="black", linewidth=1.8)
+    upper.plot([], [], color="black", linewidth=1.8, label="polynomials of the centre (below)")
     top = float(np.max(smoothed))
     upper.set_ylim(max(0.0, float(np.min(smoothed)) - 0.15 * top), 1.2 * top)
     lower.axhline(1, color="0.8", linewidth=0.8, zorder=0)
@@ -132,7 +144,6 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
     residual = 100 * (np.log(fit.reflectance) - model)
     lower.plot(wavelength, residual, color="black", linewidth=0.7)
     lower.axhline(0, color="0.8", linewidth=0.8, zorder=0)
-    upper.set_title(_fit_title(fit))
     upper.set_ylabel("reflectance [-]")
     lower.set_ylabel("residual of\nln R [%]")
     lower.set_xlabel("wavelength [nm]")
@@ -140,10 +151,11 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
     upper.set_ylim(0.75 * float(fit.reflectance.min()), 1.08 * top)
 
 
-def _fit_title(fit: MgmFit) -> str:
+def _fit_title(fit: MgmFit, *, weak: bool) -> str:
     ratio = fit.nbsr.get("um2")
-    strength = f", NBSR at 2 µm {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
-    return f"{as_label(fit.id, LONGEST)}\nrms {100 * fit.rms_ln:.2f} %{strength}"
+    strength = f"\nNBSR at 2 µm {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
+    minerals = f"{fit.model.assemblage.name}{' (weak evidence)' if weak else ''}"
+    return f"{as_label(fit.id, LONGEST)}\n{as_label(minerals, LONGEST)}, rms {100 * fit.rms_ln:.2f} %{strength}"
 
 
 def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> Iterator[Figure]:

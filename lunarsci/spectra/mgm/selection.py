@@ -13,7 +13,7 @@ from lunarsci.blocks import arrays_in_blocks, kept_rows
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import FAMILIES, MINERALS
+from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, MINERALS, SURE, chances, standing
 from lunarsci.spectra.mgm.data import MgmData, deepest_absorption, prepare
 from lunarsci.spectra.mgm.evidence import EvidencePlace
 from lunarsci.spectra.mgm.fit import fit_data, model_digest
@@ -35,7 +35,7 @@ START_ERROR = 0.03
 TEMPER, PENALTY = 0.57, 2.04
 """Weight of ln evidence, and what every mineral must add, in the logarithm of the probability; see `choose`.
 `python tests/benchmarks/choices.py` learns them: 0.57 and 2.02 from the priors and fits as they are now."""
-CREDIBLE, MOST_TOGETHER = 0.93, 4
+CREDIBLE, MOST_TOGETHER = SURE, 4
 """Probability that the assemblages named together hold, and how many of them still say something; assumed."""
 LEAST_DEPTH, LEAST_ERROR = 0.03, 0.003
 """Depth of the deepest absorption that is reckoned with at least, and error of ln R; assumed."""
@@ -94,20 +94,23 @@ class Choice:
         return self.candidates[0].assemblage
 
     @property
+    def probabilities(self) -> dict[str, float]:
+        """Of each assemblage. [-]"""
+        return {candidate.assemblage: candidate.probability for candidate in self.candidates}
+
+    @property
     def minerals(self) -> dict[str, float]:
         """Probability of each mineral: of the assemblages that it is in. [-]"""
-        return {
-            mineral: sum(c.probability for c in self.candidates if key in c.assemblage.split("-"))
-            for key, mineral in MINERALS.items()
-        }
+        return {name: chance for name, chance in chances(self.probabilities).items() if name not in GROUPS}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain Python."""
         columns = ("assemblage", "ln_evidence", "bic", "score", "probability")
         rows = [{name: getattr(candidate, name) for name in columns} for candidate in self.candidates]
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
-        more = {"candidates": rows, "family": list(self.family), "mineral_probability": self.minerals}
-        return {name: getattr(self, name) for name in names} | more
+        groups = {name: chance for name, chance in chances(self.probabilities).items() if name in GROUPS}
+        more = {"mineral_probability": self.minerals, "group_probability": groups, **standing(self.probabilities)}
+        return {name: getattr(self, name) for name in names} | {"candidates": rows, "family": list(self.family)} | more
 
 
 def choose(

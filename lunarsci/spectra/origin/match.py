@@ -313,7 +313,8 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, other_prio
     compared = [item for item in matches if item.evidence.minerals or item.evidence.bands]
     if not compared:
         known = rock.composition.modes or rock.composition.bands
-        why = "no crater has a composition to compare with" if known else "no composition of the rock is known"
+        what = "shares of its minerals" if rock.composition.modes else "band centres"
+        why = f"no crater has {what} to compare with" if known else "no composition of the rock is known"
         return f"composition decides nothing: {why}; the posterior is the prior"
     if other >= LEADS and other > 2 * other_prior:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"

@@ -89,7 +89,8 @@ def validity_notes(found: Validity) -> list[str]:
         (found.too_deep_share, f"sink deeper than the wheel model holds for ({DEEPEST} of the radius)"),
         (
             found.uncalibrated_share,
-            f"sink less than {low:g} mm or more than {high:g} mm, the range of Yutu-2's calibration (Ding et al. 2024)",
+            f"sink less than {low:g} mm or more than {high:g} mm, the range of Yutu-2's calibration "
+            "(Ding et al. 2024): forces there were not tried on the Moon",
         ),
     )
     return [f"{percent(share)} of the wheel states {what}" for share, what in kinds if share > 0]

@@ -25,7 +25,7 @@ START_M, HEADING_DEG = 0.5, 10.0
 EDGE_S = 5.0
 """How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid; assumed. [s]"""
 STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
-"""What slowing down and speeding up again cost, beside the time at a standstill. [s]"""
+"""What slowing down and speeding up again cost, beside the halt itself; of the ramps assumed. [s]"""
 
 
 def check_against_plan(telemetry: Telemetry, rover: Rover, plan: Plan, findings: Findings) -> None:

@@ -116,3 +116,15 @@ def test_olivine_and_orthopyroxene_never_become_clinopyroxene(reference_data: Pa
     assert error[2] <= 10
     assert error.max() <= 14
     assert MOST_WIDE < 0.15
+
+
+def test_what_a_mixture_misses_is_told_beside_level_and_slope() -> None:
+    """A third as bright and redder: neither is a mineral's, and comparison allows for both."""
+    plain, spectrum = mixed(BRIGHT, opaque=0.2), mixed(BRIGHT, opaque=0.2)
+    darker = Spectrum("darker", NM, spectrum.reflectance * np.exp(-1.1 + 0.3 * (NM / 1e3 - 1.45)))
+    one, other = (
+        estimate_each([item], ALL, kinds=[find_kind(item, "solid-rock")])[0].rms_ln for item in (plain, darker)
+    )
+    assert one is not None and other is not None
+    assert one < 0.02
+    assert other < 0.12

@@ -123,6 +123,8 @@ def test_synthetic_orthopyroxene_by_all_that_know_it() -> None:
         ("hed", 1000, 1960, 0.5, "not those of a howardite"),
         ("chondrite", 960, 1940, 0.3, ""),
         ("chondrite", 926, 1963, 0.3, "without olivine"),
+        ("mixture", 960, 1940, 0.3, ""),
+        ("mixture", 926, 1963, 0.3, "without olivine"),
         ("chondrite", 1055, 1940, 0.3, "olivine or augite"),
         ("olivine", 1060, None, 0.0, ""),
         ("olivine", 1060, 1950, 0.3, "2 µm band"),
