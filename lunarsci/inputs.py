@@ -333,20 +333,21 @@ def together(failures: Sequence[str]) -> str:
     return failures[0] + more
 
 
-def expand_inputs(paths: Iterable[str]) -> list[str]:
+def expand_inputs(paths: Iterable[str], *, all_files: bool = False) -> list[str]:
     """Expand folders and glob patterns (`**` included) into sorted file names; each file is listed once.
 
     Names that exist, `-`, and plain names are kept as they are: reading them tells what is wrong with one. Hidden
-    files are left out. Raises DataError when a folder is empty or a pattern matches no file.
+    files are left out, and of a folder what is no data by its name, with a warning, unless `all_files` is set by who
+    chooses by name itself. Raises DataError when a folder is empty or a pattern matches no file.
     """
-    return list(dict.fromkeys(name for path in paths for name in _expanded(path)))
+    return list(dict.fromkeys(name for path in paths for name in _expanded(path, all_files=all_files)))
 
 
-def _expanded(path: str) -> Iterator[str]:
+def _expanded(path: str, *, all_files: bool) -> Iterator[str]:
     if path == "-" or not (glob.has_magic(path) or _is_folder(path)) or _is_file(path):
         return iter((path,))
     if _is_folder(path):
-        return iter(_files_of_folder(path))
+        return iter(_files_of_folder(path, all_files=all_files))
     # Path.glob takes no absolute patterns.
     found = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
     if not found:
@@ -354,16 +355,16 @@ def _expanded(path: str) -> Iterator[str]:
     return iter(found)
 
 
-def _files_of_folder(path: str) -> list[str]:
+def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
     try:
         found = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
     if not found:
         raise DataError(f"{path}: folder holds no files; name the files or a pattern")
-    if left := [name for name in found if no_data(name)]:
+    if left := [name for name in found if no_data(name) and not all_files]:
         names = ", ".join(Path(name).name for name in left[:NAMED_LEFT]) + (", …" if len(left) > NAMED_LEFT else "")
-        warnings.warn(f"{path}: {len(left)} files left out, no data by their names: {names}", LunarSciWarning, 2)
+        warnings.warn(f"{path}: left out, no data by name: {names}", LunarSciWarning, 2)
     if len(left) == len(found):
         raise DataError(f"{path}: folder holds no files of data; name the files or a pattern")
     return [name for name in found if name not in left]

@@ -142,7 +142,7 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     notes = [
         f"{_told(found)}; {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}",
         f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
-        f"(about 1 or less as expected, above {SURPRISING:g} hardly the same ground)",
+        f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
         *learned.doubts,
         *_slip_notes(learned),
     ]

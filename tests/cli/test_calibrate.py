@@ -212,8 +212,9 @@ def test_a_broken_one_is_one_line_and_the_others_are_printed(run: Run, tmp_path:
     done = run(*COMMAND, missing, folder, tmp_path / "nothing*.2BL", "--json")
     assert done.code == 1
     assert [spectrum["id"] for spectrum in result(done)] == ["SYNTHETIC-CE4-0002"]
-    assert len(done.err) == 3
-    assert all(line.startswith("error: ") for line in done.err)
+    assert len(done.err) == 4
+    assert all(line.startswith("error: ") for line in done.err[:3])
+    assert done.err[3].startswith("1 with a result, 3 without: ")
     assert sum("its label states 26214400: truncated" in line for line in done.err) == 1
     target = tmp_path / "out.ecsv"
     assert run(*COMMAND, folder, "-o", target).code == 1
@@ -249,7 +250,8 @@ def test_what_is_no_product_is_refused(run: Run, tmp_path: Path, argument: str) 
 
 def test_stdin_beside_a_label_does_not_stop_it(run: Run, label: Path) -> None:
     done = run(*COMMAND, "-", label, "--json")
-    assert (done.code, len(done.err), len(result(done))) == (1, 1, 1)
+    assert (done.code, len(done.err), len(result(done))) == (1, 2, 1)
+    assert done.err[1].startswith("1 with a result, 1 without: ")
 
 
 # -- The other commands -----------------------------------------------------------------------------------------------

@@ -129,7 +129,7 @@ def test_several_rocks_and_a_bad_input_among_them(run: Run, fitted: tuple[Path, 
     done = run("spectra", "match", both, bad)
     assert done.code == 1
     assert "second" in done.out
-    assert "bad.json: is no JSON" in done.err[-1]
+    assert "bad.json: is no JSON" in done.err[-2] and done.err[-1].startswith("2 with a result, 1 without: ")
     alone = run("spectra", "match", bad)
     assert (alone.code, alone.out) == (1, "")
 

@@ -101,7 +101,7 @@ def test_formats_and_columns_of_a_command(run: Run) -> None:
     assert chosen[0] == "drawbar_pull_n" and len(chosen) == 4
     assert run(*forces, "--columns", "slip_ratio,drawbar_pull_n").out.split()[:2] == ["slip_ratio", "drawbar_pull_n"]
     wrong = run(*forces, "--columns", "drawbar_pul_n")
-    assert (wrong.code, len(wrong.err)) == (1, 1) and "did you mean 'drawbar_pull_n'" in wrong.err[0]
+    assert (wrong.code, len(wrong.err)) == (2, 1) and "did you mean 'drawbar_pull_n'" in wrong.err[0]
     for options in (["--format", "markdwn"], ["--json", "--format", "md"], ["--json", "--columns", "slip"]):
         assert run(*forces, *options).code == 2
 

@@ -80,7 +80,7 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: P
     assert result["result"]["members"] == 20 and str(soils) in {file["path"] for file in result["provenance"]["inputs"]}
     assert run("twin", "predict", plan, "--soil", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
     assert run("regolith", "identify", states, "--posterior", tmp_path / "x.csv").code == 2
-    assert run("regolith", "infer", states, "--posterior", soils).code == 1  # it exists
+    assert run("regolith", "infer", states, "--posterior", soils).code == 2  # it exists
 
 
 def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_the_way_back(run: Run, files: tuple[Path, Path], tmp_path: Path) -> Non
         assert run("twin", "history", files[0], *wrong).code == code
     beyond = run("twin", "history", files[0], "--rollback", "7", "--save", tmp_path / "x.json")
     assert beyond.code == 1 and "rests on 3" in beyond.err[0] and not (tmp_path / "x.json").exists()
-    assert run("twin", "history", files[0], "--rollback", "1", "--save", back).code == 1  # it exists
+    assert run("twin", "history", files[0], "--rollback", "1", "--save", back).code == 2  # it exists
 
 
 def test_older_and_broken_files(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:

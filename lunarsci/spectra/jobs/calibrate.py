@@ -196,7 +196,7 @@ def _products(argument: str) -> list[str]:
 
     if argument == "-":
         raise DataError("-: a product is several files and cannot come from stdin; name its label")
-    names = expand_inputs([argument])
+    names = expand_inputs([argument], all_files=True)
     if names == [argument]:
         return names
     products = [name for name in names if product_name(name)]
