@@ -20,7 +20,7 @@ LIBRARY = ("spectra", "library")
 @pytest.fixture
 def laboratory(tmp_path: Path) -> Path:
     """The same two spectra in four formats: RELAB, CSV, USGS splib07, ENVI."""
-    um = np.linspace(0.45, 2.45, 30)
+    um = np.linspace(0.45, 2.45, 80)
     olivine, pyroxene = 0.3 + 0.1 * um, 0.5 - 0.1 * um
     rows = "\n".join(f"{1000 * w:.2f} {r:.6f} 0.0" for w, r in zip(um, olivine, strict=True))
     (tmp_path / "c1po01.tab").write_text(f"{um.size}\n{rows}\n")
@@ -74,7 +74,7 @@ def test_list_is_a_table_json_and_csv(run: Run, library: Path) -> None:
     document = json.loads(run(*LIBRARY, "list", library, "--json").out)
     assert document["schema"] == "lunarsci/spectra-library/1"
     first = document["result"]["end_members"][0]
-    assert (first["id"], first["fo"], first["channels"]) == ("c1po01", 0.9, 30)
+    assert (first["id"], first["fo"], first["channels"]) == ("c1po01", 0.9, 80)
     rows = list(csv.DictReader(io.StringIO(run(*LIBRARY, "list", library, "--csv").out)))
     assert [row["mineral"] for row in rows].count("olivine") == 3
 
