@@ -35,7 +35,7 @@ from pictured import MISSION, PLAN
 
 import lunarsci
 from lunarsci.provenance import to_json
-from lunarsci.report.job import report
+from lunarsci.pages.job import report
 from lunarsci.result import Result
 
 TABLE = Path(__file__).with_name("former_results.json")

@@ -17,7 +17,7 @@ FOLDER = ROOT / "spectra_data"
 NO_YEAR = ("Gazetteer of Planetary Nomenclature", "none: assumed", "measured for lunarsci", "spectra of CooperZZX")
 """Citations of things that carry no year."""
 SAME_AS = re.compile(r"^as (\w+)")
-DRAWN = re.compile(r"figure|charts|animation|report/relief")
+DRAWN = re.compile(r"figure|charts|animation|pages/relief")
 """Modules whose numbers are sizes and places on paper."""
 NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCENTILES|NEGLIGIBLE|NUGGET")
 """Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""

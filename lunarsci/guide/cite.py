@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
-from lunarsci.report.documents import Document, read_results
+from lunarsci.pages.documents import Document, read_results
 from lunarsci.result import MadeFrom, Result
 from lunarsci.tables import SPECTRA_DATA
 

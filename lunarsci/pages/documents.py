@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -77,15 +78,19 @@ class GivenPicture:
     content: bytes
 
 
-def read_results(given: Sequence[str | Path | Result]) -> tuple[list[Document], list[GivenPicture]]:
+def read_results(
+    given: Sequence[str | Path | Result], *, drawn: bool = False
+) -> tuple[list[Document], list[GivenPicture]]:
     """Documents and pictures in the order given; a result of a function is what its file would be.
+
+    `drawn`: the picture of its --plot belongs to a result of a function, the first page of several.
 
     Raises DataError for what is none of them, ParameterError where no document is given.
     """
     paths = [one for one in given if not isinstance(one, Result)]
     pictures = [_picture(Path(path)) for path in paths if Path(path).suffix.lower() in PICTURES]
     documents = [
-        _in_memory(one, number) if isinstance(one, Result) else _read(one)
+        _in_memory(one, number, drawn) if isinstance(one, Result) else _read(one)
         for number, one in enumerate(given, 1)
         if isinstance(one, Result) or Path(one).suffix.lower() not in PICTURES
     ]
@@ -94,13 +99,28 @@ def read_results(given: Sequence[str | Path | Result]) -> tuple[list[Document], 
     return documents, pictures
 
 
-def _in_memory(result: Result, number: int) -> Document:
+def _in_memory(result: Result, number: int, drawn: bool) -> Document:
     """A result of a function, named by its kind and its place among those given."""
     made = result.to_json()
     found = json.loads(made)
     schema = found["schema"].removeprefix("lunarsci/")
-    name = f"{schema.rpartition('/')[0]} ({number})"
-    return Document(name, schema, found["result"], found["provenance"], sha256=sha256(made.encode()))
+    kind = schema.rpartition("/")[0]
+    pictures = _picture_of(result, f"{kind}.png") if drawn else {}
+    return Document(
+        f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, sha256(made.encode())
+    )
+
+
+def _picture_of(result: Result, name: str) -> dict[str, bytes]:
+    """What --plot draws of a result; none where it has nothing to draw, or more than a page takes."""
+    from lunarsci.figure import picture_bytes, styled
+
+    try:
+        with styled():
+            content = picture_bytes(islice(result.figures(), 1), Path(name))
+    except ParameterError:
+        return {}
+    return {name: content} if len(content) <= LARGEST_PICTURE else {}
 
 
 def _read(path: str | Path) -> Document:
