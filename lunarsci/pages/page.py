@@ -9,14 +9,14 @@ from importlib import resources
 from typing import Any
 
 from lunarsci.errors import ParameterError
-from lunarsci.printable import printable
-from lunarsci.provenance import installed_version
 from lunarsci.pages import parts
 from lunarsci.pages.answers import answer, as_written
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
 from lunarsci.pages.sentences import DOUBT, GO, STOP, ResultAnswer
+from lunarsci.printable import printable
+from lunarsci.provenance import installed_version
 
 MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}
 MIME = {".png": "image/png", ".svg": "image/svg+xml"}

@@ -272,7 +272,7 @@ def test_a_page_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
     """As -o: a file that exists is left as it is unless it may be replaced, and stays where writing fails."""
     found, page = lunarsci.wheel_forces(sinkage=0.01), tmp_path / "page.html"
     page.write_text("mine")
-    with pytest.raises(OutputError, match="page.html: exists already"):
+    with pytest.raises(OutputError, match=r"page\.html: exists already"):
         lunarsci.report(found, page)
     with pytest.raises(OutputError, match="there is no folder"):
         lunarsci.report(found, tmp_path / "none" / "page.html")
