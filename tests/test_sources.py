@@ -38,6 +38,7 @@ SETTINGS = {
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/loads/alternating.py: ALIKE",
         "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
+        "twin/telemetry/plan_checks.py: STOP_COSTS_S",
         "twin/telemetry/positions.py: READINGS", "twin/telemetry/wheel_motion.py: UNITS"),
     "the source stands in each of the entries": ("spectra/indices.py: INDICES",),
     "places in rows, not numbers of the world": (
@@ -216,6 +217,9 @@ RECALLED = ("10.1111/j.1945-5100.2010.01158.x", "10.1016/j.icarus.2020.114046")
 """DOIs that `sources.toml` calls recalled: works are cited without them."""
 
 
+SOILS = ("soils.toml", "priors.toml", "reference_soils.csv", "lateral_soils.csv")
+
+
 def test_every_doi_of_a_table_is_that_of_a_work_which_is_cited_for_it() -> None:
     """Else `lunarsci cite` leaves out what a result rests on."""
     tables = tomllib.loads((FOLDER / "sources.toml").read_text("utf-8")).values()
@@ -224,3 +228,7 @@ def test_every_doi_of_a_table_is_that_of_a_work_which_is_cited_for_it() -> None:
     stated = {(one["doi"].lower(), one["table"]) for one in tables if "doi" in one and one["doi"] not in RECALLED}
     assert stated - cited == set()
     assert {one["table"] for one in tables} <= {table for _, table in cited}
+    known = {str(work["doi"]) for work in works if "doi" in work}
+    soils = [ROOT / "lunarsci/regolith" / name for name in SOILS]
+    named = {(doi.lower(), path.name) for path in soils for doi in known if doi in path.read_text("utf-8")}
+    assert {table for _, table in named} == {*SOILS} and named - cited == set()
