@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.report.job import ReportRequest
+from lunarsci.pages.job import ReportRequest
 
 from .shared.command import command
 from .shared.options import option
@@ -12,7 +12,7 @@ from .shared.report import Report
 from .shared.table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.report.job import ReportedResults
+    from lunarsci.pages.job import ReportedResults
 
 OPTIONS = {
     "title": option("Title of the page."),
@@ -40,7 +40,7 @@ def report(results: Results, request: ReportRequest) -> Report:
     budget, numbers, and where they come from. On top is the answer of each; below, what to cite. The ground and the
     drives on it can be turned. Without -o the answers are printed.
     """
-    from lunarsci.report.job import report
+    from lunarsci.pages.job import report
 
     made = report(results, request=request)
     html = {".html": lambda record: made.html(time="time_utc" in record)}

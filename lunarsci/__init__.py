@@ -26,16 +26,14 @@ JOBS = {
 """What each part offers; `__init__.pyi` has the same for type checkers."""
 _AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}
 
-_ELSEWHERE = {"computing": "lunarsci.blocks", "cite": "lunarsci.guide.cite"}
+_ELSEWHERE = {"computing": "lunarsci.blocks", "cite": "lunarsci.guide.cite", "report": "lunarsci.pages.job"}
 
-__all__ = ["__version__", "report", *_ELSEWHERE, *_AREAS]
+__all__ = ["__version__", *_ELSEWHERE, *_AREAS]
 
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    if name == "report":
-        return import_module("lunarsci.report")
     if name in _ELSEWHERE:
         return getattr(import_module(_ELSEWHERE[name]), name)
     if name not in _AREAS:

@@ -8,11 +8,11 @@ from lunarsci.images.jobs.merge import merge as merge
 from lunarsci.images.jobs.render import render as render
 from lunarsci.images.jobs.rocks import rocks as rocks
 from lunarsci.images.jobs.track import track as track
+from lunarsci.pages.job import report as report
 from lunarsci.regolith.jobs.compare_soils import compare_soils as compare_soils
 from lunarsci.regolith.jobs.identify import identify as identify
 from lunarsci.regolith.jobs.infer import infer as infer
 from lunarsci.regolith.jobs.wheel_forces import wheel_forces as wheel_forces
-from lunarsci.report.job import report as report
 from lunarsci.spectra.jobs.bands import bands as bands
 from lunarsci.spectra.jobs.calibrate import calibrate as calibrate
 from lunarsci.spectra.jobs.fit import fit as fit

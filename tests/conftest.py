@@ -139,8 +139,8 @@ def answered() -> Callable[..., str]:
     """The sentence of a page for a result, and its trust."""
 
     def said(result: Any) -> str:
-        from lunarsci.report.answers import answer
-        from lunarsci.report.documents import document_of
+        from lunarsci.pages.answers import answer
+        from lunarsci.pages.documents import document_of
 
         record = {"untrusted": result.untrusted, "failures": result.failures}
         made = answer(document_of(result.schema, result.to_dict(), record))

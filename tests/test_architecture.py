@@ -44,9 +44,9 @@ ALLOWED = {
     "images": {"images", *SHARED},
     "regolith": {"regolith", *SHARED},
     "twin": {"twin", "regolith", "images", *SHARED},
-    "report": {"report", "spectra", "regolith", "twin", *SHARED},
-    "guide": {"guide", "report", "spectra", "regolith", "images", "twin", *SHARED},
-    "reproduce": {"reproduce", "report", "spectra", "regolith", "images", "twin", *SHARED},
+    "pages": {"pages", "spectra", "regolith", "twin", *SHARED},
+    "guide": {"guide", "pages", "spectra", "regolith", "images", "twin", *SHARED},
+    "reproduce": {"reproduce", "pages", "spectra", "regolith", "images", "twin", *SHARED},
     "rovers": {"rovers", "errors", "documents", "names"},
 }
 TREES = {

@@ -34,8 +34,8 @@ sys.path.append(str(Path(__file__).with_name("benchmarks")))  # where pytest loo
 from pictured import MISSION, PLAN
 
 import lunarsci
+from lunarsci.pages.job import report
 from lunarsci.provenance import to_json
-from lunarsci.report.job import report
 from lunarsci.result import Result
 
 TABLE = Path(__file__).with_name("former_results.json")

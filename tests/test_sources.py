@@ -17,7 +17,7 @@ FOLDER = ROOT / "spectra_data"
 NO_YEAR = ("Gazetteer of Planetary Nomenclature", "none: assumed", "measured for lunarsci", "spectra of CooperZZX")
 """Citations of things that carry no year."""
 SAME_AS = re.compile(r"^as (\w+)")
-DRAWN = re.compile(r"figure|charts|animation|report/relief")
+DRAWN = re.compile(r"figure|charts|animation|pages/relief")
 """Modules whose numbers are sizes and places on paper."""
 NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCENTILES|NEGLIGIBLE|NUGGET")
 """Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""
@@ -216,6 +216,9 @@ RECALLED = ("10.1111/j.1945-5100.2010.01158.x", "10.1016/j.icarus.2020.114046")
 """DOIs that `sources.toml` calls recalled: works are cited without them."""
 
 
+SOILS = ("soils.toml", "priors.toml", "reference_soils.csv", "lateral_soils.csv")
+
+
 def test_every_doi_of_a_table_is_that_of_a_work_which_is_cited_for_it() -> None:
     """Else `lunarsci cite` leaves out what a result rests on."""
     tables = tomllib.loads((FOLDER / "sources.toml").read_text("utf-8")).values()
@@ -224,3 +227,7 @@ def test_every_doi_of_a_table_is_that_of_a_work_which_is_cited_for_it() -> None:
     stated = {(one["doi"].lower(), one["table"]) for one in tables if "doi" in one and one["doi"] not in RECALLED}
     assert stated - cited == set()
     assert {one["table"] for one in tables} <= {table for _, table in cited}
+    known = {str(work["doi"]) for work in works if "doi" in work}
+    soils = [ROOT / "lunarsci/regolith" / name for name in SOILS]
+    named = {(doi.lower(), path.name) for path in soils for doi in known if doi in path.read_text("utf-8")}
+    assert {table for _, table in named} == {*SOILS} and named - cited == set()

@@ -10,16 +10,21 @@ from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
-from lunarsci.report.documents import Document, read_results
+from lunarsci.pages.documents import Document, read_results
 from lunarsci.result import MadeFrom, Result
 from lunarsci.tables import SPECTRA_DATA
 
 REFERENCE = re.compile(r"^(?P<authors>[^()]{2,120}?) \((?P<year>1[89]\d\d|20\d\d)\), (?P<rest>.+)$", re.DOTALL)
-DOI = re.compile(r"(?<![\w.])(?:doi:? )?(10\.\d{4,9}/[^\s:;,]+(?<![.)])(?:\)(?=[A-Z0-9]))?[^\s:;,()]*)")
+_OF_DOI = r"(?:[^\s:;,()]|:(?=\S))"
+DOI = re.compile(rf"(?<![\w.])(?:doi:? )?(10\.\d{{4,9}}/(?:{_OF_DOI}|[()])+(?<![.)])(?:\)(?=[A-Z0-9]))?{_OF_DOI}*)")
 PLACE = re.compile(
     r"^(?P<journal>[^,\d][^,]*?(?:, [^,\d][^,]*?)?) (?P<volume>\d+)(?:, (?P<page>[A-Z]?\d[\w-]*|e\d\w+))?(?=[,;:]|$)"
 )
 """A reference as results name it: `Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8`."""
+REMARK = re.compile(r": |;| \(|(?:doi:? )?\b10\.\d{4,9}/")
+"""Where a reference that has no volume ends: a remark, or its DOI."""
+LONGEST_PLACE = 80
+"""Letters of a place without a volume, such as a conference or a book; more are a sentence."""
 TITLE = "lunarsci: rock, ground and drive of a lunar rover"
 
 
@@ -52,9 +57,15 @@ class Reference:
         return self.known or f"{first or 'source'}{self.year}"
 
     @property
+    def same(self) -> str:
+        """What two texts that name one work have in common, whatever they say it is cited for."""
+        place = " ".join([self.authors, self.year, self.journal, self.volume, self.page]) if self.journal else self.text
+        return self.known or self.doi or place
+
+    @property
     def kind(self) -> str:
-        """The kind of its entry, such as article."""
-        return str(self.work.get("type") or ("article" if self.journal else "misc"))
+        """The kind of its entry, such as article; that of a work without a title is misc, as others need one."""
+        return str(self.work.get("type", "article")) if self.title else "misc"
 
     @property
     def title(self) -> str:
@@ -68,11 +79,11 @@ class Reference:
             named = {name: str(value) for name, value in self.work.items() if name not in NOT_FIELDS}
             # Capitals of names stay as they are in any style.
             return named | ({"title": f"{{{self.title}}}"} if self.title else {})
-        names = re.sub(r",? et al\.?", " and others", self.authors)
-        names = re.sub(r" & |, ", " and ", names)
-        named = {"author": names, "year": self.year, "journal": self.journal, "volume": self.volume, "pages": self.page}
-        note = "" if names and self.year and (self.journal or self.doi) else self.text
-        return {name: value for name, value in (named | {"doi": self.doi, "note": note}).items() if value}
+        names = re.sub(r" & |, ", " and ", re.sub(r",? et al\.?", " and others", self.authors))
+        where = ", ".join(part for part in (f"{self.journal} {self.volume}".strip(), self.page) if part)
+        note = "" if names and self.year and (where or self.doi) else self.text
+        named = {"author": names, "howpublished": where, "year": self.year, "doi": self.doi, "note": note}
+        return {name: value for name, value in named.items() if value}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,7 +147,7 @@ def _entry(kind: str, key: str, fields: Mapping[str, str], braced: bool = True) 
 
 
 def _tex(name: str, value: str) -> str:
-    return value if name in ("doi", "howpublished") else re.sub(r"([&%$#_])", r"\\\1", value)
+    return value if name == "doi" or value.startswith("https://") else re.sub(r"([&%$#_])", r"\\\1", value)
 
 
 @cache
@@ -174,7 +185,7 @@ def _cited(text: str) -> Reference:
         if found.doi and str(work.get("doi", "")).lower() == found.doi.lower():
             return reference_to(name, text)
     same = works().get(found.key, {})
-    alone = found.journal == "" or found.volume in ("", same.get("volume"))
+    alone = found.journal == "" or found.volume in ("", same.get("volume", found.volume))
     return reference_to(found.key, text) if same and not found.doi and alone else found
 
 
@@ -191,11 +202,12 @@ def reference_of(text: str) -> Reference:
         year = re.search(r"\b(1[89]\d\d|20\d\d)\b", text)
         return Reference(text, year=year[1] if year else "", doi=doi[1] if doi else "")
     place = PLACE.match(found["rest"])
+    elsewhere = REMARK.split(found["rest"])[0].strip(" ,")
     return Reference(
         text,
         authors=found["authors"],
         year=found["year"],
-        journal=place["journal"].strip() if place else "",
+        journal=place["journal"].strip() if place else elsewhere if len(elsewhere) < LONGEST_PLACE else "",
         volume=place["volume"] if place else "",
         page=(place["page"] or "") if place else "",
         doi=doi[1] if doi else "",
@@ -216,7 +228,7 @@ def cite(results: Sequence[str | Path | Result] | str | Path | Result) -> CitedS
     tables = [PurePath(str(one.get("name", one.get("path", "")))).name for record in records for one in _named(record)]
     found: dict[str, Reference] = {}
     for one in (*map(_cited, map(str, texts)), *_of_tables(tables)):
-        found.setdefault(one.known or one.doi or one.text, one)
+        found.setdefault(one.same, one)
     return CitedSources(references=list(found.values()), documents=documents)
 
 

@@ -253,10 +253,10 @@ class Demonstration(Result):
 
     def _page(self, drawn: Mapping[str, Callable[[], bytes]]) -> bytes:
         """Findings and pictures as a page, with the ground of the drive; without time, as all its files."""
+        from lunarsci.pages.documents import document_of
+        from lunarsci.pages.page import Page
+        from lunarsci.pages.relief import drives
         from lunarsci.provenance import Provenance, plain
-        from lunarsci.report.documents import document_of
-        from lunarsci.report.page import Page
-        from lunarsci.report.relief import drives
 
         made, prediction = self.made_from, self.drive.prediction
         record = Provenance(command="lunarsci demo", tables=made.tables, sources=made.sources, seed=self.seed)

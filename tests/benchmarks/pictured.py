@@ -385,7 +385,7 @@ def film() -> "Figure":
 
 
 def still() -> "Figure":
-    from lunarsci.report.relief import drives, still_figure
+    from lunarsci.pages.relief import drives, still_figure
 
     found = predicted().prediction
     at = found.terrain
@@ -411,8 +411,8 @@ def _reproduced(part: str) -> Any:
 
 def chart(result: Any, number: int = 0, tables: str | None = None, **changes: Any) -> "Figure":
     """A picture of a report's page."""
-    from lunarsci.report.charts import CHARTS
-    from lunarsci.report.documents import document_of
+    from lunarsci.pages.charts import CHARTS
+    from lunarsci.pages.documents import document_of
 
     found = result.to_dict() | changes
     document = document_of(result.schema, found, {}, folder=None if tables is None else Path(tables))

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.report.answers import ANSWERS, answer
-from lunarsci.report.documents import Document, document_of, read_results
-from lunarsci.report.page import TITLES
-from lunarsci.report.parts import assumed, budget, tables, unknown
-from lunarsci.report.quantities import quantities
-from lunarsci.report.sentences import DOUBT, GO, STOP
-from lunarsci.report.words import counted, measured, percent, words
+from lunarsci.pages.answers import ANSWERS, answer
+from lunarsci.pages.documents import Document, document_of, read_results
+from lunarsci.pages.page import TITLES
+from lunarsci.pages.parts import assumed, budget, tables, unknown
+from lunarsci.pages.quantities import quantities
+from lunarsci.pages.sentences import DOUBT, GO, STOP
+from lunarsci.pages.words import counted, measured, percent, words
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
 
 from .conftest import FORMER, documents

@@ -1,5 +1,7 @@
 """The page in a real browser: complete, quiet, legible, reachable without a mouse, and deaf to hostile names."""
 
+import base64
+import inspect
 import json
 import re
 from pathlib import Path
@@ -9,9 +11,10 @@ import numpy as np
 import pytest
 
 import lunarsci
-from lunarsci.errors import DataError
-from lunarsci.report.job import report
-from lunarsci.report.relief import MOST_NODES
+from lunarsci.errors import OutputError
+from lunarsci.figure import picture_bytes
+from lunarsci.pages.job import report
+from lunarsci.pages.relief import MOST_NODES
 
 from .conftest import documents
 
@@ -250,14 +253,47 @@ def test_without_a_terrain_there_is_no_ground(folder: Path) -> None:
 
 
 def test_results_in_memory_have_the_page_of_their_files(tmp_path: Path) -> None:
-    """The function of notebooks gives what the command gives of the file, but for the name of the file."""
+    """The function of notebooks gives what the command gives of the file, and the picture of its --plot."""
     found = lunarsci.wheel_forces(sinkage=0.01)
-    file = tmp_path / "forces.json"
+    file, page, plain = tmp_path / "forces.json", tmp_path / "page.html", tmp_path / "plain.html"
     file.write_text(found.to_json())
-    made = lunarsci.report([found, file], tmp_path / "page.html", title="Forces")
-    assert (tmp_path / "page.html").read_bytes().startswith(b"<!DOCTYPE html>") and made.page.title == "Forces"
+    made = lunarsci.report([found, file], page, title="Forces")
+    assert page.read_bytes().startswith(b"<!DOCTYPE html>") and made.page.title == "Forces"
     in_memory, read = ({key: text for key, text in row.items() if key not in ("file", "title")} for row in made.rows())
     assert in_memory == read and read["answer"]
     assert made.rows()[0]["file"] == "regolith-forces (1)"
-    with pytest.raises(DataError, match="cannot be written"):
+    plotted = picture_bytes([found.plot()], Path("forces.png"))
+    lunarsci.report([file], plain)
+    shown = base64.b64encode(plotted).decode()
+    assert page.read_text().count(shown) == 1 and shown not in plain.read_text()
+
+
+def test_a_page_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As -o: a file that exists is left as it is unless it may be replaced, and stays where writing fails."""
+    found, page = lunarsci.wheel_forces(sinkage=0.01), tmp_path / "page.html"
+    page.write_text("mine")
+    with pytest.raises(OutputError, match=r"page\.html: exists already"):
+        lunarsci.report(found, page)
+    with pytest.raises(OutputError, match="there is no folder"):
         lunarsci.report(found, tmp_path / "none" / "page.html")
+    with monkeypatch.context() as broken, pytest.raises(OutputError, match="nothing was written"):
+        broken.setattr("os.fsync", lambda handle: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        lunarsci.report(found, page, force=True)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+    lunarsci.report(found, page, force=True)
+    assert page.read_bytes().startswith(b"<!DOCTYPE html>")
+
+
+def test_a_result_without_pictures_has_a_section_without(tmp_path: Path) -> None:
+    """A result whose picture cannot be drawn still is on the page."""
+    cited = lunarsci.cite(lunarsci.wheel_forces(sinkage=0.01))
+    html = lunarsci.report(cited).html().decode()
+    assert html.count('<section id="s') == 1 and "data:image" not in html
+
+
+def test_the_function_is_one_of_the_others() -> None:
+    """No package of its name stands in its way, and its help names its options."""
+    assert inspect.isfunction(lunarsci.report) and lunarsci.report is report
+    told = inspect.getdoc(lunarsci.report) or ""
+    assert "terrain : `synthetic-longji` or a file" in told and "force : whether" in told
+    assert str(inspect.signature(lunarsci.report)).startswith("(results")

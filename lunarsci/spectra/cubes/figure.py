@@ -1,7 +1,8 @@
 """A quick look at maps: a panel a layer, its scale of colours, kilometres along its edges, and where north is."""
 
+import json
 import textwrap
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,9 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.figure import PAGE_IN, TALLEST_IN, as_label, headline, page
-from lunarsci.spectra.cubes.cube import FLAGS
-from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, Layer, MapFile, is_geographic
-from lunarsci.spectra.cubes.rasters import netcdf, opened
+from lunarsci.spectra.cubes.cube import FLAGS, SYNTHETIC, PixelFrame
+from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, is_geographic
+from lunarsci.spectra.cubes.rasters import frame_of, netcdf, netcdf_frame, opened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,6 +30,7 @@ LONG = 3.0
 """A map that is more times as long as wide, or as wide as long, is drawn so many times; the kilometres say so."""
 NO_VALUE = "#c8c8c8"
 FLAG_COLORS = ("#f5f5f5", "#000000", NO_VALUE, "#E69F00", "#D55E00", "#56B4E9")
+PLACES = ("longitude", "latitude")
 _ERRORS = ("_sigma", "_systematic", "_method", "_low", "_high", "_interpolation")
 
 
@@ -46,18 +48,45 @@ class _Ground:
         return float(np.hypot(*self.sample)), float(np.hypot(*self.line))
 
 
-def map_pages(path: Path, made: MapFile, empty: Collection[str] = ()) -> "Iterator[Figure]":
-    """Pages of a map file: what is looked at first, then every other layer of values that is no error, nor `empty`."""
-    values = [layer for layer in made.layers if not layer.meanings and not layer.standard_name]
-    shown = [one for one in values if not any(part in one.name for part in _ERRORS) and one.name not in empty]
-    ranked = sorted(shown, key=lambda layer: FIRST.index(layer.name) if layer.name in FIRST else len(FIRST))
+def map_pages(path: Path, record: Mapping[str, Any]) -> "Iterator[Figure]":
+    """Pages of a map file: what is looked at first, then every other layer of values that is no error and not empty.
+
+    `record` : the `result` of the JSON of `lunarsci spectra map`, which made it.
+    """
+    values = [row for row in record["layers"] if row["kind"] == "value" and row["name"] not in PLACES]
+    shown = [one for one in values if not any(part in one["name"] for part in _ERRORS) and one["determined"] != 0]
+    ranked = sorted(shown, key=lambda layer: FIRST.index(layer["name"]) if layer["name"] in FIRST else len(FIRST))
     for start in range(0, max(len(ranked), 1), PER_PAGE - 1):
-        yield _page(path, made, ranked[start : start + PER_PAGE - 1])
+        yield _page(path, record, ranked[start : start + PER_PAGE - 1])
 
 
-def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
-    lines, samples = made.region.shape
-    ground = _ground(made)
+def is_map_of(path: Path, record: Mapping[str, Any], provenance: Mapping[str, Any]) -> bool:
+    """Whether a file is the map that a JSON document of `spectra map` tells of, by what both say it was made from.
+
+    Raises DataError for a file that cannot be read.
+    """
+    if SUFFIXES[path.suffix.lower()] == "netcdf":
+        data = netcdf(str(path))
+        told, shape = data.attrs.get("provenance"), data[FLAG_LAYER].shape if FLAG_LAYER in data.variables else ()
+        names = {str(name) for name in data.variables}
+    else:
+        with opened(str(path), "GTiff") as dataset:
+            told, shape, names = dataset.tags().get("provenance"), dataset.shape, set(dataset.descriptions)
+    made = json.loads(told or "{}")
+    same = all(made.get(key) == provenance.get(key) for key in ("version", "inputs", "tables"))
+    asked = provenance.get("options") or {}
+    return (
+        same
+        and all(asked.get(key, value) == value for key, value in made.get("options", {}).items())
+        and tuple(shape) == (record["map"]["lines"], record["map"]["samples"])
+        and {row["name"] for row in record["layers"]} <= names
+    )
+
+
+def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, Any]]) -> "Figure":
+    lines, samples = shape = record["map"]["lines"], record["map"]["samples"]
+    numbers = {layer["name"]: number for number, layer in enumerate(record["layers"], 1)}
+    ground = _ground(path, shape, numbers)
     width, height = ground.size if ground else (1.0, 1.0)
     long = lines * height / (samples * width)
     drawn = float(np.clip(long, 1 / LONG, LONG))
@@ -69,10 +98,10 @@ def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
     figure = page(tall, max(PAGE_IN * min(1.0, TALLEST_IN / tall), 5.2) if columns > 2 else wide * columns + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     extent = (0.0, samples * width, lines * height, 0.0)
-    numbers = {layer.name: number for number, layer in enumerate(made.layers, 1)}
+    thinned = tuple(slice(None, None, max(1, -(-size // MOST_PIXELS))) for size in shape)
     for panel, layer in zip(panels, (None, *layers), strict=False):
-        name = layer.name if layer else FLAG_LAYER
-        _draw(figure, panel, _thinned(path, name, numbers[name], made), layer, extent)
+        name = layer["name"] if layer else FLAG_LAYER
+        _draw(figure, panel, _pixels(path, name, numbers[name], thinned), layer, extent)
         panel.set_aspect(drawn / long)
         panel.set_xlabel("along the lines [km]" if ground else "sample [px]")
     for number, panel in enumerate(panels[: len(layers) + 1]):
@@ -84,31 +113,34 @@ def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
         panel.set_axis_off()
     if ground:
         _point_north(panels[0], ground, drawn / long)
-    headline(figure, _title(made, drawn / long, ground), synthetic=made.cube.synthetic)
+    synthetic = any(SYNTHETIC in text for text in record["cube"]["remarks"])
+    headline(figure, _title(record, drawn / long, ground), synthetic=synthetic)
     return figure
 
 
-def _title(made: MapFile, squeezed: float, ground: _Ground | None) -> str:
-    parts = [f"samples {made.region.samples[0]}-{made.region.samples[1] - 1}"]
-    parts.append(f"lines {made.region.lines[0]}-{made.region.lines[1] - 1}")
-    parts += [f"every {made.region.step}-th"] if made.region.step > 1 else []
+def _title(record: Mapping[str, Any], squeezed: float, ground: _Ground | None) -> str:
+    region, parts = record["map"], []
+    for name in ("sample", "line"):
+        first, step = region[f"first_{name}"], region["every"]
+        parts.append(f"{name}s {first}-{first + step * (region[f'{name}s'] - 1)}")
+    parts += [f"every {region['every']}-th"] if region["every"] > 1 else []
     parts += [] if ground else ["no place on the Moon known"]
     parts += ["not to scale: see the numbers along the edges"] if abs(squeezed - 1) > 1e-6 else []
     parts += ["grey: not determined"]
-    return f"{as_label(Path(made.cube.name).name, 80)}\n{', '.join(parts)}"
+    return f"{as_label(Path(record['cube']['file']).name, 80)}\n{', '.join(parts)}"
 
 
-def _thinned(path: Path, name: str, number: int, made: MapFile) -> FloatArray:
-    """A layer with as many pixels as a panel can show."""
-    lines, samples = made.region.shape
-    steps = tuple(slice(None, None, max(1, -(-size // MOST_PIXELS))) for size in (lines, samples))
+def _pixels(path: Path, name: str, number: int, part: tuple[slice, ...]) -> FloatArray:
+    """Some lines and samples of a layer, as many as a panel can show."""
     if SUFFIXES[path.suffix.lower()] == "netcdf":
-        return np.asarray(netcdf(str(path))[name][steps].values, float)
+        return np.asarray(netcdf(str(path))[name][part].values, float)
     with opened(str(path), "GTiff") as dataset:
-        return np.asarray(dataset.read(number)[steps], float)
+        return np.asarray(dataset.read(number)[part], float)
 
 
-def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, extent: tuple[float, ...]) -> None:
+def _draw(
+    figure: "Figure", panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...]
+) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
@@ -128,8 +160,8 @@ def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, 
     drawn = panel.imshow(image, colors, vmin=low, vmax=high, extent=extent, interpolation="nearest")
     bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")
     bar.ax.locator_params(nbins=4)
-    bar.set_label("[-]" if layer.units == "1" else f"[{layer.units}]")
-    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 22)]), pad=9)
+    bar.set_label("[-]" if layer["units"] == "1" else f"[{layer['units']}]")
+    panel.set_title("\n".join([layer["name"], *textwrap.wrap(as_label(layer["long_name"], 60), 22)]), pad=9)
 
 
 def _worst_flag(image: FloatArray) -> FloatArray:
@@ -140,10 +172,10 @@ def _worst_flag(image: FloatArray) -> FloatArray:
     return codes
 
 
-def _ground(made: MapFile) -> _Ground | None:
+def _ground(path: Path, shape: tuple[int, int], numbers: Mapping[str, int]) -> _Ground | None:
     """How far pixels go; None where nothing says it."""
-    frame = made.frame
-    line, sample = (np.array([size / 2 - 0.5, size / 2 + 0.5]) for size in made.region.shape)
+    frame = _frame(path)
+    line, sample = (np.array([size / 2 - 0.5, size / 2 + 0.5]) for size in shape)
     if frame is not None and frame.crs_wkt and not is_geographic(frame):
         a, b, _, d, e, _ = (value / 1e3 for value in frame.transform)
         return _Ground((a, d), (b, e), "grid north")
@@ -151,23 +183,22 @@ def _ground(made: MapFile) -> _Ground | None:
         a, b, _, d, e, _ = (np.radians(value) * MOON_RADIUS_KM for value in frame.transform)
         level = float(np.cos(np.radians(frame.middles(line, sample)[1].mean())))
         return _Ground((a * level, d), (b * level, e), "north")
-    planes = made.cube.backplanes
-    if "longitude" not in planes or min(made.region.shape) < 2:
+    if not numbers.keys() >= set(PLACES) or min(shape) < 2:
         return None
-    middle = [
-        first + (size // 2 - 1) * made.region.step
-        for first, size in zip((made.region.lines[0], made.region.samples[0]), made.region.shape, strict=True)
-    ]
-    at = [slice(first, first + 2) for first in middle]
-    longitude, latitude = (np.radians(planes[name].read(*at)) for name in ("longitude", "latitude"))
+    middle = tuple(slice(size // 2 - 1, size // 2 + 1) for size in shape)
+    longitude, latitude = (np.radians(_pixels(path, name, numbers[name], middle)) for name in PLACES)
     east = (np.unwrap(longitude, axis=1) - longitude[0, 0]) * np.cos(latitude[0, 0]) * MOON_RADIUS_KM
     north = (latitude - latitude[0, 0]) * MOON_RADIUS_KM
-    step = made.region.step
-    return _Ground(
-        (step * float(east[0, 1]), step * float(north[0, 1])),
-        (step * float(east[1, 0]), step * float(north[1, 0])),
-        "north",
-    )
+    return _Ground((float(east[0, 1]), float(north[0, 1])), (float(east[1, 0]), float(north[1, 0])), "north")
+
+
+def _frame(path: Path) -> PixelFrame | None:
+    """Where the pixels of a map file lie."""
+    if SUFFIXES[path.suffix.lower()] == "netcdf":
+        flags = netcdf(str(path))[FLAG_LAYER]
+        return netcdf_frame(netcdf(str(path)), flags, *map(str, flags.dims))
+    with opened(str(path), "GTiff") as dataset:
+        return frame_of(dataset)
 
 
 def _point_north(panel: Any, ground: _Ground, aspect: float) -> None:

@@ -254,7 +254,7 @@ def _netcdf_layout(path: str, data: Any) -> Layout:
         wavelength=None if wave is None else np.asarray(wave.values, float),
         unit=None if wave is None else length_unit(str(wave.attrs.get("units", ""))),
         **_channel_arrays(data, axis),
-        frame=_netcdf_frame(data, variable, lines, samples),
+        frame=netcdf_frame(data, variable, lines, samples),
         backplanes=_netcdf_locations(data, path, lines, samples),
         inputs={path: sha256_of(path)},
     )
@@ -277,7 +277,7 @@ def _channel_arrays(data: Any, axis: str) -> dict[str, Any]:
     }
 
 
-def _netcdf_frame(data: Any, variable: Any, lines: str, samples: str) -> PixelFrame | None:
+def netcdf_frame(data: Any, variable: Any, lines: str, samples: str) -> PixelFrame | None:
     """From the grid mapping's GeoTransform, else from coordinates in equal steps."""
     named = variable.attrs.get("grid_mapping") or variable.encoding.get("grid_mapping") or "spatial_ref"
     mapping = data[named].attrs if named in data.variables else {}

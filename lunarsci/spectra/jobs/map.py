@@ -168,7 +168,7 @@ class CubeMap(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.cubes.figure import map_pages
 
-        return map_pages(self.path, self.made, [row["name"] for row in self.rows() if row["determined"] == 0])
+        return map_pages(self.path, self.to_dict())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

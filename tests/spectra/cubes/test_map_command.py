@@ -1,5 +1,6 @@
 """`lunarsci spectra map` as it is typed: the page of docs, exit codes, one line for what is wrong."""
 
+import base64
 import json
 import re
 import shlex
@@ -8,6 +9,8 @@ from typing import Any
 
 import pytest
 from lunarsci.cli import main
+
+import lunarsci
 
 from .test_envi_cubes import CUBE, m3
 
@@ -77,3 +80,34 @@ def test_what_is_wrong_is_one_line_and_nothing_is_written(
     assert said in told.err
     assert len(told.err.strip().splitlines()) == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".tif"])
+def test_a_page_has_the_picture_of_a_map_that_is_still_there(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    """From the map file, as --plot draws it; none of a file that is another map, or is none any more."""
+    monkeypatch.chdir(tmp_path)
+    cube, name = m3(tmp_path), f"map{suffix}"
+
+    def mapped(*options: str) -> str:
+        assert main(["spectra", "map", str(cube), "-o", name, "--products", "bands", "--json", *options]) == 0
+        return str(capfd.readouterr().out)
+
+    def pictures(place: Path) -> list[str]:
+        html = lunarsci.report(place / "map.json").html().decode()
+        return re.findall(r"data:image/png;base64,([\w+/=]+)", html)
+
+    (tmp_path / "map.json").write_text(mapped("--plot", "map.png"))
+    plotted = [base64.b64encode((tmp_path / "map.png").read_bytes()).decode()]
+    assert pictures(tmp_path) == plotted
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for file in (name, "map.json"):
+        (tmp_path / file).rename(moved / file)
+    assert pictures(moved) == plotted
+    mapped("--force", "--roi", "0:3,0:4")
+    (moved / name).write_bytes(b"no map")
+    assert pictures(moved) == []
+    (moved / name).unlink()
+    assert pictures(moved) == []

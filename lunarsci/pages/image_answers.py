@@ -1,7 +1,7 @@
 """Sentences for pictures: cameras, heights, stations, ruts and rocks."""
 
-from lunarsci.report.sentences import Result, ResultAnswer, each
-from lunarsci.report.words import counted, measured, number, percent
+from lunarsci.pages.sentences import Result, ResultAnswer, each
+from lunarsci.pages.words import counted, measured, number, percent
 
 
 def _mm(value: float | None, digits: int = 2) -> str:

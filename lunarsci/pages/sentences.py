@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from lunarsci.report.words import counted
+from lunarsci.pages.words import counted
 
 GO, STOP, DOUBT, PLAIN = "go", "no-go", "doubt", "plain"
 MOST = 4

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from lunarsci.report.documents import Document
-from lunarsci.report.quantities import PARTS, SAID, Quantity, quantities
-from lunarsci.report.sentences import MOST
-from lunarsci.report.words import number, percent, words
+from lunarsci.pages.documents import Document
+from lunarsci.pages.quantities import PARTS, SAID, Quantity, quantities
+from lunarsci.pages.sentences import MOST
+from lunarsci.pages.words import number, percent, words
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
 FIRST = ("station", "wheel", "limit", "sense", "p50", "p95", "margin", "ok", "prior", "posterior", "log_bayes_factor")

@@ -9,14 +9,14 @@ from importlib import resources
 from typing import Any
 
 from lunarsci.errors import ParameterError
+from lunarsci.pages import parts
+from lunarsci.pages.answers import answer, as_written
+from lunarsci.pages.charts import Chart, charts
+from lunarsci.pages.documents import Document, GivenPicture
+from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
+from lunarsci.pages.sentences import DOUBT, GO, STOP, ResultAnswer
 from lunarsci.printable import printable
 from lunarsci.provenance import installed_version
-from lunarsci.report import parts
-from lunarsci.report.answers import answer, as_written
-from lunarsci.report.charts import Chart, charts
-from lunarsci.report.documents import Document, GivenPicture
-from lunarsci.report.relief import Ground, GroundView, Line, lines_of, relief
-from lunarsci.report.sentences import DOUBT, GO, STOP, ResultAnswer
 
 MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}
 MIME = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -197,7 +197,7 @@ def _own_files() -> dict[str, Any]:
     from markupsafe import Markup
 
     style, script = (
-        resources.files("lunarsci.report").joinpath(name).read_text("utf-8") for name in ("page.css", "relief.js")
+        resources.files("lunarsci.pages").joinpath(name).read_text("utf-8") for name in ("page.css", "relief.js")
     )
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)]
     return {"style": Markup(style), "script": Markup(script), "style_hash": hashes[0], "script_hash": hashes[1]}
@@ -208,7 +208,7 @@ def _template() -> Any:
         from jinja2 import Environment, StrictUndefined
     except ImportError as error:
         raise ParameterError("a page needs jinja2; pip install 'lunarsci[report]'") from error
-    text = resources.files("lunarsci.report").joinpath("page.html.j2").read_text("utf-8")
+    text = resources.files("lunarsci.pages").joinpath("page.html.j2").read_text("utf-8")
     made = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, finalize=_clean)
     return made.from_string(text)
 

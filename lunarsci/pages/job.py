@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from lunarsci.atomic import check_target, write_files
 from lunarsci.errors import DataError
-from lunarsci.report.documents import Document, GivenPicture, read_results
-from lunarsci.report.page import Page, title_of
-from lunarsci.report.relief import Ground
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.pages.documents import Document, GivenPicture, read_results
+from lunarsci.pages.page import Page, title_of
+from lunarsci.pages.relief import Ground
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 SYNTHETIC = "synthetic-longji"
 
@@ -66,28 +67,41 @@ class ReportedResults(Result):
         return self.page.html(time=time)
 
 
+@job
 def report(
     results: Sequence[str | Path | Result] | str | Path | Result,
     path: str | Path | None = None,
     request: ReportRequest | None = None,
+    *,
+    force: bool = False,
     **options: Any,
 ) -> ReportedResults:
-    """Make a page of results: those of functions, JSON files of commands, folders of their -o, and pictures.
+    """Make a page of results, and write it where a path is given.
 
-    With `path` the page is written there, as by `lunarsci report -o`; a file of that name is replaced. `request`,
-    options: options of `ReportRequest`, a title and a terrain. `rows()` of what it gives are the answers of the
-    page. Raises DataError for what is no result and for a path that cannot be written, ParameterError where there is
-    no result.
+    Parameters
+    ----------
+    results : of functions, JSON files of commands, folders of their -o, beliefs, and pictures (.png, .svg).
+    path : of the page, as -o of `lunarsci report`; without, nothing is written.
+    request, options : what the page shows, and options of `ReportRequest` that replace its own.
+    force : whether a file of that name is replaced.
+
+    Returns
+    -------
+    ReportedResults : its `rows()` are the answers of the page, `html()` the page.
+
+    Raises
+    ------
+    DataError for what is no result; ParameterError where there is none; OutputError for a page that cannot be written.
     """
     wanted = request_of(ReportRequest, request, options)
+    target = None if path is None else Path(path)
+    if target is not None:
+        check_target(target, force=force)
     given = [results] if isinstance(results, str | Path | Result) else list(results)
-    documents, pictures = read_results(given)
+    documents, pictures = read_results(given, drawn=True)
     made = ReportedResults(page=page_of(documents, pictures, wanted))
-    if path is not None:
-        try:
-            Path(path).write_bytes(made.html())
-        except OSError as error:
-            raise DataError(f"{path}: cannot be written: {error.strerror}; give another path") from error
+    if target is not None:
+        write_files({target: made.html()}, force=force)
     return made
 
 

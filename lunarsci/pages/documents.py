@@ -3,15 +3,19 @@
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, read_json, text
 from lunarsci.provenance import sha256
 from lunarsci.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PICTURES = {".png": b"\x89PNG", ".svg": b"<"}
 """Suffixes of pictures that a page takes, and how they begin."""
@@ -77,15 +81,20 @@ class GivenPicture:
     content: bytes
 
 
-def read_results(given: Sequence[str | Path | Result]) -> tuple[list[Document], list[GivenPicture]]:
+def read_results(
+    given: Sequence[str | Path | Result], *, drawn: bool = False
+) -> tuple[list[Document], list[GivenPicture]]:
     """Documents and pictures in the order given; a result of a function is what its file would be.
+
+    `drawn`: the picture of its --plot, the first page of several, belongs to a result of a function, and to that of
+    `spectra map` where the map still lies where it was written, or beside the result.
 
     Raises DataError for what is none of them, ParameterError where no document is given.
     """
     paths = [one for one in given if not isinstance(one, Result)]
     pictures = [_picture(Path(path)) for path in paths if Path(path).suffix.lower() in PICTURES]
     documents = [
-        _in_memory(one, number) if isinstance(one, Result) else _read(one)
+        _in_memory(one, number, drawn) if isinstance(one, Result) else _read(one, drawn)
         for number, one in enumerate(given, 1)
         if isinstance(one, Result) or Path(one).suffix.lower() not in PICTURES
     ]
@@ -94,25 +103,59 @@ def read_results(given: Sequence[str | Path | Result]) -> tuple[list[Document], 
     return documents, pictures
 
 
-def _in_memory(result: Result, number: int) -> Document:
+def _in_memory(result: Result, number: int, drawn: bool) -> Document:
     """A result of a function, named by its kind and its place among those given."""
     made = result.to_json()
     found = json.loads(made)
     schema = found["schema"].removeprefix("lunarsci/")
-    name = f"{schema.rpartition('/')[0]} ({number})"
-    return Document(name, schema, found["result"], found["provenance"], sha256=sha256(made.encode()))
+    kind = schema.rpartition("/")[0]
+    pictures = _picture_of(result, f"{kind}.png") if drawn else {}
+    return Document(
+        f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, sha256(made.encode())
+    )
 
 
-def _read(path: str | Path) -> Document:
+def _picture_of(result: Result, name: str) -> dict[str, bytes]:
+    """What --plot draws of a result; none where it has nothing to draw."""
+    try:
+        return _first_page(result.figures(), name)
+    except ParameterError:
+        return {}
+
+
+def _first_page(figures: "Iterator[Figure]", name: str) -> dict[str, bytes]:
+    """The first of some figures by a name; none where it is more than a page takes. Raises ParameterError."""
+    from lunarsci.figure import picture_bytes, styled
+
+    with styled():
+        content = picture_bytes(islice(figures, 1), Path(name))
+    return {name: content} if len(content) <= LARGEST_PICTURE else {}
+
+
+def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
+    """What --plot draws of a map, from its file; none where the file is gone, or is not the one that was written."""
+    from lunarsci.spectra.cubes.figure import is_map_of, map_pages
+
+    try:
+        named = Path(result["map"]["file"])
+        for file in dict.fromkeys((named, folder / named.name)):
+            if file.is_file() and is_map_of(file, result, record):
+                return _first_page(map_pages(file, result), f"{file.stem}.png")
+    except (DataError, ParameterError, LookupError, TypeError, ValueError, AttributeError):
+        return {}
+    return {}
+
+
+def _read(path: str | Path, drawn: bool) -> Document:
     folder = Path(path)
     if not folder.is_dir():
-        return _document(str(path), path, None)
+        return _document(str(path), path, None, drawn)
     if not (folder / "result.json").is_file():
         raise DataError(f"{folder}: a folder without result.json; {REMEDY}")
-    return _document(str(path), folder / "result.json", folder)
+    return _document(str(path), folder / "result.json", folder, drawn)
 
 
-def _document(name: str, path: str | Path, folder: Path | None) -> Document:
+def _document(name: str, path: str | Path, folder: Path | None, drawn: bool) -> Document:
     if Path(path).suffix.lower() in DESCRIPTIONS:
         raise DataError(f"{path}: an input or a table, no result; {REMEDY}")
     file = read_input(path)
@@ -127,6 +170,8 @@ def _document(name: str, path: str | Path, folder: Path | None) -> Document:
     if not isinstance(schema, str) or not schema.startswith("lunarsci/") or not isinstance(record, dict):
         raise DataError(f"{file.name}: its key `schema` does not name a lunarsci result; {REMEDY}")
     pictures = {} if folder is None else _pictures_in(folder)
+    if drawn and schema.startswith("lunarsci/spectra-map/"):
+        pictures |= _map_picture(found["result"], record, Path(path).parent)
     return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, file.sha256)
 
 

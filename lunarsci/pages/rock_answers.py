@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsci.report.sentences import Result, ResultAnswer, each, sentence
-from lunarsci.report.words import counted, measured, number, percent
+from lunarsci.pages.sentences import Result, ResultAnswer, each, sentence
+from lunarsci.pages.words import counted, measured, number, percent
 from lunarsci.result import FINE
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import COLORS, INK, as_label, legend_below, page, picture_bytes, styled
-from lunarsci.report.documents import Document
+from lunarsci.pages.documents import Document
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

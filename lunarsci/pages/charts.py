@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, legend_below, page, picture_bytes, styled
-from lunarsci.report.documents import Document
-from lunarsci.report.drive_answers import interval_of
-from lunarsci.report.words import NAMES, number, words
+from lunarsci.pages.documents import Document
+from lunarsci.pages.drive_answers import interval_of
+from lunarsci.pages.words import NAMES, number, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

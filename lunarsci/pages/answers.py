@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from lunarsci.errors import DataError
-from lunarsci.report import drive_answers, image_answers, rock_answers
-from lunarsci.report.documents import Document
-from lunarsci.report.sentences import DOUBT, GO, STOP, Result, ResultAnswer, trust
-from lunarsci.report.words import counted, measured, number, quantity, unit
+from lunarsci.pages import drive_answers, image_answers, rock_answers
+from lunarsci.pages.documents import Document
+from lunarsci.pages.sentences import DOUBT, GO, STOP, Result, ResultAnswer, trust
+from lunarsci.pages.words import counted, measured, number, quantity, unit
 
 
 def answer(document: Document) -> ResultAnswer:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from lunarsci.report.words import measured, number, unit, words
+from lunarsci.pages.words import measured, number, unit, words
 from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 from lunarsci.spectra.mgm import PERCENT_OF

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsci.report.sentences import GO, MOST, PLAIN, STOP, Result, ResultAnswer
-from lunarsci.report.words import counted, number, percent, quantity, unit, words
+from lunarsci.pages.sentences import GO, MOST, PLAIN, STOP, Result, ResultAnswer
+from lunarsci.pages.words import counted, number, percent, quantity, unit, words
 from lunarsci.result import UNMOVED
 
 
