@@ -13,13 +13,10 @@ UNNOTICED = {
     "spectrum": {
         "descending",
         "decimal commas",
-        "Angstrom under nm",
-        "wavenumbers under nm",
         "a wavelength of another decade at the end",
         "absorbance, not named so",
         "continuum removed",
         "reflectance a row late",
-        "a third missing in the middle",
         "ten values x 1.5",
     },
     "terrain": {
