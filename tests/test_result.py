@@ -142,12 +142,12 @@ def test_a_warning_points_once_at_the_line_of_the_user_and_is_kept() -> None:
     state = pd.DataFrame({"sinkage_m": [0.008], "slip_ratio": 0.05, "normal_force_n": 32.03, "drawbar_pull_n": -1.3})
     for _ in range(2):
         with pytest.warns(LunarSciWarning, match="for reproducing published numbers only") as caught:
-            found = lunarsci.identify(state, reading="slip-branch")
+            found = lunarsci.identify(state, rover="yutu2", reading="slip-branch")
         assert [warning.filename for warning in caught] == [__file__]
         assert json.loads(found.to_json())["provenance"]["warnings"] == [str(caught[0].message)]
     with pytest.raises(LunarSciWarning), warnings.catch_warnings():
         warnings.simplefilter("error")
-        lunarsci.identify(state, reading="slip-branch")
+        lunarsci.identify(state, rover="yutu2", reading="slip-branch")
 
 
 def test_a_result_prints_as_its_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,7 +53,7 @@ def known_wheels() -> tuple[str, ...]:
 
 
 def called(rover: str, name: str) -> str:
-    """A rover or wheel for people: the name in its file, and the file; of those that come with lunarsci how to ask for it.
+    """A rover or wheel for people: the name in its file, and the file; how to ask for those of lunarsci.
 
     >>> called("wheel.toml", "HIT rig"), called("yutu2", "Yutu-2 (Chang'E-4)"), called("wheel.toml", "")
     ('HIT rig (wheel.toml)', 'yutu2', 'wheel.toml')
