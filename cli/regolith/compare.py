@@ -42,8 +42,9 @@ def add_to(app: typer.Typer) -> None:
 def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
 
-    Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root mean
-    square of the logarithm: 0.1 is about 10 %. The picture also shows the curves of a result, and lateral shear.
+    Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root
+    mean square of the logarithm: 0.1 is about 10 %. Parameters that a result does not determine are named, and
+    distances have 68 %. The picture also shows the curves of a result, and lateral shear.
     """
     found = compare_soils(result, request)
     return Report.of(found, tables=result_tables(found))

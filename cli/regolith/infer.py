@@ -81,10 +81,10 @@ def add_to(app: typer.Typer) -> None:
 
 
 def infer(states: States, request: InferRequest, output: Output, posterior: Posterior = None) -> Report:
-    """All soil parameters from all wheel states at once, as a posterior, beside what each state gives by itself.
+    """All soil parameters from all wheel states at once, as a posterior; below it what each state gives by itself.
 
-    What the options assume of a parameter is for single states alone. Exit code 3 where no soil of the law explains the
-    states. Choices of the law that only the integrals know, such as --shear, need no --exact.
+    What the options assume of a parameter is for these single states alone. Exit code 3 where no soil of the law
+    explains the states. Choices of the law that only the integrals know, such as --shear, need no --exact.
     """
     output.check_extra("--posterior", posterior, (".csv", ".json"))
     with progress("the posterior", quiet=output.quiet) as update:
