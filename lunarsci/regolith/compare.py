@@ -27,7 +27,7 @@ LARGEST_WIDTH_M = 2.0
 """Of a wheel, to tell metres from centimetres; assumed."""
 ASPECTS = ("bearing", "shear", "lateral")
 DRAWS, SEED, RANGE = 1000, 0, (0.15865, 0.84135)
-"""Soils that the range of a distance comes from, the seed of their random numbers, and the ends of the range."""
+"""Soils that the range of a distance comes from, the seed of their random numbers, and its ends, 68 %; assumed."""
 FEW = 0.5
 """Share of the soils that may be the most alike, above which their order is said to say little; assumed."""
 SYMBOLS = {"stiffness_kpa_m_n": "K_s", "sinkage_exponent": "N", "cohesion_pa": "c", "friction_angle_deg": "φ"}

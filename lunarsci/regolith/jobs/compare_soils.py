@@ -81,7 +81,10 @@ class ComparedSoils(Result):
             "rover": self.rover,
             "name": self.called,
             "width_m": self.width_m,
-            "undetermined": self.undetermined,
+            "undetermined": {
+                aspect: [{"parameter": name, "left_of_prior": share} for name, share in own.items()]
+                for aspect, own in self.undetermined.items()
+            },
             "remarks": list(self.remarks),
             "soils": self.rows(),
         }
