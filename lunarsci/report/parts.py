@@ -39,9 +39,10 @@ class PageTable:
 
 @dataclass(frozen=True, slots=True)
 class PagePart:
-    """Tables under a heading of their own."""
+    """Tables under a heading of their own, and what they should be read with."""
 
     title: str
+    remarks: Sequence[str]
     tables: Sequence[PageTable]
 
 
@@ -58,12 +59,11 @@ def apart(document: Document) -> tuple[Document, PagePart | None]:
     taken = {k: v["value"] for k, v in values.items() if isinstance(v, Mapping) and v.get("assumed") and v.get("value")}
     if modulus := (document.provenance.get("options") or {}).get("shear_modulus"):
         taken["shear_modulus_mm"] = modulus
-    found = [
-        replace(one, title=AGREEMENT if one.title == "agreement" else one.title)
-        for one in tables(replace(document, result=alone))
-    ]
+    single = replace(document, result=alone, provenance={})
+    remarks = [*unknown(single), *(f"assumed: {line}" for line in assumed(single))]
+    found = [replace(one, title=AGREEMENT if one.title == "agreement" else one.title) for one in tables(single)]
     main = {key: item for key, item in result.items() if key not in SINGLE_STATES}
-    return replace(document, result=main), PagePart(alone_title(taken), found)
+    return replace(document, result=main), PagePart(alone_title(taken), remarks, found)
 
 
 def tables(document: Document) -> list[PageTable]:
