@@ -42,8 +42,9 @@ def add_to(app: typer.Typer) -> None:
 def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
 
-    Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root mean
-    square of the logarithm: 0.1 is about 10 %. The picture also shows the curves of a result, and lateral shear.
+    Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root
+    mean square of the logarithm: 0.1 is about 10 %. Parameters that a result does not determine are named, and
+    distances have 68 %. The picture also shows the curves of a result, and lateral shear.
     """
     found = compare_soils(result, request)
     return Report.of(found, tables=result_tables(found))
@@ -51,22 +52,37 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
 
 def result_tables(result: "ComparedSoils") -> list[TextTable]:
     """The nearest soils in both aspects."""
-    from lunarsci.regolith.compare import nearest
+    from lunarsci.regolith.compare import WORDS, nearest
+    from lunarsci.rovers import called
 
     found, tables = result.soils, []
     for aspect, title in (("bearing", "Alike in bearing"), ("strength", "Alike in shear strength")):
         ordered = nearest(found, aspect)
         rows = [
-            [item.soil.name, item.soil.kind, f"{getattr(item, aspect):.2f}", *_own(item, aspect)]
+            [item.soil.name, item.soil.kind, f"{getattr(item, aspect):.2f}", *_range(item, aspect), *_own(item, aspect)]
             for item in ordered[:SHOWN]
         ]
+        ranged = ["68 %"] if any(_range(item, aspect) for item in ordered) else []
         own = ["N", "k_c", "k_φ"] if aspect == "bearing" else ["c [Pa]", "φ [deg]"]
-        wheel = f"wheel of {result.rover}, {1e3 * result.width_m:.0f} mm wide; " if aspect == "bearing" else ""
+        wheel = (
+            f"wheel of {called(result.rover, result.called)}, {1e3 * result.width_m:.0f} mm wide; "
+            if aspect == "bearing"
+            else ""
+        )
         notes = [
             f"{wheel}of {len(ordered)} soils; distance: root mean square of the logarithm of the ratio of predictions"
         ]
-        tables += [TextTable(["soil", "kind", "distance", *own], rows, title=title, notes=notes)] if rows else []
+        notes += ["68 %: of the distance, over what the result leaves open of the site"] if ranged else []
+        notes += [text for text in result.remarks if text.startswith(f"{WORDS[aspect]}:")]
+        tables += (
+            [TextTable(["soil", "kind", "distance", *ranged, *own], rows, title=title, notes=notes)] if rows else []
+        )
     return tables
+
+
+def _range(item: "SoilComparison", aspect: str) -> list[str]:
+    ends = item.bearing_range if aspect == "bearing" else item.strength_range
+    return [f"{ends[0]:.2f} to {ends[1]:.2f}"] if ends else []
 
 
 def _own(item: "SoilComparison", aspect: str) -> list[str]:

@@ -40,6 +40,7 @@ QUANTITIES = {
     "drawbar_pull_n": "drawbar pull",
     "lateral_force_n": "lateral force",
 }
+NOTE = "errors are those of one state, as states scatter; how well all fix one soil: `lunarsci regolith infer`"
 MANY_STATES, LEAST_SHARE = 30, 0.005
 States = Annotated[
     str,
@@ -91,8 +92,29 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
 
 def result_tables(found: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
-    shares = [] if found.shares is None else [_sensitivity_table(found.shares)]
-    return [*_observation_tables(found.found), _site_table(found), *shares]
+    return [
+        *_observation_tables(found.found, "Each state"),
+        _site_table(found, _site_title(found), NOTE),
+        *_shares(found),
+    ]
+
+
+def single_tables(found: IdentifiedSoil, title: str) -> list[TextTable]:
+    """The same below the answer of all states together; `title` says what they assume."""
+    against = "; ".join(item.text for item in found.agreements if not item.agree)
+    test = f"solved so, the states differ by more than their errors ({against})" if against else ""
+    notes = [f"{test}: this tests what single states assume, not the soil above"] if test else []
+    states = _observation_tables(found.found, title)
+    middle = f"The middle of these states, {found.found.draws} draws each" if states else title
+    return [
+        *states,
+        _site_table(found, middle, "errors are those of one state, as states scatter", *notes),
+        *_shares(found),
+    ]
+
+
+def _shares(found: IdentifiedSoil) -> list[TextTable]:
+    return [] if found.shares is None else [_sensitivity_table(found.shares)]
 
 
 def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:
@@ -109,7 +131,7 @@ def _share(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
-def _observation_tables(found: "Identification") -> list[TextTable]:
+def _observation_tables(found: "Identification", title: str) -> list[TextTable]:
     from lunarsci.regolith.identify import UNITS, Estimate
 
     if len(found.observations) > MANY_STATES:
@@ -117,10 +139,10 @@ def _observation_tables(found: "Identification") -> list[TextTable]:
     names = [name for name, value in found.observations[0].items() if isinstance(value, Estimate)]
     headers = ["state", *(f"{SYMBOLS[name]} [{UNITS[name]}]" for name in names)]
     rows = [[row["id"], *(_text(row[name], name) for name in names)] for row in found.observations]
-    return [TextTable(headers, rows, title="Each state")]
+    return [TextTable(headers, rows, title=title)]
 
 
-def _site_table(result: IdentifiedSoil) -> TextTable:
+def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
     found = result.found
     several = len(found.corners) > 1
     names = [name for name in LABELS if not (several and name == "lateral_modulus_mm")]
@@ -128,14 +150,19 @@ def _site_table(result: IdentifiedSoil) -> TextTable:
     for corner in found.corners if several else ():
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
-    count = len(found.observations)
-    default = " (the default)" if result.asked and result.asked.options["rover"] is None else ""
-    title = (
-        f"The site from {count} state{'s' if count > 1 else ''} with the wheel of {result.rover}{default}, "
-        f"{found.draws} draws each, sign convention '{found.reading}'"
-    )
-    notes = ["errors are those of one state, as states scatter; how well all fix one soil: `lunarsci regolith infer`"]
     return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title, notes=notes)
+
+
+def wheel_text(result: IdentifiedSoil) -> str:
+    """How many states, and with which wheel: its name, and the file where it is another."""
+    count = len(result.found.observations)
+    default = " (the default)" if result.asked and result.asked.options["rover"] is None else ""
+    return f"{count} state{'s' if count > 1 else ''} with the wheel of {result.wheel_of}{default}"
+
+
+def _site_title(result: IdentifiedSoil) -> str:
+    found = result.found
+    return f"The site from {wheel_text(result)}, {found.draws} draws each, sign convention '{found.reading}'"
 
 
 def _site_row(label: str, estimate: "Estimate", name: str) -> list[str]:

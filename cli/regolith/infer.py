@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lunarsci.regolith.jobs.identify import alone_title
 from lunarsci.regolith.jobs.infer import InferredSoil, InferRequest
 from lunarsci.regolith.jobs.infer import infer as infer_soil
 
@@ -15,8 +16,7 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
-from .identify import States
-from .identify import result_tables as tables
+from .identify import States, single_tables, wheel_text
 
 if TYPE_CHECKING:
     from lunarsci.regolith.inference.posterior import SoilPosterior
@@ -81,10 +81,10 @@ def add_to(app: typer.Typer) -> None:
 
 
 def infer(states: States, request: InferRequest, output: Output, posterior: Posterior = None) -> Report:
-    """All soil parameters from all wheel states at once, as a posterior, beside what each state gives by itself.
+    """All soil parameters from all wheel states at once, as a posterior; below it what each state gives by itself.
 
-    What the options assume of a parameter is for single states alone. Exit code 3 where no soil of the law explains the
-    states. Choices of the law that only the integrals know, such as --shear, need no --exact.
+    What the options assume of a parameter is for these single states alone. Exit code 3 where no soil of the law
+    explains the states. Choices of the law that only the integrals know, such as --shear, need no --exact.
     """
     output.check_extra("--posterior", posterior, (".csv", ".json"))
     with progress("the posterior", quiet=output.quiet) as update:
@@ -94,8 +94,8 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
 
 
 def result_tables(found: InferredSoil) -> list[TextTable]:
-    """Each state and the site, then all states together."""
-    return [*tables(found), *_joint_tables(found)]
+    """All states together, then what each gives by itself."""
+    return [*_joint_tables(found), *single_tables(found, alone_title(found.held))]
 
 
 def _joint_tables(soil: InferredSoil) -> list[TextTable]:
@@ -112,8 +112,9 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
     notes = [*_fit(found), *_combinations(found)]
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
+    title = f"The soil of all {wheel_text(soil)}, intervals {HOW[found.how]}"
     headers = ["parameter", "median", "68 %", "95 %", "unit", "width left of the prior's"]
-    table = TextTable(headers, rows, title=f"All states together, intervals {HOW[found.how]}", notes=notes)
+    table = TextTable(headers, rows, title=title, notes=notes)
     return [table, *_laws(soil), *_predicted(soil)]
 
 

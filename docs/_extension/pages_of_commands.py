@@ -240,7 +240,7 @@ def _meaning(key: str, known: dict[str, tuple[str, str]], area: str) -> tuple[st
         return known[name]
     for ending, text in ENDINGS.items():
         for bare in (name.removesuffix(ending), name.replace(ending + "_", "_", 1)):
-            if bare != name and (found := known.get(bare) or said.get(bare)):
+            if bare != name and (found := known.get(bare) or said.get(bare) or written(area).get(bare)):
                 return found[0], f"{text}: {found[1]}"
     above = next((one for one in reversed(parts[:-1]) if one in known or unit_of(one)), "")
     name = name if name in PARTS else re.sub(r"^(p5|p05|p50|p95)_\w+$", r"\1", name)

@@ -214,14 +214,14 @@ def reference_of(text: str) -> Reference:
     )
 
 
-def cite(results: Sequence[str | Path | Result] | str | Path | Result) -> CitedSources:
-    """What to cite for results: those of functions, JSON files of commands, or folders of their -o.
+def cite(*results: Sequence[str | Path | Result] | str | Path | Result) -> CitedSources:
+    """What to cite for results: those of functions, JSON files of commands, or folders of their -o; lists of them, too.
 
     The sources that a result names, and the works that its tables rest on, such as laboratory spectra, catalogues of
     craters and priors. Sources that differ only in what follows the DOI are one. Raises DataError for what is no
     result.
     """
-    given = [results] if isinstance(results, str | Path | Result) else list(results)
+    given = [one for own in results for one in ([own] if isinstance(own, str | Path | Result) else own)]
     documents = read_results(given)[0] if given else []
     records = [document.provenance for document in documents]
     texts = [text for record in records for text in record.get("sources") or ()]

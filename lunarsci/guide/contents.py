@@ -11,6 +11,7 @@ from lunarsci.inputs import InputFile, InputStream, read_json, text
 
 LARGEST_WHEEL = "lrv"
 """Whose radius no sinkage passes, where the rover is not known."""
+WHEEL_ALONE = "a wheel alone"
 MOST = 6
 """Names that are listed."""
 LIKE = {
@@ -82,16 +83,19 @@ def _mission(file: InputFile) -> Mapping[str, Any]:
 
 
 def _rover(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.regolith.wheel import left_to_defaults, read_wheel
     from lunarsci.rovers import read_rover
     from lunarsci.twin.rover import build_rover
 
     description = read_rover(file.name)
     wheel = read_wheel(description)
     told = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
-    told |= {"assumed numbers": len(description.assumed)}
+    left = left_to_defaults(description)
+    told |= {"assumed numbers": len(description.assumed) + len(left)}
+    if left:
+        told["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
     if "suspension" not in description.tables:
-        return told | {"parts": "a wheel alone"}
+        return told | {"parts": WHEEL_ALONE}
     rover = build_rover(description)
     told |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
     return told | _as_yutu2(description.tables)

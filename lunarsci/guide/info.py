@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
-from lunarsci.guide.contents import CONTENTS
+from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -32,6 +32,7 @@ class KindOfFile:
 
 SPECTRUM = ("spectra bands", "spectra indices", "spectra fit", "spectra unmix", "spectra library import")
 GROUND = ("twin terrain", "twin plan", "twin predict --terrain")
+WHEEL = ("regolith infer --rover", "regolith identify --rover", "regolith forces --rover", "regolith compare --rover")
 KINDS: Mapping[str, KindOfFile] = {
     "spectra": KindOfFile("reflectance spectra", SPECTRUM),
     "library": KindOfFile("library of end members", ("spectra library list", "spectra unmix --library", *SPECTRUM)),
@@ -41,7 +42,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "craters": KindOfFile("catalogue of craters", ("spectra match --craters", "spectra map --craters")),
     "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),
     "mission": KindOfFile("mission of several targets", ("twin plan --mission",)),
-    "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", "regolith forces --rover")),
+    "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", *WHEEL)),
     "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
     "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
     "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
@@ -149,7 +150,8 @@ class FileInfo(Result):
 
     @property
     def commands(self) -> list[str]:
-        return [f"lunarsci {one}" for one in (*self.further, *KINDS[self.kind].commands)]
+        own = WHEEL if self.contents.get("parts") == WHEEL_ALONE else KINDS[self.kind].commands
+        return [f"lunarsci {one}" for one in (*self.further, *own)]
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -252,9 +252,11 @@ def _soil_curves(document: Document) -> Drawn:
         )
         axes.plot(at, [point[y] for point in known], color="#0072B2")
         axes.set(xlabel=_label(x), ylabel=_label(y))
+    alone = "joint" in document.result
     return (
-        "What these states allow",
-        "Pairs of parameters that explain the wheel states, with bands of 95 %: one of each pair must be known.",
+        "What each state allows by itself" if alone else "What these states allow",
+        f"{'Of each state by itself: p' if alone else 'P'}airs of parameters that explain the wheel states, "
+        "with bands of 95 %: one of each pair must be known.",
         figure,
     )
 
@@ -388,7 +390,7 @@ CHARTS: dict[str, tuple[Callable[[Document], Any], ...]] = {
     "spectra-simulate": (),
     "spectra-fit": (_absorptions, _shares),
     "spectra-match": (_craters,),
-    "regolith-identify": (_soil_curves, _left_of_prior),
+    "regolith-identify": (_left_of_prior, _soil_curves),
     "twin-predict": (_limits,),
     "twin-states": (_wheel_states,),
     "twin-forces": (_wheel_loads,),

@@ -86,6 +86,7 @@ class Section:
     unknown: Sequence[str]
     provenance: parts.PageTable
     made_up: bool
+    alone: parts.PagePart | None
 
     @property
     def trust(self) -> str:
@@ -159,9 +160,10 @@ class Page:
         with as_written(document):
             drawn = [_drawn(chart) for chart in charts(document)]
             drawn += [_shown(name, content) for name, content in document.pictures.items()]
+            main, alone = parts.apart(document)
             return Section(
-                printable(self.section_title(document)), said, drawn, parts.tables(document), parts.budget(document),
-                parts.assumed(document), parts.unknown(document), parts.provenance(document), _made_up(document.result),
+                printable(self.section_title(document)), said, drawn, parts.tables(main), parts.budget(main),
+                parts.assumed(main), parts.unknown(main), parts.provenance(document), _made_up(document.result), alone,
             )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """What every section of a page has: tables, the error budget, what was assumed, what is not known, what to cite."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -9,6 +9,7 @@ from lunarsci.pages.documents import Document
 from lunarsci.pages.quantities import PARTS, SAID, Quantity, quantities
 from lunarsci.pages.sentences import MOST
 from lunarsci.pages.words import number, percent, words
+from lunarsci.regolith.jobs.identify import alone_title
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
 FIRST = ("station", "wheel", "limit", "sense", "p50", "p95", "margin", "ok", "prior", "posterior", "log_bayes_factor")
@@ -17,6 +18,9 @@ STANDARD_ERROR = PARTS["sigma"]
 OF_ONE = ("caveat", "reason")
 NOTED = {"band1000_note": "1 µm band", "band2000_note": "2 µm band"}
 SILENT = ("ok", "converged", "", "nothing")
+SINGLE_STATES = ("agreement", "bearing", "draws", "lateral", "observations", "reading", "sensitivity", "shear")
+"""Keys of `regolith infer` that are of each state by itself; what these assume, its answer does not."""
+AGREEMENT = "whether states solved so agree: a test of what is assumed here, not of the answer"
 MOST_ASSUMED = 6
 """Values of a rover that are listed one by one."""
 MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 40, 40, 12, 5
@@ -31,6 +35,35 @@ class PageTable:
     headers: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PagePart:
+    """Tables under a heading of their own, and what they should be read with."""
+
+    title: str
+    remarks: Sequence[str]
+    tables: Sequence[PageTable]
+
+
+def apart(document: Document) -> tuple[Document, PagePart | None]:
+    """A soil of all states together without the numbers of single states, and these with what they assume.
+
+    Any other result as it is.
+    """
+    result = document.result
+    if not isinstance(result.get("joint"), Mapping):
+        return document, None
+    alone = {key: item for key, item in result.items() if key in SINGLE_STATES}
+    values = {key: item for name in ("bearing", "shear", "lateral") for key, item in (alone.get(name) or {}).items()}
+    taken = {k: v["value"] for k, v in values.items() if isinstance(v, Mapping) and v.get("assumed") and v.get("value")}
+    if modulus := (document.provenance.get("options") or {}).get("shear_modulus"):
+        taken["shear_modulus_mm"] = modulus
+    single = replace(document, result=alone, provenance={})
+    remarks = [*unknown(single), *(f"assumed: {line}" for line in assumed(single))]
+    found = [replace(one, title=AGREEMENT if one.title == "agreement" else one.title) for one in tables(single)]
+    main = {key: item for key, item in result.items() if key not in SINGLE_STATES}
+    return replace(document, result=main), PagePart(alone_title(taken), remarks, found)
 
 
 def tables(document: Document) -> list[PageTable]:

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
 from lunarsci.tables import table_hashes, table_rows
 
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
@@ -24,6 +26,14 @@ STRESSES_PA = np.linspace(2e3, 10e3, 17)
 LARGEST_WIDTH_M = 2.0
 """Of a wheel, to tell metres from centimetres; assumed."""
 ASPECTS = ("bearing", "shear", "lateral")
+DRAWS, SEED, RANGE = 1000, 0, (0.15865, 0.84135)
+"""Soils that the range of a distance comes from, the seed of their random numbers, and its ends, 68 %; assumed."""
+FEW = 0.5
+"""Share of the soils that may be the most alike, above which their order is said to say little; assumed."""
+SYMBOLS = {"stiffness_kpa_m_n": "K_s", "sinkage_exponent": "N", "cohesion_pa": "c", "friction_angle_deg": "φ"}
+WORDS = {"bearing": "bearing", "strength": "shear strength"}
+PAIRS = {"bearing": tuple(SYMBOLS)[:2], "strength": tuple(SYMBOLS)[2:]}
+"""Parameters of each aspect that is compared."""
 SITE_NAMES = {
     "stiffness_kpa_m_n": ("stiffness_kpa_m_n", "stiffness_kpa_m_n"),
     "sinkage_exponent": ("exponent", "sinkage_exponent"),
@@ -106,11 +116,15 @@ class SoilComparison:
     soil : the reference.
     bearing, strength : root mean square of the logarithm of the ratio of predictions, 0 for the same; of strength to
         the nearest within the reference's range. None where either side is not known. [-]
+    bearing_range, strength_range : 68 % of these over what the result leaves open of the site; None where it is one
+        soil, or where either side is not known. [-]
     """
 
     soil: ReferenceSoil
     bearing: float | None
     strength: float | None
+    bearing_range: tuple[float, float] | None = None
+    strength_range: tuple[float, float] | None = None
 
     def to_dict(self, width_m: float) -> dict[str, Any]:
         """Plain values; the stiffness is that for a wheel of this width."""
@@ -119,7 +133,11 @@ class SoilComparison:
             "name": soil.name,
             "kind": soil.kind,
             "bearing_distance": self.bearing,
+            "bearing_distance_low": self.bearing_range and self.bearing_range[0],
+            "bearing_distance_high": self.bearing_range and self.bearing_range[1],
             "strength_distance": self.strength,
+            "strength_distance_low": self.strength_range and self.strength_range[0],
+            "strength_distance_high": self.strength_range and self.strength_range[1],
             "stiffness_kpa_m_n": soil.stiffness(width_m),
             "sinkage_exponent": soil.sinkage_exponent,
             "cohesion_low_pa": soil.cohesion_pa[0],
@@ -128,6 +146,39 @@ class SoilComparison:
             "friction_angle_high_deg": soil.friction_angle_deg[1],
             "source": soil.source,
         }
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSite:
+    """What a result leaves open of a site.
+
+    Attributes
+    ----------
+    belief : of the soil, that of all states together or of drives.
+    left : share of the prior's width that is left of each parameter. [-]
+    """
+
+    belief: SoilBelief
+    left: Mapping[str, float]
+
+    def undetermined(self) -> dict[str, dict[str, float]]:
+        """By aspect, parameters that are hardly better known than before, with what is left of the prior's width."""
+        return {
+            aspect: {name: self.left[name] for name in names if not self.left[name] < DETERMINED}
+            for aspect, names in PAIRS.items()
+        }
+
+
+def open_site(result: Mapping[str, Any]) -> OpenSite:
+    """What the `result` of `regolith infer` leaves open, as a normal law about its medians. Raises as `site_of`."""
+    joint = result["joint"]
+    records, size = joint["parameters"], len(PARAMETERS)
+    laws = {name: Law(**records[name]["prior"]) for name in PARAMETERS}
+    left = {name: 1 - float(records[name]["shrinkage"]) for name in PARAMETERS}
+    sd = np.array([left[name] * laws[name].width for name in PARAMETERS])
+    mean = np.array([float(law.transformed(np.array(records[name]["median"]))) for name, law in laws.items()])
+    correlation = np.array(joint["correlation"])[:size, :size]
+    return OpenSite(SoilBelief(laws, mean, correlation * np.outer(sd, sd)), left)
 
 
 def site_of(result: Mapping[str, Any]) -> tuple[Site, dict[str, Any]]:
@@ -162,6 +213,27 @@ def nearest(found: Sequence[SoilComparison], aspect: str) -> list[SoilComparison
     return [item for _, _, item in sorted((row for row in known if row[0] is not None), key=lambda row: row[:2])]
 
 
+def remarks(left_open: OpenSite, found: Sequence[SoilComparison]) -> list[str]:
+    """What is not determined, how many soils may be the most alike then, and that slip is left out."""
+    told = []
+    for aspect, names in left_open.undetermined().items():
+        ordered = nearest(found, aspect)
+        ends = [span for item in ordered if (span := getattr(item, f"{aspect}_range"))]
+        if not names or not ends:
+            continue
+        alike = sum(low <= ends[0][1] for low, _ in ends)
+        little = ", so the order says little" if alike > FEW * len(ends) else ""
+        left = " and ".join(
+            f"{SYMBOLS[name]} ({100 * share:.0f} % of the prior's width left)" for name, share in names.items()
+        )
+        told.append(
+            f"{WORDS[aspect]}: not determined: {left}; by the 68 % of the distances {alike} of {len(ends)} soils may "
+            f"be the most alike{little}"
+        )
+    rise = left_open.belief.intervals()["sinkage_exponent_slip"][0]
+    return [*told, f"bearing: N is that of a wheel without slip; its rise with slip, n1 = {rise:.2g}, is left out"]
+
+
 @cache
 def reference_soils() -> tuple[ReferenceSoil, ...]:
     """The table that comes with lunarsci."""
@@ -194,7 +266,9 @@ def _soil(row: Mapping[str, str]) -> ReferenceSoil:
     )
 
 
-def compare_site(site: Site, width_m: float, soils: Sequence[ReferenceSoil] | None = None) -> list[SoilComparison]:
+def compare_site(
+    site: Site, width_m: float, soils: Sequence[ReferenceSoil] | None = None, left_open: OpenSite | None = None
+) -> list[SoilComparison]:
     """Reference soils and their distances from the site; `nearest` puts them in order.
 
     Parameters
@@ -202,33 +276,48 @@ def compare_site(site: Site, width_m: float, soils: Sequence[ReferenceSoil] | No
     site : what is known of the ground.
     width_m : of the wheel, on which stiffness depends, above 0 to 2. [m]
     soils : instead of `reference_soils()`.
+    left_open : what is left open of the site, for the range of each distance.
 
     Raises ParameterError for a width out of range.
     """
     if not 0 < width_m <= LARGEST_WIDTH_M:
         raise ParameterError(f"width is {width_m:g} m; give a number above 0, up to {LARGEST_WIDTH_M:g}")
-    known = soils or reference_soils()
-    return [SoilComparison(soil, _bearing(site, soil, width_m), _strength(site, soil)) for soil in known]
+    one = {name: np.array([np.nan if (value := getattr(site, name)) is None else value]) for name in SYMBOLS}
+    drawn = {} if left_open is None else left_open.belief.draws(DRAWS, SEED)
+    found = []
+    for soil in soils or reference_soils():
+        bearing, strength = _single(_bearing(one, soil, width_m)), _single(_strength(one, soil))
+        bearings = _range(_bearing(drawn, soil, width_m)) if drawn and bearing is not None else None
+        strengths = _range(_strength(drawn, soil)) if drawn and strength is not None else None
+        found.append(SoilComparison(soil, bearing, strength, bearings, strengths))
+    return found
 
 
-def _bearing(site: Site, soil: ReferenceSoil, width_m: float) -> float | None:
+def _single(distances: FloatArray) -> float | None:
+    return float(distances[0]) if np.isfinite(distances[0]) else None
+
+
+def _range(distances: FloatArray) -> tuple[float, float]:
+    low, high = np.quantile(distances, RANGE)
+    return float(low), float(high)
+
+
+def _bearing(sites: Mapping[str, FloatArray], soil: ReferenceSoil, width_m: float) -> FloatArray:
+    """Distances of sites, (n,); NaN where either side is not known."""
     stiffness = soil.stiffness(width_m)
-    if site.stiffness_kpa_m_n is None or site.sinkage_exponent is None:
-        return None
     if soil.sinkage_exponent is None or stiffness is None or stiffness <= 0:
-        return None
-    ratio = np.log(stiffness / site.stiffness_kpa_m_n)
-    ratio = ratio + (soil.sinkage_exponent - site.sinkage_exponent) * np.log(SINKAGES_M)
-    return float(np.sqrt(np.mean(ratio**2)))
+        return np.full(len(sites["stiffness_kpa_m_n"]), np.nan)
+    ratio = np.log(stiffness / sites["stiffness_kpa_m_n"])[:, None]
+    ratio = ratio + (soil.sinkage_exponent - sites["sinkage_exponent"])[:, None] * np.log(SINKAGES_M)
+    return np.asarray(np.sqrt(np.mean(ratio**2, axis=1)))
 
 
-def _strength(site: Site, soil: ReferenceSoil) -> float | None:
-    if site.cohesion_pa is None or site.friction_angle_deg is None:
-        return None
-    own = site.cohesion_pa + STRESSES_PA * np.tan(np.radians(site.friction_angle_deg))
+def _strength(sites: Mapping[str, FloatArray], soil: ReferenceSoil) -> FloatArray:
+    """The same of strength."""
+    own = sites["cohesion_pa"][:, None] + STRESSES_PA * np.tan(np.radians(sites["friction_angle_deg"]))[:, None]
     low, high = (
         c + STRESSES_PA * np.tan(np.radians(phi))
         for c, phi in zip(soil.cohesion_pa, soil.friction_angle_deg, strict=True)
     )
     nearest = np.clip(own, low, high)
-    return float(np.sqrt(np.mean(np.log(nearest / own) ** 2)))
+    return np.asarray(np.sqrt(np.mean(np.log(nearest / own) ** 2, axis=1)))

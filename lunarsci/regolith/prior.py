@@ -34,6 +34,8 @@ UNITS = dict(zip(PARAMETERS, ("kPa/m^N", "-", "-", "Pa", "deg", "mm", "deg", "mm
 )
 """Unit of every parameter."""
 TRANSFORMS = ("ln", "ln tan", "value")
+DETERMINED = 0.5
+"""A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 

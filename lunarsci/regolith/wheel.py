@@ -1,7 +1,7 @@
 """The wheel as the terramechanics formulas see it, and what a model of its contact takes into account."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 from lunarsci.constants import LUNAR_GRAVITY
@@ -114,6 +114,11 @@ def read_wheel(rover: str | RoverDescription) -> Wheel:
         return Wheel(**{name: float(value) for name, value in table.items()})
     except (TypeError, ValueError) as error:
         raise DataError(f"{description.origin}: [wheel] {error}") from error
+
+
+def left_to_defaults(description: RoverDescription) -> tuple[str, ...]:
+    """Names of the numbers of a wheel that its file does not give and for which the usual ones are taken."""
+    return tuple(item.name for item in fields(Wheel) if item.name not in description.table("wheel"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

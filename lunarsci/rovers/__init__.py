@@ -52,6 +52,16 @@ def known_wheels() -> tuple[str, ...]:
     return tuple(tomllib.loads(_own(WHEELS)))
 
 
+def called(rover: str, name: str) -> str:
+    """A rover or wheel for people: the name in its file, and the file; how to ask for those of lunarsci.
+
+    >>> called("wheel.toml", "HIT rig"), called("yutu2", "Yutu-2 (Chang'E-4)"), called("wheel.toml", "")
+    ('HIT rig (wheel.toml)', 'yutu2', 'wheel.toml')
+    """
+    alone = name in ("", rover) or rover in known_rovers() or rover in known_wheels()
+    return rover if alone else f"{name} ({rover})"
+
+
 def read_rover(rover: str) -> RoverDescription:
     """Read a rover by name (`yutu2`) or from a TOML file. Raises DataError for anything else.
 

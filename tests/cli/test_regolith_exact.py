@@ -80,7 +80,7 @@ def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive
     assert joint["outliers"] == []
     assert len(joint["correlation"]) == len(PARAMETERS)
     shown = run("regolith", "infer", drive)
-    assert "All states together" in shown.out
+    assert "The soil of all " in shown.out
     assert "known to" in shown.out
 
 

@@ -358,3 +358,17 @@ def test_results_in_memory_are_cited_as_their_files_are(tmp_path: Path) -> None:
     cited = lunarsci.cite(found)
     assert [one.text for one in cited.references] == [one.text for one in lunarsci.cite(file).references] != []
     assert "@article{ding2024" in str(cited) and "10.1038/s41467-024-46233-8" in str(lunarsci.cite([found, file]))
+    assert lunarsci.cite(found, file).bibtex() == lunarsci.cite([found, file]).bibtex()
+    assert [one.name for one in lunarsci.cite(found, [file]).documents] == ["regolith-forces (1)", str(file)]
+
+
+def test_a_wheel_alone_is_taken_by_what_is_listed_and_what_it_lacks_is_counted(tmp_path: Path) -> None:
+    found = info(
+        written(tmp_path, "wheel.toml", "name = 'Rig'\n[wheel]\nradius_m = 0.15\nwidth_m = 0.1\nexit_c3 = -0.1\n")
+    )
+    usual = "grouser_height_m 0, grouser_shear_coefficient 0.5, max_stress_c1 0.5, max_stress_c2 0"
+    assert found.contents["assumed numbers"] == 4 and usual in found.contents.values()
+    assert found.commands[0] == "lunarsci regolith infer --rover"
+    assert all(one.startswith("lunarsci regolith ") for one in found.commands)
+    own = info("yutu2")
+    assert usual not in own.contents.values() and "lunarsci twin predict --rover" in own.commands

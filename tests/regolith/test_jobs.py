@@ -243,6 +243,55 @@ def test_a_comparison_takes_the_wheel_of_the_result(measured_wheel: str, tmp_pat
     assert compare_soils(stiffness=1443.0, exponent=1.0).rover == "yutu2"
 
 
+def test_all_states_are_the_answer_and_single_ones_stand_below_with_what_they_assume(
+    inferred: InferredSoil, identified: IdentifiedSoil
+) -> None:
+    text, title = str(inferred), "Each state by itself (assumes N = 1, c = 520 Pa, K_x = 17.8 mm)"
+    assert text.startswith("The soil of all 8 states with the wheel of yutu2") and title in text
+    assert text.index("width left of the prior's") < text.index(title) < text.index("errors are those of one state")
+    assert "regolith infer" not in text
+    assert str(identified).startswith("Each state\n") and "`lunarsci regolith infer`" in str(identified)
+
+
+def test_single_states_that_differ_speak_against_their_assumptions_alone(measured_wheel: str) -> None:
+    found = infer(io.StringIO(DING_2011), rover=measured_wheel, draws=64)
+    said = next(line for line in str(found).splitlines() if line.startswith("solved so, the states differ"))
+    assert "K_s falls with slip" in said and said.endswith("tests what single states assume, not the soil above")
+    assert f"with the wheel of HIT ({measured_wheel})" in str(found)
+    assert "wheel.max_stress_c1" in found.to_dict()["assumed_of_rover"]
+
+
+def test_distances_have_the_range_that_the_posterior_leaves(inferred: InferredSoil) -> None:
+    """By draws of the posterior itself, and p = K_s z^N over 5-20 mm in ln p, whose mean square has a closed form."""
+    found = compare_soils(inferred)
+    stiffness, exponent = inferred.posterior.draws[:, :2].T
+    depths = np.log(np.linspace(0.005, 0.02, 16))
+    for item in [one for one in found.soils if one.bearing is not None][:5]:
+        level = np.log(item.soil.stiffness(found.width_m) / stiffness)
+        slope = item.soil.sinkage_exponent - exponent
+        square = level**2 + 2 * level * slope * depths.mean() + slope**2 * np.mean(depths**2)
+        expected = np.quantile(np.sqrt(square), (0.15865, 0.84135))
+        assert item.bearing_range == pytest.approx(expected, rel=0.15, abs=0.02)
+    assert all(one.strength_range[0] <= one.strength_range[1] for one in found.soils if one.strength is not None)
+
+
+def test_a_comparison_says_what_is_not_determined(inferred: InferredSoil, identified: IdentifiedSoil) -> None:
+    found = compare_soils(inferred).to_dict()
+    rows = {row["parameter"]: row for row in inferred.rows()}
+    for aspect, names in (
+        ("bearing", ("stiffness_kpa_m_n", "sinkage_exponent")),
+        ("strength", ("cohesion_pa", "friction_angle_deg")),
+    ):
+        left = {name: 1 - rows[name]["shrinkage"] for name in names if not rows[name]["determined"]}
+        told = {one["parameter"]: one["left_of_prior"] for one in found["undetermined"][aspect]}
+        assert left and told == pytest.approx(left)
+        assert any(
+            text.startswith(("bearing", "shear strength")) and "not determined" in text for text in found["remarks"]
+        )
+    assert "n1 = " in found["remarks"][-1] and found["remarks"][-1] in str(compare_soils(inferred))
+    assert compare_soils(identified).to_dict()["remarks"] == []
+
+
 def test_the_posterior_is_the_table_and_the_first_picture(inferred: InferredSoil) -> None:
     table = inferred.to_table()
     assert list(table["parameter"]) == list(inferred.posterior.names)

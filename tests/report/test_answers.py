@@ -11,7 +11,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.pages.answers import ANSWERS, answer
 from lunarsci.pages.documents import Document, document_of, read_results
 from lunarsci.pages.page import TITLES
-from lunarsci.pages.parts import assumed, budget, tables, unknown
+from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
 from lunarsci.pages.sentences import DOUBT, GO, STOP
 from lunarsci.pages.words import counted, measured, percent, words
@@ -206,3 +206,18 @@ def test_what_is_said_against_shares_hangs_on_them_and_errors_are_named() -> Non
     [band] = quantities({"bc1000_nm": 950.0, "bc1000_sigma_nm": 4.0, "bc1000_systematic_nm": 3.0})
     assert band.parts == {"standard error": "4", "choice of continuum": "3"}
     assert "another than that of the fit" in " ".join(unknown(of("fit auto")))
+
+
+def test_the_page_of_a_joint_soil_keeps_single_states_under_their_heading() -> None:
+    """What they assume, N = 1 and c = 520 Pa, is assumed by nothing else, and their site is in no budget."""
+    main, alone = apart(of("identify joint"))
+    assert alone is not None and alone.title.startswith("Each state by itself (assumes N = 1, c = 520 Pa")
+    names = [row[0] for row in budget(main).rows]
+    assert names and not any(name.startswith(("bearing", "shear:", "shear,", "1:")) for name in names)
+    assert not any("520" in line or "exponent" in line for line in assumed(main))
+    titles = [table.title for table in tables(main)]
+    assert not {"agreement", "observations", "bearing, curve"} & set(titles)
+    told = {table.title for table in alone.tables}
+    assert {"observations", "bearing, curve"} <= told and "agreement" not in told
+    same, nothing = apart(of("identify"))
+    assert nothing is None and same.result == KNOWN["identify"]["result"]

@@ -30,15 +30,13 @@ from lunarsci.regolith.inference.mode import (
 )
 from lunarsci.regolith.inference.problem import part_of, problem_of, tail_of
 from lunarsci.regolith.inference.verdict import judge
-from lunarsci.regolith.prior import CONTACT, PARAMETERS, UNITS, Law, contact_prior, default_prior, values_of
+from lunarsci.regolith.prior import CONTACT, DETERMINED, PARAMETERS, UNITS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import ContactModel, Wheel
 from lunarsci.tempering import ACCEPTED, WALK, Moves, carry
 
 LEAST_SINKAGE_M, DEEPEST = 1e-5, 0.95
 """States beyond are left out: sinkage, as a share of the radius the deepest. Assumed."""
-DETERMINED = 0.5
-"""A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
 LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 """Of the 68 % and the 95 % interval."""
 PARTICLES = 1000

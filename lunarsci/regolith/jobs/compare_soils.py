@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
@@ -15,7 +15,12 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.regolith.compare import Site, SoilComparison
+    from lunarsci.regolith.compare import OpenSite, Site, SoilComparison
+
+_Given: TypeAlias = (
+    "tuple[Site, Mapping[str, Any] | None, Mapping[str, str], Mapping[str, Any] | None, OpenSite | None]"
+)
+"""A site, curves of single states, the files that they come from, the wheel, and what is left open of the site."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,16 +53,22 @@ class ComparedSoils(Result):
     Attributes
     ----------
     site, rover, width_m : what is compared, whose wheel, and its width. [m]
+    called : the name of the rover or wheel in its file, '' where a result does not have it.
     soils : with their distances from the site; `lunarsci.regolith.compare.nearest` puts them in order.
     curves : of single states by aspect, for the picture; None where the site was given by numbers.
+    undetermined : by aspect, parameters that the result hardly tells, with the share of the prior's width left. [-]
+    remarks : what that means for the order of soils.
     """
 
     schema: ClassVar[str] = "regolith-compare/1"
     site: "Site"
     rover: str
+    called: str
     width_m: float
     soils: "Sequence[SoilComparison]"
     curves: Mapping[str, Any] | None
+    undetermined: Mapping[str, Mapping[str, float]]
+    remarks: Sequence[str]
     origin: MadeFrom
 
     @property
@@ -65,7 +76,18 @@ class ComparedSoils(Result):
         return self.origin
 
     def to_dict(self) -> dict[str, Any]:
-        return {"site": asdict(self.site), "rover": self.rover, "width_m": self.width_m, "soils": self.rows()}
+        return {
+            "site": asdict(self.site),
+            "rover": self.rover,
+            "name": self.called,
+            "width_m": self.width_m,
+            "undetermined": {
+                aspect: [{"parameter": name, "left_of_prior": share} for name, share in own.items()]
+                for aspect, own in self.undetermined.items()
+            },
+            "remarks": list(self.remarks),
+            "soils": self.rows(),
+        }
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [item.to_dict(self.width_m) for item in self.soils]
@@ -90,7 +112,7 @@ def compare_soils(
     Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
     """
     from lunarsci.provenance import sha256
-    from lunarsci.regolith.compare import compare_site, reference_hash
+    from lunarsci.regolith.compare import compare_site, reference_hash, remarks
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.rovers import read_rover
 
@@ -99,18 +121,24 @@ def compare_soils(
         raise RequestError(
             "give either a result of `regolith infer --json` or `identify`, or a belief; or `stiffness` and its like"
         )
-    site, curves, inputs, wheel = _site(result, asked)
+    site, curves, inputs, wheel, left_open = _site(result, asked)
     if asked.rover is None and wheel is not None:
         rover, width, tables = str(wheel["of"]), float(wheel["width_m"]), dict[str, str]()
+        name = str(wheel.get("name") or "")
     else:
         description = read_rover(rover := asked.rover or DEFAULT_ROVER)
+        name = description.name
         width, tables = read_wheel(description).width_m, {f"{rover} (rover)": sha256(description.text.encode())}
+    soils = compare_site(site, width, left_open=left_open)
     return ComparedSoils(
         site=site,
         rover=rover,
+        called=name,
         width_m=width,
-        soils=compare_site(site, width),
+        soils=soils,
         curves=curves,
+        undetermined=left_open.undetermined() if left_open else {},
+        remarks=remarks(left_open, soils) if left_open else (),
         origin=MadeFrom(
             inputs=inputs,
             tables=tables | reference_hash(),
@@ -120,12 +148,10 @@ def compare_soils(
     )
 
 
-def _site(
-    result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest
-) -> "tuple[Site, Mapping[str, Any] | None, Mapping[str, str], Mapping[str, Any] | None]":
-    """The site, curves of single states, the files that they come from, and the wheel, where the result has it."""
+def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) -> "_Given":
+    """The site with what is known beside it, where the result has it."""
     from lunarsci.regolith.belief import SCHEMA, doubt, read_belief
-    from lunarsci.regolith.compare import Site, site_of, site_of_belief
+    from lunarsci.regolith.compare import OpenSite, Site, open_site, site_of, site_of_belief
 
     if result is None:
         site = Site(
@@ -134,10 +160,11 @@ def _site(
             cohesion_pa=asked.cohesion,
             friction_angle_deg=asked.friction_angle,
         )
-        return site, None, {}, None
+        return site, None, {}, None, None
     if isinstance(result, IdentifiedSoil):
         found = result.to_dict()
-        return *site_of(found), result.made_from.inputs, found["wheel"]
+        left = open_site(found) if "joint" in found else None
+        return *site_of(found), result.made_from.inputs, found["wheel"], left
     file = read_input(result)
     content = text(file)
     try:
@@ -146,9 +173,11 @@ def _site(
             belief = read_belief(file)
             if told := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
                 warnings.warn(f"{file.name}: a doubtful belief: {told}", LunarSciWarning, stacklevel=3)
-            return site_of_belief(belief), None, {file.name: file.sha256}, None
+            left = OpenSite(belief, belief.sd_ratio)
+            return site_of_belief(belief), None, {file.name: file.sha256}, None, left
         found = document["result"]
-        return *site_of(found), {file.name: file.sha256}, found.get("wheel")
+        left = open_site(found) if "joint" in found else None
+        return *site_of(found), {file.name: file.sha256}, found.get("wheel"), left
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ParameterError | DataError):
             raise

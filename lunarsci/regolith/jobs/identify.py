@@ -35,6 +35,8 @@ LABELS = {
     "lateral_modulus_mm": "lateral shear modulus K_y",
 }
 """Parameters of the site in words."""
+HELD = {"stiffness_kpa_m_n": "kPa/m^N", "cohesion_pa": "Pa", "friction_angle_deg": "deg", "shear_modulus_mm": "mm"}
+"""Units of what single states are solved with."""
 CONTRADICT, BY_CHANCE = 4.0, 0.001
 """States contradict each other where a parameter scatters twice as widely between them as its errors allow, and such
 scatter has a smaller probability; assumed. Measured curves over slip have 6 to 200, states of one simulated soil 0."""
@@ -151,6 +153,17 @@ class StatesAgreement:
         return f"{symbol}{how} {first:g} to {last:g}, chi-square {self.reduced_chi_square:.0f} a state"
 
 
+def alone_title(held: Mapping[str, float]) -> str:
+    """What the numbers of single states are called beside the answer of all states together, with what they assume.
+
+    >>> alone_title({"exponent": 1.0, "cohesion_pa": 520.0, "shear_modulus_mm": 17.8})
+    'Each state by itself (assumes N = 1, c = 520 Pa, K_x = 17.8 mm)'
+    """
+    symbols = {name: label.rpartition(" ")[2] for name, label in LABELS.items()} | {"shear_modulus_mm": "K_x"}
+    told = [f"{symbols[name]} = {value:g} {HELD.get(name, '')}".rstrip() for name, value in held.items()]
+    return f"Each state by itself (assumes {', '.join(told)})"
+
+
 def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray") -> StatesAgreement | None:
     """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
     import numpy as np
@@ -175,20 +188,24 @@ def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray
 
 @dataclass(frozen=True, slots=True)
 class StatesOfWheel:
-    """Wheel states, the rover or wheel as it was named, the wheel, where all come from, and guesses in its file."""
+    """Wheel states, the rover or wheel as it was named, the wheel, where all come from, and guesses in its file.
+
+    `called` is the name in its file.
+    """
 
     states: "WheelStates"
     rover: str
     wheel: "Wheel"
     origin: MadeFrom
     assumed: Sequence[str]
+    called: str
 
 
 def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErrors") -> StatesOfWheel:
     """Read the wheel states and the wheel, Yutu-2's where none is named. Raises DataError."""
     from lunarsci.provenance import sha256
     from lunarsci.regolith.states import read_states
-    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.regolith.wheel import left_to_defaults, read_wheel
     from lunarsci.rovers import read_rover
 
     named = rover or DEFAULT_ROVER
@@ -196,8 +213,9 @@ def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErr
     wheel = read_wheel(description)
     tables = {f"{named} (rover)": sha256(description.text.encode())}
     assumed = [name for name in description.assumed if name.startswith("wheel.")]
+    assumed += [f"wheel.{name}" for name in left_to_defaults(description)]
     origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
-    found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed)
+    found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed, description.name)
     if rover is None:
         _warn_of_default(source.name, found, description)
     return found
@@ -231,7 +249,8 @@ class IdentifiedSoil(Result):
     rover, wheel : whose wheel was taken, as it was asked for, and the wheel.
     slip : of the states, NaN where it is unknown. (n,) [-]
     shares : where the errors come from, None where that was not asked for.
-    assumed : keys of the rover's file that are guesses.
+    assumed : keys of the rover's file that are guesses, and those of the wheel that it leaves to the usual numbers.
+    called : its name in its file.
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
@@ -241,11 +260,19 @@ class IdentifiedSoil(Result):
     slip: "FloatArray"
     shares: "Sequence[Sensitivity] | None"
     assumed: Sequence[str]
+    called: str
     origin: MadeFrom
 
     @property
     def made_from(self) -> MadeFrom:
         return self.origin
+
+    @property
+    def wheel_of(self) -> str:
+        """Whose wheel: the name in its file, and the file where one was given."""
+        from lunarsci.rovers import called
+
+        return called(self.rover, self.called)
 
     @property
     def agreements(self) -> "Sequence[StatesAgreement]":
@@ -269,7 +296,12 @@ class IdentifiedSoil(Result):
         shares = {} if self.shares is None else {"sensitivity": [asdict(share) for share in self.shares]}
         own = {
             "assumed_of_rover": list(self.assumed),
-            "wheel": {"of": self.rover, "radius_m": self.wheel.radius_m, "width_m": self.wheel.width_m},
+            "wheel": {
+                "of": self.rover,
+                "name": self.called,
+                "radius_m": self.wheel.radius_m,
+                "width_m": self.wheel.width_m,
+            },
             "agreement": [asdict(item) | {"agree": item.agree} for item in self.agreements],
         }
         return self.found.to_dict() | own | shares
@@ -359,5 +391,6 @@ def identified(
         slip=given.states.values[:, 1],
         shares=shares,
         assumed=given.assumed,
+        called=given.called,
         origin=replace(given.origin, seed=asked.seed),
     )

@@ -97,6 +97,13 @@ class InferredSoil(IdentifiedSoil):
     predicted: "PredictedStates | None"
 
     @property
+    def held(self) -> Mapping[str, float]:
+        """What single states are solved with, which the posterior does not assume."""
+        site = self.found.site
+        taken = {name: one.value for name, one in site.items() if one.assumed and one.value is not None}
+        return taken | {"shear_modulus_mm": self.found.assumptions.shear_modulus_mm}
+
+    @property
     def untrusted(self) -> str:
         verdict = self.posterior.verdict
         return "" if verdict.trusted else f"not to be trusted: {verdict.reason}"
@@ -117,7 +124,7 @@ class InferredSoil(IdentifiedSoil):
         return self.rows()
 
     def figures(self) -> "Iterator[Figure]":
-        """Prior and posterior of each parameter, then what single states allow."""
+        """Prior and posterior of each parameter, then what each state allows by itself."""
         from lunarsci.regolith.belief_figure import posterior_figure
 
         found = self.posterior
@@ -170,6 +177,7 @@ def infer(
         slip=alone.slip,
         shares=alone.shares,
         assumed=alone.assumed,
+        called=alone.called,
         origin=replace(made, inputs={**made.inputs, **inputs}, tables={**made.tables, **prior_hash()}),
         posterior=posterior,
         scores=scores,
