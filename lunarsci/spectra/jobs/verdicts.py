@@ -42,10 +42,17 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     if not record["bands"]:
         return f"no fit: {record['status']}"
     parts = [minerals_said(record["choice"]) if record["choice"] else _assumed(record), *_strained(record)]
-    known = [f"{PERCENT_OF[key]} {item['mean']:.0f} ± {item['sigma']:.0f}" for key, item in _told(record)]
+    known = [
+        f"{PERCENT_OF[key]} {item['mean']:.0f} ± {item['sigma']:.0f} mol %{_condition(item)}"
+        for key, item in _told(record)
+    ]
     sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
-    parts += [f"{'' if sure else 'if so, '}{', '.join(known)} mol %"] if known else ["no composition is told"]
+    parts += [f"{'' if sure else 'if so, '}{', '.join(known)}"] if known else ["no composition is told"]
     return "; ".join(parts)
+
+
+def _condition(item: Mapping[str, Any]) -> str:
+    return f" (if {item['domain']})" if item.get("domain") else ""
 
 
 def _strained(record: Mapping[str, Any]) -> list[str]:
@@ -67,13 +74,21 @@ def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
 
 def minerals_said(choice: Mapping[str, Any]) -> str:
     """Which minerals are sure, which are open, and which a fit does without."""
-    from lunarsci.spectra.mgm.assemblages import GROUPS, MINERALS, chances, standing
+    from lunarsci.spectra.mgm.assemblages import GROUPS, HIDDEN, MINERALS, chances, others_of, standing
 
     probabilities = {one["assemblage"]: one["probability"] for one in choice["candidates"]}
     found, known = chances(probabilities), standing(probabilities)
     left, parts = list(known["open"]), []
-    if sure := [name for name in known["sure"] if name not in GROUPS]:
+    pairs = [(one, other) for one in known["sure"] for other in others_of(one) & set(left)]
+    alone = [one for one, _ in pairs]
+    if sure := [name for name in known["sure"] if name not in (*GROUPS, *alone)]:
         parts.append(f"sure: {', '.join(sure)}")
+    for one, other in pairs:
+        left.remove(other)
+        parts.append(
+            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * found[other]:.0f} %): it was "
+            f"up to {100 * HIDDEN[other]:.0f} % in mixtures that {one} fitted alone"
+        )
     for group in GROUPS.keys() & set(known["sure"]):
         members = [MINERALS[key] for key in GROUPS[group]]
         left = [name for name in left if name not in members]
