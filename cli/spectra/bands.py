@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.spectra.band_status import spread_of, with_errors
 from lunarsci.spectra.jobs.bands import SHORT, BandsRequest, regression
 from lunarsci.spectra.jobs.verdicts import bands_verdict
 
@@ -74,8 +75,7 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
     row = [record["id"]]
     for key in ("1000", "2000"):
         row += [
-            plus_minus(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]),
-            plus_minus(_spread_nm(record, key)),
+            *_centre_and_spread(record, key),
             plus_minus(record[f"bd{key}"], record[f"bd{key}_sigma"], digits=3),
             plus_minus(record[f"ba{key}_nm"], record[f"ba{key}_sigma_nm"]),
             record["continuum"][key],
@@ -83,10 +83,14 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
     return row
 
 
-def _spread_nm(record: Mapping[str, Any], key: str) -> float | None:
-    """What methods differ by: continua, or minimum and Gaussian, whichever is more."""
-    spreads = [record[f"bc{key}_systematic_nm"], record[f"bc{key}_method_nm"]]
-    return max((spread for spread in spreads if spread is not None), default=None)
+def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
+    """The centre with the error of its noise, and what methods differ by, to the same place."""
+    center, sigma = record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]
+    spread = spread_of(record[f"bc{key}_systematic_nm"], record[f"bc{key}_method_nm"])
+    if center is None:
+        return ["-", "-"]
+    value, noise, *method = with_errors(center, sigma, spread)
+    return [f"{value} ± {noise}", *(method or ["-"])]
 
 
 def _band_notes(result: "MeasuredBands", records: Sequence[Mapping[str, Any]]) -> list[str]:

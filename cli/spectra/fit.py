@@ -171,7 +171,7 @@ def _composition_notes(fit: "MgmFit") -> list[str]:
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
-            doubt = f", {item.doubt}" if item.doubt else ""
+            doubt = f", {item.doubt}" if item.doubt else f", if {item.domain}" if item.domain else ""
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
     return notes

@@ -80,7 +80,7 @@ def quantities(record: Mapping[str, Any], of: tuple[str, ...] = (), most: int | 
     spent = _keys_of_parts(record)
     kept = next((key for key in VALUES if _is_number(record.get(key))), "")
     shared = doubt_about(record) if "in_domain" in record else ""
-    alone = bool(kept) and any(key in record for key in ("in_range", "reason", "low"))
+    alone = (bool(kept) or "prior_sigma" in record) and any(key in record for key in ("in_range", "reason", "low"))
     for key, item in record.items():
         if key in spent or key in SAID or item is None or key.endswith("_note") or (alone and key != kept):
             continue

@@ -1,12 +1,13 @@
 """Sentences for spectra, and for where a rock came from: verdicts are those of the results, word by word."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.pages.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.pages.words import counted, measured, number, percent
 from lunarsci.result import FINE
-from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
+from lunarsci.spectra.band_status import DEPENDS
+from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
 
 ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
@@ -43,25 +44,35 @@ def _calibrated_in_short(one: Result) -> str:
 def bands(result: Result) -> ResultAnswer:
     spectra = result["spectra"]
     if len(spectra) <= MOST_NAMED:
-        return ResultAnswer(each(spectra, _one_bands, "spectrum"))
+        return ResultAnswer(each(spectra, _one_bands, "spectrum"), trust=_depending(spectra))
     told = []
     for key, name in (("1000", "1 µm"), ("2000", "2 µm")):
         centres = [one[f"bc{key}_nm"] for one in spectra if one.get(f"bc{key}_nm") is not None]
         span = f", centred from {min(centres):.0f} to {max(centres):.0f} nm" if centres else ""
         told.append(f"{len(centres)} have a band near {name} that could be measured{span}")
-    return ResultAnswer(f"Of {counted(len(spectra), 'spectrum')} {'; '.join(told)}.")
+    return ResultAnswer(f"Of {counted(len(spectra), 'spectrum')} {'; '.join(told)}.", trust=_depending(spectra))
+
+
+def _depending(spectra: Sequence[Result]) -> str:
+    """Of which bands the centre depends on the method more than on the noise."""
+    named = [
+        f"{one['id']} at {name}"
+        for one in spectra
+        for key, name in (("1000", "1 µm"), ("2000", "2 µm"))
+        if one.get(f"band{key}_status") == DEPENDS
+    ]
+    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+    return f"{sentence(DEPENDS)[:-1]} more than on the noise: {', '.join(named[:MOST_NAMED])}{more}." if named else ""
 
 
 def _one_bands(one: Result) -> str:
     found = [
-        f"at {measured(one[f'bc{key}_nm'], one.get(f'bc{key}_sigma_nm'), 'nm')}, "
-        f"{measured(_times(one.get(f'bd{key}'), 100), _times(one.get(f'bd{key}_sigma'), 100), '%')} deep"
-        for key in ("1000", "2000")
-        if one.get(f"bc{key}_nm") is not None
+        f"at {centre}, {measured(_times(one.get(f'bd{key}'), 100), _times(one.get(f'bd{key}_sigma'), 100), '%')} deep"
+        for key, centre in centres_said(one).items()
     ]
     if not found:
         return f"{one['id']} has no absorption band near 1 or 2 µm that could be measured."
-    return f"{one['id']} absorbs {' and '.join(found)}. {sentence(bands_verdict(one))}"
+    return f"{one['id']} absorbs {' and '.join(found)}. {sentence(bands_meaning(one))}"
 
 
 def _times(value: Any, factor: float) -> Any:

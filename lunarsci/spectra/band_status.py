@@ -1,11 +1,12 @@
 """The 1 um and 2 um bands, what is measured of each, and what may be said where there is none."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +52,14 @@ laboratory and 88 rover spectra it parts the centres that agree with the hull's 
 """
 MAX_CENTER_SIGMA_NM = 100.0
 """A centre known no better than this says nothing about a mineral; it is not reported. Assumed."""
+DEPENDS_NM, DEPENDS_SIGMA = 20.0, 3.0
+"""A centre depends on the method where methods differ by more than both: so many nm, and so many standard errors;
+assumed."""
 CROSSING_SHARE = 0.25
 """A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
 
+DEPENDS = "centre depends on the method"
+"""What the status says of a band whose centre does (`depends_on_method`)."""
 STATUSES = (
     "ok",
     "continuum_falls_to_zero",
@@ -133,3 +139,85 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     return SENTENCES[STATUSES[code]].format(
         deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
     )
+
+
+def spread_of(*spreads: float | None) -> float | None:
+    """What methods differ by: continua, or minimum and Gaussian, whichever is more; None where neither is known."""
+    return max((spread for spread in spreads if spread is not None), default=None)
+
+
+def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]:
+    """A value and its errors, to the second digit of the largest or so many places; no error is written as 0.
+
+    >>> with_errors(973.031, 0.068, 5.7), with_errors(1976.2, 6.8, 69.0), with_errors(0.4193, 0.00006, most=3)
+    (['973.0', '0.1', '5.7'], ['1976', '7', '69'], ['0.419', '0.001'])
+    """
+    largest = max((error for error in errors if error), default=1.0)
+    places = min(1 - math.floor(math.log10(float(f"{largest:.1e}"))), most)
+    shown, least = max(places, 0), 10.0**-places
+    known = [max(error, least) for error in errors if error is not None]
+    return [f"{round(one, places):.{shown}f}" for one in (value, *known)]
+
+
+def centre_said(center_nm: float, sigma_nm: float, spread_nm: float | None, *, named: bool = True) -> str:
+    """A centre with both of its errors, that of the noise and what methods differ by.
+
+    >>> centre_said(1976.2, 6.8, 69.0), centre_said(973.031, 0.068, 5.7, named=False)
+    ('1976 ± 7 (noise) ± 69 (method) nm', '973.0 ± 0.1 ± 5.7 nm')
+    """
+    value, *errors = with_errors(center_nm, sigma_nm, spread_nm)
+    names = (" (noise)", " (method)") if named else ("", "")
+    return " ± ".join([value, *(f"{one}{name}" for one, name in zip(errors, names, strict=False))]) + " nm"
+
+
+def depends_on_method(sigma_nm: FloatArray, spread_nm: FloatArray) -> BoolArray:
+    """Where centres depend on how they are found more than on the noise."""
+    return np.asarray((spread_nm > DEPENDS_NM) & (spread_nm > DEPENDS_SIGMA * sigma_nm))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandResult:
+    """One band of one spectrum; every number is None when `status` says that there is no band.
+
+    Attributes
+    ----------
+    center_nm, center_sigma_nm : wavelength of the minimum after continuum removal, and its standard error: noise, and
+        the bias of the window it is found from. [nm]
+    center_systematic_nm : half the range of the centre over all continua under which there is one, also those not fit
+        for use; None where there is one only, or where all of them rest on the same tie points. [nm]
+    center_method_nm : half the difference from the centre of a Gaussian through the deeper half of the band. [nm]
+    depth, depth_sigma : 1 - R/continuum at the centre. [-]
+    area_nm, area_sigma_nm : integral of 1 - R/continuum over the window. [nm]
+    asymmetry, asymmetry_sigma : area beyond the centre less that before it, over both; -1 to 1. [-]
+    center_calibration_nm, depth_calibration, area_calibration_nm : standard deviation from the errors that all channels
+        share (`Spectrum.systematic`), each carried through as one shift, to first order and at the same tie points of
+        the continuum: where a shift makes these jump, the band moves by more. None where none is known. [nm, -, nm]
+    continuum : the continuum really used, after any fallback.
+    status : `ok`, or a sentence, also that methods differ by much more than the noise does.
+    note : why the wanted continuum was not used, or empty.
+    """
+
+    center_nm: float | None = None
+    center_sigma_nm: float | None = None
+    center_systematic_nm: float | None = None
+    center_method_nm: float | None = None
+    depth: float | None = None
+    depth_sigma: float | None = None
+    area_nm: float | None = None
+    area_sigma_nm: float | None = None
+    asymmetry: float | None = None
+    asymmetry_sigma: float | None = None
+    center_calibration_nm: float | None = None
+    depth_calibration: float | None = None
+    area_calibration_nm: float | None = None
+    continuum: str
+    status: str = "ok"
+    note: str = ""
+
+    @property
+    def centre_said(self) -> str:
+        """The centre with both of its errors; '' where there is none."""
+        if self.center_nm is None or self.center_sigma_nm is None:
+            return ""
+        spread = spread_of(self.center_systematic_nm, self.center_method_nm)
+        return centre_said(self.center_nm, self.center_sigma_nm, spread, named=False)

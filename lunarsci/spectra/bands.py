@@ -13,16 +13,19 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci import records
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
 from lunarsci.spectra.band_rows import curve_of_centre, grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
     BANDS,
+    CENTER_SIGMA,
     CONTINUUM,
     DEEPEST,
+    DEPENDS,
     ELSEWHERE,
     JSON_KEYS,
+    METHOD,
     NOT_COVERED,
     NOTE,
     NOTE_DEEPEST,
@@ -30,7 +33,10 @@ from lunarsci.spectra.band_status import (
     QUANTITIES,
     SPARSE,
     STATUS,
+    SYSTEMATIC,
+    BandResult,
     Codes,
+    depends_on_method,
     sentence,
 )
 from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection, alike_channels
@@ -43,46 +49,6 @@ BLOCK_ROWS = 2048
 MEASURED = QUANTITIES[:DEEPEST]
 """What is measured of a band: the numbers of a `BandResult`."""
 _NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BandResult:
-    """One band of one spectrum; every number is None when `status` says that there is no band.
-
-    Attributes
-    ----------
-    center_nm, center_sigma_nm : wavelength of the minimum after continuum removal, and its standard error: noise, and
-        the bias of the window it is found from. [nm]
-    center_systematic_nm : half the range of the centre over all continua under which there is one, also those not fit
-        for use; None where there is one only, or where all of them rest on the same tie points. [nm]
-    center_method_nm : half the difference from the centre of a Gaussian through the deeper half of the band. [nm]
-    depth, depth_sigma : 1 - R/continuum at the centre. [-]
-    area_nm, area_sigma_nm : integral of 1 - R/continuum over the window. [nm]
-    asymmetry, asymmetry_sigma : area beyond the centre less that before it, over both; -1 to 1. [-]
-    center_calibration_nm, depth_calibration, area_calibration_nm : standard deviation from the errors that all channels
-        share (`Spectrum.systematic`), each carried through as one shift, to first order and at the same tie points of
-        the continuum: where a shift makes these jump, the band moves by more. None where none is known. [nm, -, nm]
-    continuum : the continuum really used, after any fallback.
-    status : `ok`, or a sentence.
-    note : why the wanted continuum was not used, or empty.
-    """
-
-    center_nm: float | None = None
-    center_sigma_nm: float | None = None
-    center_systematic_nm: float | None = None
-    center_method_nm: float | None = None
-    depth: float | None = None
-    depth_sigma: float | None = None
-    area_nm: float | None = None
-    area_sigma_nm: float | None = None
-    asymmetry: float | None = None
-    asymmetry_sigma: float | None = None
-    center_calibration_nm: float | None = None
-    depth_calibration: float | None = None
-    area_calibration_nm: float | None = None
-    continuum: str
-    status: str = "ok"
-    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +143,12 @@ class BandArrays:
 
     numbers: FloatArray
     codes: Codes
+
+    @property
+    def depends(self) -> BoolArray:
+        """(m, 2) whether methods differ by much more than the noise does."""
+        spread = np.fmax(self.numbers[..., SYSTEMATIC], self.numbers[..., METHOD])
+        return depends_on_method(self.numbers[..., CENTER_SIGMA], spread)
 
     @property
     def bands(self) -> dict[str, BandColumns]:
@@ -276,6 +248,7 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         numbers, code = self.arrays.numbers[place, number].tolist(), int(self.arrays.codes[place, number, CONTINUUM])
         known = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
         status, why = (self._said(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
+        status = DEPENDS if self.arrays.depends[place, number] else status
         return BandResult(**known, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
 
     def _said(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
@@ -301,6 +274,8 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
             if key not in known:
                 known[key] = self._said(number, place, which, _NOTHING)
             found[place] = known[key]
+        for place in np.flatnonzero(self.arrays.depends[:, number]).tolist() if which == STATUS else ():
+            found[place] = DEPENDS
         for place, reason in self.reasons.items() if which == STATUS else ():
             found[place] = f"no result: {reason}"
         return found

@@ -272,7 +272,7 @@ UNTITLED = {
     "aitken1936", "bell2002", "besag1989", "bhattacharyya1946", "brown1971", "cressie1993", "di2016", "duda2018",
     "elias2007", "foerstner1987", "freitag1970", "gennery2006", "goldberg2002", "gruen1985", "hapke2012",
     "hirschmueller2008", "holland1977", "housen1983", "huber1964", "kalman1960", "lowe2004", "lucey2000b",
-    "moriarty2023", "mustard2011", "oberbeck1975", "pelkey2007", "pieters2014", "pike1974", "sanchez2012",
+    "moriarty2023", "mustard2011", "oberbeck1975", "pelkey2007", "pieters2014", "pike1974",
     "sokal1997", "tevs2008", "torr2000", "triggs2000", "vaniman1991", "wilson1927", "wu2021", "zhang2000",
     "zhang2013",
 }  # fmt: skip

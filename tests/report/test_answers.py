@@ -15,7 +15,8 @@ from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
 from lunarsci.pages.sentences import DOUBT, GO, STOP
 from lunarsci.pages.words import counted, measured, percent, words
-from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
+from lunarsci.spectra.band_status import DEPENDS
+from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
 
 from .conftest import FORMER, documents
 
@@ -81,7 +82,12 @@ def test_verdicts_are_told_in_the_words_of_the_command() -> None:
             status = status[key]
         assert str(status) in answer(of(name)).text
         assert "most likely came from" not in answer(of(name)).text
-    assert bands_verdict(KNOWN["bands"]["result"]["spectra"][0])[1:] in answer(of("bands")).text
+    own = KNOWN["bands"]["result"]["spectra"][0]
+    assert bands_meaning(own)[1:] in answer(of("bands")).text
+    assert all(f"at {centre}" in answer(of("bands")).text for centre in centres_said(own).values())
+    open_one = own | {"band2000_status": DEPENDS}
+    said = answer(replace(of("bands"), result={"spectra": [open_one]})).trust
+    assert said == f"Centre depends on the method more than on the noise: {own['id']} at 2 µm."
     assert shares_verdict(KNOWN["unmix"]["result"]["spectra"][0]) in answer(of("unmix")).text
     for name in ("fit", "fit auto"):
         assert fit_verdict(KNOWN[name]["result"]["spectra"][0]) in answer(of(name)).text

@@ -11,7 +11,8 @@ from lunarsci.errors import DataError
 from lunarsci.spectra.band_status import STATUSES
 from lunarsci.spectra.bands import BandFailure, SpectrumBands, band_arrays, measure_bands, measure_batch
 from lunarsci.spectra.continuum import ContinuumName, continuum
-from lunarsci.spectra.spectrum import Smoothing, Spectrum
+from lunarsci.spectra.noise import scatter_noise_rows
+from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 CENTRE_1, CENTRE_2, WIDTH_1, WIDTH_2 = 947.0, 1983.0, 70.0, 110.0
@@ -256,6 +257,29 @@ def test_stated_errors_hold_on_laboratory_spectra(
         inside = np.concatenate([values for (_, added, _), values in held.items() if added == noise])
         assert inside.size > 180
         assert 0.60 < np.mean(inside < 1) < 0.78
+
+
+@pytest.mark.reference
+def test_small_errors_of_weak_bands_hold_on_rover_spectra(reference_data: Path) -> None:
+    """Smoothed spectra of 88 targets of Chang'E-4 with their own noise, 30 draws each: SYNTHETIC, with bands 2 % deep.
+
+    Of the smallest quarter of the errors at 2 um, 68 % intervals hold 61 %; by curvature alone 37 %.
+    """
+    table = np.loadtxt(reference_data / "spectra/ce4/reflectance_factor.csv", delimiter=",", skiprows=1)
+    wavelength, rng, found = table[:, 0], np.random.default_rng(4), []
+    for values in table[:, 1:89].T:
+        smooth = smoothing_operator(wavelength, 205.0, 3) @ values
+        noise = scatter_noise_rows(values[None])[0]
+        exact = band_arrays(wavelength, smooth[None], np.full(wavelength.size, 1e-6), continuum_name="hull")
+        draws = band_arrays(
+            wavelength, smooth + noise * rng.normal(size=(30, wavelength.size)), continuum_name="hull"
+        ).bands["2000"]
+        found.append([draws.center_nm - exact.bands["2000"].center_nm, draws.center_sigma_nm])
+    off, sigma = np.concatenate(found, axis=1)
+    off, sigma = off[np.isfinite(off)], sigma[np.isfinite(off)]
+    small = sigma < np.nanpercentile(sigma, 25)
+    assert small.sum() > 300
+    assert 0.56 < np.mean(np.abs(off[small]) < sigma[small]) < 0.78
 
 
 def test_a_short_spectrum_measures_what_it_holds() -> None:

@@ -41,8 +41,13 @@ def chosen(**probabilities: float) -> dict[str, Any]:
 
 def test_only_what_is_sure_is_called_so(fitted: dict[str, Any]) -> None:
     said = fit_verdict(fitted | {"choice": chosen(CPX=0.61, OL_CPX=0.26, CPX_PLG=0.11, OL_OPX=0.02)})
-    assert said.startswith("sure: clinopyroxene; open: olivine (28 %), plagioclase (11 %); not needed to fit, but not ")
-    assert "ruled out: orthopyroxene" in said
+    assert said.startswith("a pyroxene is sure: the fit needs clinopyroxene, but orthopyroxene is not excluded (2 %): ")
+    assert (
+        "up to 73 % in mixtures that clinopyroxene fitted alone; also open: olivine (28 %), plagioclase (11 %);" in said
+    )
+    assert "not needed" not in said
+    olivine = fit_verdict(fitted | {"choice": chosen(OL_OPX_CPX=0.98, OPX_CPX=0.02)})
+    assert olivine.startswith("sure: olivine, orthopyroxene, clinopyroxene; not needed to fit, but not ruled out: plag")
     none = fit_verdict(fitted | {"choice": chosen(CPX=0.72, OL=0.28)})
     assert none.startswith("no mineral is sure; open: olivine (28 %), clinopyroxene (72 %); not needed")
     assert "if so, " in none or "no composition" in none
@@ -71,6 +76,32 @@ def test_what_a_script_takes_agrees_with_the_verdict() -> None:
     assert row["probability_of_pyroxene"] > 0.99
 
 
+def test_what_one_pyroxene_fits_is_not_said_without_a_second_one() -> None:
+    alone = lunarsci.fit(made_up(), assemblage="OL-OPX", starts=2)
+    [record] = alone.to_dict()["spectra"]
+    assert {key: item["domain"] for key, item in record["compositions"].items()} == {
+        "fo": "",
+        "fs": "no second pyroxene",
+    }
+    assert "mol % (if no second pyroxene)" in fit_verdict(record)
+    assert {row["fs_domain"] for row in alone.rows()} == {"no second pyroxene"}
+    assert alone._record(0, "")["compositions"] == record["compositions"]
+    both = lunarsci.fit(made_up(), assemblage="OPX-CPX", starts=2).to_dict()["spectra"][0]
+    assert {item["domain"] for item in both["compositions"].values()} == {""}
+
+
+def test_two_pyroxenes_are_not_taken_for_one(reference_data: Path) -> None:
+    """RELAB MIX230 and XP-CMP-015: 73 % orthopyroxene under clinopyroxene, 16 % clinopyroxene under orthopyroxene."""
+    ids = ("MIX230", "XP-CMP-015")
+    found = lunarsci.fit(str(reference_data / "spectra/relab/reflectance.csv"), assemblage="auto", id=ids)
+    choices = {record["id"]: record["choice"] for record in found.records}
+    hidden = {"MIX230": ("clinopyroxene", "orthopyroxene"), "XP-CMP-015": ("orthopyroxene", "clinopyroxene")}
+    for name, (seen, other) in hidden.items():
+        assert choices[name]["sure"] == [seen]
+        assert choices[name]["mineral_probability"][other] < 0.07
+        assert other in choices[name]["open"]
+
+
 def test_a_strained_fit_is_in_doubt(fitted: dict[str, Any]) -> None:
     said = fit_verdict(fitted | {"status": "converged; strained: NBSR at 1 and 2 µm contradict each other"})
     assert "in doubt, strained: NBSR at 1 and 2 µm contradict" in said
@@ -81,7 +112,25 @@ def test_a_strained_fit_is_in_doubt(fitted: dict[str, Any]) -> None:
     [(None, None, "no band"), (930.0, None, "none at 2 µm"), (None, 1900.0, "pyroxene is there, no more is said")],
 )
 def test_bands_that_are_missing_are_missed(first: float | None, second: float | None, said: str) -> None:
-    assert said in bands_verdict({"bc1000_nm": first, "bc2000_nm": second, "chemistry": {}})
+    record: dict[str, Any] = {"bc1000_nm": first, "bc2000_nm": second, "chemistry": {}}
+    for key in ("1000", "2000"):
+        record |= {f"bc{key}_sigma_nm": 0.04, f"bc{key}_systematic_nm": None, f"bc{key}_method_nm": 5.7}
+    told = bands_verdict(record)
+    assert said in told
+    assert told.count(".0 ± 0.1 (noise) ± 5.7 (method) nm") == sum(one is not None for one in (first, second))
+
+
+def test_a_centre_that_depends_on_the_method_says_so(reference_data: Path) -> None:
+    found = lunarsci.bands(str(reference_data / "spectra/ce4/reflectance_factor.csv"), continuum="hull")
+    told = 0
+    for record, own in zip(found.to_dict()["spectra"], found.measured, strict=True):
+        for key in ("1000", "2000"):
+            spread = max(record[f"bc{key}_systematic_nm"] or 0, record[f"bc{key}_method_nm"] or 0)
+            wide = bool(record[f"bc{key}_nm"]) and spread > max(20, 3 * record[f"bc{key}_sigma_nm"])
+            assert (record[f"band{key}_status"] == "centre depends on the method") is wide
+            assert own.bands[key].status == record[f"band{key}_status"]
+            told += wide
+    assert told > 0
 
 
 def test_no_share_out_of_domain_is_to_be_quoted() -> None:

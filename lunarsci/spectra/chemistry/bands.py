@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.spectra.bands import BandColumns, BandResult, SpectrumBands, columns_of
+from lunarsci.spectra.band_status import BandResult
+from lunarsci.spectra.bands import BandColumns, SpectrumBands, columns_of
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, Anchor, Regression, Texts, anchors, objections, regressions
 from lunarsci.spectra.continuum import CONIC
 

@@ -6,6 +6,7 @@ Made of the keys of `--json`, so that it says no more than they do.
 from collections.abc import Mapping
 from typing import Any
 
+from lunarsci.spectra.band_status import centre_said, spread_of
 from lunarsci.spectra.mgm import PERCENT_OF
 
 SEEN = 2.0
@@ -16,7 +17,26 @@ rocks differ from powders (`posterior`); assumed. [-]"""
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 
+def centres_said(record: Mapping[str, Any]) -> dict[str, str]:
+    """By key of each band that is there, its centre with the errors of noise and of method."""
+    return {
+        key: centre_said(
+            record[f"bc{key}_nm"],
+            record[f"bc{key}_sigma_nm"],
+            spread_of(record[f"bc{key}_systematic_nm"], record[f"bc{key}_method_nm"]),
+        )
+        for key in ("1000", "2000")
+        if record[f"bc{key}_nm"] is not None
+    }
+
+
 def bands_verdict(record: Mapping[str, Any]) -> str:
+    """The centres of `spectra bands`, and what they say."""
+    centres = " and ".join(centres_said(record).values())
+    return f"centred at {centres}: {bands_meaning(record)}" if centres else bands_meaning(record)
+
+
+def bands_meaning(record: Mapping[str, Any]) -> str:
     """What the centres of `spectra bands` say."""
     one, two = record["bc1000_nm"] is not None, record["bc2000_nm"] is not None
     chemistry = [item for item in (record["chemistry"] or {}).values() if item]
@@ -42,10 +62,17 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     if not record["bands"]:
         return f"no fit: {record['status']}"
     parts = [minerals_said(record["choice"]) if record["choice"] else _assumed(record), *_strained(record)]
-    known = [f"{PERCENT_OF[key]} {item['mean']:.0f} ± {item['sigma']:.0f}" for key, item in _told(record)]
+    known = [
+        f"{PERCENT_OF[key]} {item['mean']:.0f} ± {item['sigma']:.0f} mol %{_condition(item)}"
+        for key, item in _told(record)
+    ]
     sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
-    parts += [f"{'' if sure else 'if so, '}{', '.join(known)} mol %"] if known else ["no composition is told"]
+    parts += [f"{'' if sure else 'if so, '}{', '.join(known)}"] if known else ["no composition is told"]
     return "; ".join(parts)
+
+
+def _condition(item: Mapping[str, Any]) -> str:
+    return f" (if {item['domain']})" if item.get("domain") else ""
 
 
 def _strained(record: Mapping[str, Any]) -> list[str]:
@@ -67,13 +94,21 @@ def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
 
 def minerals_said(choice: Mapping[str, Any]) -> str:
     """Which minerals are sure, which are open, and which a fit does without."""
-    from lunarsci.spectra.mgm.assemblages import GROUPS, MINERALS, chances, standing
+    from lunarsci.spectra.mgm.assemblages import GROUPS, HIDDEN, MINERALS, chances, others_of, standing
 
     probabilities = {one["assemblage"]: one["probability"] for one in choice["candidates"]}
     found, known = chances(probabilities), standing(probabilities)
     left, parts = list(known["open"]), []
-    if sure := [name for name in known["sure"] if name not in GROUPS]:
+    pairs = [(one, other) for one in known["sure"] for other in others_of(one) & set(left)]
+    alone = [one for one, _ in pairs]
+    if sure := [name for name in known["sure"] if name not in (*GROUPS, *alone)]:
         parts.append(f"sure: {', '.join(sure)}")
+    for one, other in pairs:
+        left.remove(other)
+        parts.append(
+            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * found[other]:.0f} %): it "
+            f"was up to {100 * HIDDEN[other]:.0f} % in mixtures that {one} fitted alone"
+        )
     for group in GROUPS.keys() & set(known["sure"]):
         members = [MINERALS[key] for key in GROUPS[group]]
         left = [name for name in left if name not in members]
@@ -115,7 +150,7 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     else:
         parts += _quotable(record)
     if kind["name"] == "solid-rock":
-        parts.append("what is known of rocks: docs/validation/rock.md")
+        parts.append("no rock of known mode was there to test shares of rocks on")
     return "; ".join(parts)
 
 

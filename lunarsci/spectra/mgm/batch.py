@@ -155,7 +155,8 @@ class FitBatch:
         items = self.model.assemblage.compositions
         minerals = list(dict.fromkeys(item.mineral for item, off in zip(items, far, strict=False) if off))
         names = [band.name for band, off in zip(self.model.assemblage.bands, far[len(items) :], strict=True) if off]
-        strains = [f"{', '.join(names)} lie far from where these minerals have them"] if names else []
+        lie = "lies" if len(names) == 1 else "lie"
+        strains = [f"{', '.join(names)} {lie} far from where such bands are usual"] if names else []
         strains += [f"centres beyond those of any {', '.join(minerals)}: is it there?"] if minerals else []
         strains += ["NBSR at 1 and 2 µm contradict each other: is a mineral missing?"] if differ else []
         remarks += [f"strained: {'; '.join(strains)}"] if strains else []

@@ -19,6 +19,7 @@ ON_BOUND = [[name for k, name in enumerate(PARTS) if code >> k & 1] for code in 
 RATIO = ("opx", "cpx", "sigma", "calibration")
 CSV_RATIO = ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high")
 REGIONS = ("um1", "um2")
+OF_COMPOSITION = ("mean", "sigma", "in_range", "domain")
 COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
 
 
@@ -66,7 +67,7 @@ class FitColumns:
         for region, numbers in self.ratios.items():
             columns |= {f"nbsr_{region}_{key}": _ratio(numbers)[key] for key in CSV_RATIO}
         for key, item in self._compositions().items():
-            columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in ("mean", "sigma", "in_range")}
+            columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in OF_COMPOSITION}
         count = rows_of(self.fits)
         row = np.repeat(np.arange(self.size), count)
         place = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
@@ -112,6 +113,7 @@ class FitColumns:
                 "lowest": Same(item.lowest),
                 "highest": Same(item.highest),
                 "in_range": (item.lowest <= mean) & (mean <= item.highest),
+                "domain": Same(self.model.assemblage.domain(item.mineral)),
             }
         return found
 
@@ -171,7 +173,7 @@ def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dic
         for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
             common[f"nbsr_{region}_{key}"] = ratio.get(key)
     for key, item in record["compositions"].items():
-        common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
+        common |= {f"{key}_{name}": item[name] for name in OF_COMPOSITION}
     common |= shares
     if record["choice"]:
         choice = record["choice"]

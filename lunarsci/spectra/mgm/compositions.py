@@ -22,6 +22,7 @@ class MineralComposition:
     prior_sigma : before the spectrum was seen; a `sigma` close to it means that the spectrum says nothing. [mol %]
     lowest, highest : range over which the trend is known. [mol %]
     in_range : whether the mean lies there; beyond, the trend is only extended.
+    domain : what must hold beside, '' for nothing: of a pyroxene fitted alone, that there is no second one.
     """
 
     key: str
@@ -32,6 +33,7 @@ class MineralComposition:
     lowest: float
     highest: float
     in_range: bool
+    domain: str = ""
 
     @property
     def told(self) -> bool:
@@ -75,10 +77,11 @@ def compositions_of(batch: FitBatch) -> tuple[CompositionColumn, ...]:
 
 def compositions(fit: MgmFit) -> tuple[MineralComposition, ...]:
     """`compositions_of` one fit."""
-    return tuple(_composition(column) for column in compositions_of(batch_of(fit)))
+    batch = batch_of(fit)
+    return tuple(_composition(one, batch.model.assemblage.domain(one.prior.mineral)) for one in compositions_of(batch))
 
 
-def _composition(column: CompositionColumn) -> MineralComposition:
+def _composition(column: CompositionColumn, domain: str) -> MineralComposition:
     item, mean, sigma = column.prior, float(column.mean[0]), float(column.sigma[0])
     shown = mean == mean
     return MineralComposition(
@@ -90,4 +93,5 @@ def _composition(column: CompositionColumn) -> MineralComposition:
         item.lowest,
         item.highest,
         bool(column.in_range[0]),
+        domain,
     )

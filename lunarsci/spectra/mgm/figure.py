@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lunarsci.figure import PAGE_IN, as_label, headline, legend_below, page
-from lunarsci.spectra.band_status import BANDS
+from lunarsci.spectra.band_status import BANDS, with_errors
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.indices import INDICES, OK, IndexColumn
 from lunarsci.spectra.mgm.result import MgmFit
@@ -108,7 +108,7 @@ def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
     upper.set_title(as_label(item.id, LONGEST))
     upper.set_ylabel("reflectance [-]")
     lower.set_ylabel("reflectance /\ncontinuum [-]")
-    lower.set_xlabel("wavelength [nm]")
+    lower.set_xlabel("wavelength [nm]; centres: ± noise ± method")
 
 
 def _mark_centres(axes: Any, item: SpectrumBands) -> None:
@@ -116,7 +116,8 @@ def _mark_centres(axes: Any, item: SpectrumBands) -> None:
         if band.center_nm is None or band.depth is None:
             continue
         axes.errorbar(band.center_nm, 1 - band.depth, xerr=band.center_sigma_nm, fmt="v", color="black", markersize=5)
-        text = f"{band.center_nm:.1f} ± {band.center_sigma_nm:.1f} nm\ndepth {band.depth:.3f} ± {band.depth_sigma:.3f}"
+        depth = " ± ".join(with_errors(band.depth, band.depth_sigma, most=3))
+        text = f"{band.centre_said}\ndepth {depth}"
         axes.annotate(
             text, (band.center_nm, 1 - band.depth), xytext=(0, -8), textcoords="offset points",
             ha="center", va="top", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lunarsci.spectra.bands import BandResult, SpectrumBands, measure_bands
+from lunarsci.spectra.band_status import BandResult
+from lunarsci.spectra.bands import SpectrumBands, measure_bands
 from lunarsci.spectra.chemistry.bands import KEYS, chemistry, from_centres, gaffey_pairs, lines_of
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objections, regressions
 from lunarsci.spectra.spectrum import Spectrum
