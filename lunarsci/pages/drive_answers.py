@@ -139,7 +139,14 @@ def states(result: Result) -> ResultAnswer:
         else " Sinkage was not measured."
     )
     made_up = " The telemetry is synthetic." if result.get("synthetic") else ""
-    way = f"The rover drove {number(result['distance_m'], 3)} m in {number(result['duration_s'], 3)} s."
+    rolled = result.get("wheel_distance_m")
+    # Older files have only the way of the wheels, as `distance_m`.
+    who, more = (
+        ("The wheels rolled", "")
+        if rolled is None
+        else ("The rover drove", f"; its wheels rolled {number(rolled, 3)} m")
+    )
+    way = f"{who} {number(result['distance_m'], 3)} m in {number(result['duration_s'], 3)} s{more}."
     return ResultAnswer(f"{way}{slip}{sink}{made_up}")
 
 
