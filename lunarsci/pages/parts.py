@@ -200,6 +200,8 @@ def unknown(document: Document) -> list[str]:
     ]
     names: dict[str, list[str]] = {}
     for of, text in found:
+        if any(other.endswith(f": {text}") for _, other in found):
+            continue  # a warning, which names its file, says it
         names.setdefault(text, []).append(of)
     return [_line(list(dict.fromkeys(filter(None, own))), text) for text, own in names.items()][:MOST_LINES]
 

@@ -56,8 +56,8 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
-def trust(record: Mapping[str, Any]) -> tuple[bool, str]:
-    """Whether the command that made a result trusts it, and what it says, from its provenance."""
+def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:
+    """Whether the command that made a result trusts it, and what it says, from its provenance and a `caution`."""
     lines = [sentence(str(record["untrusted"]))] if record.get("untrusted") else []
     failed = record.get("failures") or []
     if failed:
@@ -69,4 +69,6 @@ def trust(record: Mapping[str, Any]) -> tuple[bool, str]:
         return True, "The file does not say whether its command trusts it, as it is of an older version; make it anew."
     heard = record.get("warnings") or []
     warned = f", but gave {counted(len(heard), 'warning')}, below" if heard else ""
+    if caution:
+        return True, f"The command found nothing that forbids to use it, but warns: {caution.rstrip('.')}."
     return True, f"The command found nothing against this result{warned}."
