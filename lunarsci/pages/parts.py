@@ -11,7 +11,10 @@ from lunarsci.pages.sentences import MOST
 from lunarsci.pages.words import number, percent, words
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
-FIRST = ("station", "wheel", "limit", "sense", "p50", "p95", "margin", "ok", "prior", "posterior", "log_bayes_factor")
+FIRST = (
+    *("station", "wheel", "limit", "sense", "p50", "p95", "kept_by_95", "margin", "ok"),
+    *("prior", "posterior", "log_bayes_factor"),
+)
 """Columns that stand first in a table."""
 STANDARD_ERROR = PARTS["sigma"]
 OF_ONE = ("caveat", "reason")
@@ -71,6 +74,10 @@ def _lists(value: Any, name: str = "") -> Iterator[tuple[str, list[Mapping[str, 
 
 
 def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
+    if all("kept" in item and "sense" in item for item in items):
+        # Limits: what 95 % of the drives keep is the upper end or the lower one, as the limit is.
+        kept = "kept_by_95" if all(item.get("share") == 0.95 for item in items) else "kept"
+        items = [{key.replace("kept", kept): item[key] for key in item if key not in ("p05", "p95")} for item in items]
     names = [key for key in ("id", "name", "quantity") if key in items[0]]
     flat = [
         {words(key): words(item[key]) if key == "quantity" else number(item[key]) for key in names}
