@@ -89,7 +89,8 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
     description = read_rover(file.name)
     wheel = read_wheel(description)
     told = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
-    told |= {"assumed numbers": len(description.assumed)}
+    named = f": {_listed(description.assumed)}" if description.assumed else ""
+    told |= {"assumed numbers": f"{len(description.assumed)}{named}"}
     if "suspension" not in description.tables:
         return told | {"parts": "a wheel alone"}
     rover = build_rover(description)

@@ -7,7 +7,7 @@ from typing import Any
 
 from lunarsci.pages.documents import Document
 from lunarsci.pages.quantities import PARTS, SAID, Quantity, quantities
-from lunarsci.pages.sentences import MOST
+from lunarsci.pages.sentences import MOST, heard_of
 from lunarsci.pages.words import number, percent, words
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
@@ -197,7 +197,7 @@ def _assumed_in(value: Any, name: str) -> list[str]:
 def unknown(document: Document) -> list[str]:
     """What the answer does not know or should be read with, one line each; what several things share once."""
     record = document.provenance
-    found = [("", str(text)) for key in ("failures", "warnings") for text in record.get(key) or ()]
+    found = [("", str(text)) for text in (*(record.get("failures") or ()), *heard_of(record))]
     found += [("", text) for text in _of_kind(document)]
     found += _said(document.result)
     found += [

@@ -148,6 +148,16 @@ def test_what_drives_keep_is_the_end_of_the_command_and_ends_have_their_time() -
     assert "The drive ended 0.041 m from where it was predicted to." in answer(at_end).text
 
 
+def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
+    drive = of("predict")
+    record = {"untrusted": "", "warnings": ["predicted.png: holds the first page only; a .pdf holds all"]}
+    made = replace(drive, provenance=record)
+    assert answer(made).trust == "The command found nothing against this result."
+    assert not any("first page" in line for line in unknown(made))
+    record["warnings"].append("plan.toml has no [limits]")  # type: ignore[attr-defined]
+    assert "gave 1 warning, below" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
+
+
 def test_a_share_of_no_determined_value_is_not_told() -> None:
     """Pyroxene's bands of the damped fit have an error of 300: no number is read aloud."""
     assert "orthopyroxene makes" not in answer(of("fit damping")).text

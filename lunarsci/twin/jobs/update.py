@@ -228,12 +228,12 @@ class LearnedSoil(Result):
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
+        from lunarsci.figure import as_label
         from lunarsci.regolith.belief_figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
         from lunarsci.twin.ground.soil_layers import soil_layers
 
-        title, synthetic = f"soil after {file_label(self.states.name)}", self.known.terrain.synthetic
+        title, synthetic = f"soil after {as_label(self.known.plan.name)}", self.known.terrain.synthetic
         yield belief_figure(self.belief, title, synthetic=synthetic)
         yield residual_page(self.record, self.found, self.changes)
         if self.soil_map is not None:
