@@ -89,8 +89,10 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
     description = read_rover(file.name)
     wheel = read_wheel(description)
     told = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
-    named = f": {_listed(description.assumed)}" if description.assumed else ""
-    told |= {"assumed numbers": f"{len(description.assumed)}{named}"}
+    keys = description.assumed
+    parts = dict.fromkeys(key.partition(".")[0] for key in keys)
+    named = _listed(keys) if len(keys) <= MOST else f"of {', '.join(parts)}"
+    told |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
     if "suspension" not in description.tables:
         return told | {"parts": "a wheel alone"}
     rover = build_rover(description)
