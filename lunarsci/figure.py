@@ -74,6 +74,9 @@ STYLE: Any = {
 }
 """What every picture looks like unless it says otherwise: sober, of one size of text, of few lines."""
 
+FIRST_PAGE = "holds the first page only; a .pdf holds all"
+"""What is said of a picture of several pages that takes one."""
+
 
 def as_label(text: str, longest: int = 40) -> str:
     """A name from a file as a label: short, and without what matplotlib would take for a formula.
@@ -271,7 +274,7 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
         raise ParameterError("there is nothing to draw; leave --plot out")
     content = _one(first, suffix)
     if next(pages, None) is not None:
-        warnings.warn(f"{target}: holds the first page only; a .pdf holds all", LunarSciWarning, stacklevel=3)
+        warnings.warn(f"{target}: {FIRST_PAGE}", LunarSciWarning, stacklevel=3)
     return content
 
 

@@ -111,6 +111,7 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
     learned = sum(drive["refused"] is None for drive in drives)
     notes = [f"drive {d['drive']} taught nothing: {d['refused']}" for d in drives if d["refused"]]
     notes += [f"drive {d['drive']} is doubtful: {d['doubt']}" for d in drives if d["doubt"]]
+    notes += [f"drive {d['drive']} was learned with a warning: {d['caution']}" for d in drives if d["caution"]]
     notes.append("surprise: how far the soil found lies from what was believed before; about 1 or less as expected")
     return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
 

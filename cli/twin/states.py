@@ -96,8 +96,10 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     ]
     changes = result["slip_changes"]["ahead"]
     notes = [
-        f"{result['positions']} positions over {result['duration_s']:.4g} s; they scatter about the motion with a "
-        f"reduced chi-square of {result['reduced_chi_square']:.2f}",
+        f"the rover drove {result['distance_m']:.3g} m in {result['duration_s']:.4g} s; its wheels rolled "
+        f"{result['wheel_distance_m']:.3g} m",
+        f"{result['positions']} positions scatter about the motion with a reduced chi-square of "
+        f"{result['reduced_chi_square']:.2f}",
         f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "
         f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
         DEEPEST if result["sinkages"] else "no sinkage: give the depth of the track with --track",

@@ -144,6 +144,7 @@ def _notes(learned: "LearnedSoil") -> list[str]:
         f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
         f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
         *learned.doubts,
+        *learned.before.cautions(found),
         *_slip_notes(learned),
     ]
     if found.prediction.ruts:
@@ -152,8 +153,6 @@ def _notes(learned: "LearnedSoil") -> list[str]:
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
     for name, size in found.wheel_errors.items():
         notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
-    if found.of_other_ground:
-        notes.append("the ground is hardly the one that was believed; forget more, or begin anew")
     notes.extend(change.text for change in learned.changes)
     if learned.changes and learned.segments is None:
         notes.append("--save-map learns the soil of each stretch on its own")

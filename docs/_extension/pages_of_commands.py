@@ -171,6 +171,7 @@ PARTS = {
     "reason": "why a value is missing, or empty",
     "reasons": "why, each in a sentence",
     "notes": "remarks, each in a sentence",
+    "caution": "what was warned of and is no doubt, in a sentence",
     "caveat": "what the error does not include",
     "assumed": "whether no source gives it; or what was assumed, by name",
     "assumed_of_rover": "numbers of the rover that no source gives",

@@ -91,7 +91,10 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
     wheel = read_wheel(description)
     told = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
     left = left_to_defaults(description)
-    told |= {"assumed numbers": len(description.assumed) + len(left)}
+    keys = [*description.assumed, *left]
+    parts = dict.fromkeys(key.partition(".")[0] for key in keys)
+    named = _listed(keys) if len(keys) <= MOST else f"of {', '.join(parts)}"
+    told |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
     if left:
         told["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
     if "suspension" not in description.tables:

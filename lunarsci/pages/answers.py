@@ -20,7 +20,9 @@ def answer(document: Document) -> ResultAnswer:
     made = ANSWERS.get(document.kind)
     with as_written(document):
         found = made(document.result) if made else _unknown(document)
-        trusted, said = trust(document.provenance)
+        told = (document.result, document.result.get("soil"))
+        caution = next((str(one["caution"]) for one in told if isinstance(one, Mapping) and one.get("caution")), "")
+        trusted, said = trust(document.provenance, caution)
         said = found.trust if trusted and found.trust else said
     tone = found.tone if trusted or found.tone == STOP else DOUBT
     text = f"{said} Otherwise: {found.text}" if tone == DOUBT and found.tone == GO else found.text

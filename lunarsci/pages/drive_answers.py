@@ -139,7 +139,14 @@ def states(result: Result) -> ResultAnswer:
         else " Sinkage was not measured."
     )
     made_up = " The telemetry is synthetic." if result.get("synthetic") else ""
-    way = f"The rover drove {number(result['distance_m'], 3)} m in {number(result['duration_s'], 3)} s."
+    rolled = result.get("wheel_distance_m")
+    # Older files have only the way of the wheels, as `distance_m`.
+    who, more = (
+        ("The wheels rolled", "")
+        if rolled is None
+        else ("The rover drove", f"; its wheels rolled {number(rolled, 3)} m")
+    )
+    way = f"{who} {number(result['distance_m'], 3)} m in {number(result['duration_s'], 3)} s{more}."
     return ResultAnswer(f"{way}{slip}{sink}{made_up}")
 
 
@@ -199,14 +206,19 @@ def _after(name: str) -> str:
 
 def compared(result: Result) -> ResultAnswer:
     end, verdict = result.get("end"), str(result["verdict"])
-    where = (
-        f" The drive ended {number(end['error_m'], 2)} m from where it was predicted to."
-        if end and end.get("error_m") is not None
-        else ""
-    )
+    where = "" if not end or end.get("error_m") is None else f" {_ended(end)}"
     told = result.get("reasons") or result.get("near")
     reason = f": {'; '.join(map(str, told))}" if told else ""
     return ResultAnswer(f"The prediction is {verdict}{reason}.{where}")
+
+
+def _ended(end: Result) -> str:
+    """How far off the last position was, and when where that is not the end of the plan."""
+    error = number(end["error_m"], 2)
+    if end.get("at_end", True) or end.get("time_s") is None:
+        return f"The drive ended {error} m from where it was predicted to."
+    at = f"At {end['time_s']:.0f} s, its last position, before the end of the plan,"
+    return f"{at} the rover was {error} m from where it was predicted to be."
 
 
 def believed(result: Result) -> ResultAnswer:

@@ -97,7 +97,14 @@ class Section:
     @property
     def mark(self) -> str:
         """The answer's tone in a word or two; '' for one that needs none."""
-        return "" if self.answer.text.startswith(("Go ", "No-go ")) else MARKS.get(self.answer.tone, "")
+        named = next((word for word in (MARKS[GO], MARKS[STOP]) if self.answer.text.startswith(f"{word} ")), "")
+        found = MARKS.get(self.answer.tone, "")
+        return named or (f"{found}." if found else "")
+
+    @property
+    def told(self) -> str:
+        """The answer after its mark."""
+        return self.answer.text.removeprefix(f"{self.mark} ") if self.mark else self.answer.text
 
     @property
     def synthetic(self) -> bool:

@@ -7,12 +7,15 @@ from typing import Any
 
 from lunarsci.pages.documents import Document
 from lunarsci.pages.quantities import PARTS, SAID, Quantity, quantities
-from lunarsci.pages.sentences import MOST
+from lunarsci.pages.sentences import MOST, heard_of
 from lunarsci.pages.words import number, percent, words
 from lunarsci.regolith.jobs.identify import alone_title
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
-FIRST = ("station", "wheel", "limit", "sense", "p50", "p95", "margin", "ok", "prior", "posterior", "log_bayes_factor")
+FIRST = (
+    *("station", "wheel", "limit", "sense", "p50", "p95", "kept_by_95", "margin", "ok"),
+    *("prior", "posterior", "log_bayes_factor"),
+)
 """Columns that stand first in a table."""
 STANDARD_ERROR = PARTS["sigma"]
 OF_ONE = ("caveat", "reason")
@@ -104,6 +107,10 @@ def _lists(value: Any, name: str = "") -> Iterator[tuple[str, list[Mapping[str, 
 
 
 def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
+    if all("kept" in item and "sense" in item for item in items):
+        # Limits: what 95 % of the drives keep is the upper end or the lower one, as the limit is.
+        kept = "kept_by_95" if all(item.get("share") == 0.95 for item in items) else "kept"
+        items = [{key.replace("kept", kept): item[key] for key in item if key not in ("p05", "p95")} for item in items]
     names = [key for key in ("id", "name", "quantity") if key in items[0]]
     flat = [
         {words(key): words(item[key]) if key == "quantity" else number(item[key]) for key in names}
@@ -223,7 +230,7 @@ def _assumed_in(value: Any, name: str) -> list[str]:
 def unknown(document: Document) -> list[str]:
     """What the answer does not know or should be read with, one line each; what several things share once."""
     record = document.provenance
-    found = [("", str(text)) for key in ("failures", "warnings") for text in record.get(key) or ()]
+    found = [("", str(text)) for text in (*(record.get("failures") or ()), *heard_of(record))]
     found += [("", text) for text in _of_kind(document)]
     found += _said(document.result)
     found += [
@@ -233,6 +240,8 @@ def unknown(document: Document) -> list[str]:
     ]
     names: dict[str, list[str]] = {}
     for of, text in found:
+        if any(other.endswith(f": {text}") for _, other in found):
+            continue  # a warning, which names its file, says it
         names.setdefault(text, []).append(of)
     return [_line(list(dict.fromkeys(filter(None, own))), text) for text, own in names.items()][:MOST_LINES]
 

@@ -30,8 +30,8 @@ OF_CONTINUUM = re.compile(r"b[acd](1000|2000)(_nm)?")
 VALUES = ("value", "mean", "fraction", "median")
 """Keys of a number that its object is named for."""
 SAID = (
-    *("notes", "remarks", "reasons", "reason", "doubt", "caveat", "status", "why_none", "refused", "must_mend"),
-    "not_compared",
+    *("notes", "remarks", "reasons", "reason", "doubt", "caution", "caveat", "status", "why_none", "refused"),
+    *("must_mend", "not_compared"),
 )
 """Keys whose text says what an answer does not know."""
 GROUPS = ("chemistry", "compositions", "spectra", "rocks", "parameters", "joint", "abundances", "end_members", "maps")

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from lunarsci.figure import FIRST_PAGE
 from lunarsci.pages.words import counted
 
 GO, STOP, DOUBT, PLAIN = "go", "no-go", "doubt", "plain"
@@ -56,8 +57,13 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
-def trust(record: Mapping[str, Any]) -> tuple[bool, str]:
-    """Whether the command that made a result trusts it, and what it says, from its provenance."""
+def heard_of(record: Mapping[str, Any]) -> list[str]:
+    """Warnings about a result: those about the pages of its picture say nothing of it."""
+    return [str(text) for text in record.get("warnings") or () if not str(text).endswith(FIRST_PAGE)]
+
+
+def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:
+    """Whether the command that made a result trusts it, and what it says, from its provenance and a `caution`."""
     lines = [sentence(str(record["untrusted"]))] if record.get("untrusted") else []
     failed = record.get("failures") or []
     if failed:
@@ -67,6 +73,8 @@ def trust(record: Mapping[str, Any]) -> tuple[bool, str]:
         return False, " ".join(lines)
     if "untrusted" not in record:
         return True, "The file does not say whether its command trusts it, as it is of an older version; make it anew."
-    heard = record.get("warnings") or []
+    heard = heard_of(record)
     warned = f", but gave {counted(len(heard), 'warning')}, below" if heard else ""
+    if caution:
+        return True, f"The command found nothing that forbids to use it, but warns: {caution.rstrip('.')}."
     return True, f"The command found nothing against this result{warned}."

@@ -34,6 +34,7 @@ NAMES = {
     "p05": "5 %",
     "p50": "median",
     "p95": "95 %",
+    "kept_by_95": "95 % of drives",
     "feo_lucey_wt": "FeO, Clementine [wt %]",
     "feo_zhang_wt": "FeO, M3 [wt %]",
     "tio2_lucey_wt": "TiO2, Clementine [wt %]",

@@ -158,11 +158,20 @@ class SoilBelief:
 
         The doubt of a drive stays until all was forgotten before a later one.
         """
+        return self._told("doubt")
+
+    @property
+    def caution(self) -> str:
+        """What was warned of when it learned and is no doubt; empty where nothing was. It stays as doubt does."""
+        return self._told("caution")
+
+    def _told(self, key: str) -> str:
+        """The last text of the drives since all was forgotten, and how many more there are."""
         told: list[str] = []
         for entry in self.history:
             told = [] if entry.get("forgotten") == 1.0 else told
-            if entry.get("doubt"):
-                told.append(f"{entry.get('states', 'a drive')}: {entry['doubt']}")
+            if entry.get(key):
+                told.append(f"{entry.get('states', 'a drive')}: {entry[key]}")
         more = f" (and {len(told) - 1} of its other drives)" if len(told) > 1 else ""
         return f"{told[-1]}{more}" if told else ""
 

@@ -57,6 +57,26 @@ def test_the_drives_and_what_each_moved(run: Run, files: tuple[Path, Path], tmp_
     assert len(rows) == 4 * 8 and rows[8]["drive"] == "1" and rows[0]["states"] == ""
 
 
+def test_a_warning_of_a_drive_stays_with_the_belief(run: Run, short_plan: Path, tmp_path: Path) -> None:
+    """In the history, in predictions and on the page, with exit code 0, until all is forgotten."""
+    said = "one soil explains the positions only with 2.3 times their errors"
+    entry = {"states": "1.csv", "sha256": "a" * 64, "plan": "out", "values": 9, "outliers": 0, "chi_square": 9.0}
+    entry |= {"surprise": 0.1, "refused": "", "doubt": ""}
+    warned = with_drive(first_belief(), first_belief(), entry | {"caution": said})
+    later = with_drive(warned, warned, entry, forgotten=0.5)
+    assert said in later.caution and with_drive(later, later, entry, forgotten=1.0).caution == ""
+    belief, folder = tmp_path / "belief.json", tmp_path / "predicted"
+    belief.write_text(later.to_json())
+    done = run("twin", "history", belief)
+    assert done.code == 0 and f"drive 1 was learned with a warning: {said}" in done.out
+    used = ("twin", "predict", short_plan, "--soil", belief, "--members", "4", "--time-step", "0.2", "-o", folder)
+    done = run(*used)
+    assert done.code == 0 and said in " ".join(done.out.split()), done.err
+    sections = json.loads(run("report", belief, folder, "--json").out)["result"]["sections"]
+    assert [said in one["trust"] and "warns" in one["trust"] for one in sections] == [True, True]
+    assert [one["tone"] for one in sections] == ["plain", "go"]
+
+
 def test_what_the_physics_is_off_by_and_what_taught_it(run: Run, files: tuple[Path, Path]) -> None:
     belief = read_belief(read_input(str(files[0])))
     law = FIRST.with_miss(np.array([0.3, 0.0]), 1e-4 * np.eye(2), np.diag([1.0, 0.0]))

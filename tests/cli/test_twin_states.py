@@ -66,6 +66,13 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
     assert 18 <= result["states"] <= 6 * (result["positions"] - 1) and result["valid"] == result["states"]
     assert set(result["wheels"]) == {"FL", "FR", "ML", "MR", "RL", "RR"}
     assert abs(result["wheels"]["FL"]["slip_ratio"]["median"]) < 0.1
+    # The distance is the rover's, not that of its wheels, and so is that of the page.
+    slip = np.mean([one["slip_ratio"]["median"] for one in result["wheels"].values()])
+    assert slip > 0.005 and result["wheel_distance_m"] == pytest.approx(2.5, rel=0.01)
+    assert result["distance_m"] == pytest.approx((1 - slip) * result["wheel_distance_m"], abs=0.02)
+    told = json.loads(run("report", found, "--json").out)["result"]["sections"][0]["answer"]
+    rolled = f"its wheels rolled {result['wheel_distance_m']:.3g} m"
+    assert f"The rover drove {result['distance_m']:.3g} m in " in told and rolled in told
     assert result["wheels"]["FL"]["sinkage_m"]["median"] == pytest.approx(0.009, abs=0.002)
     assert picture.read_bytes().startswith(b"\x89PNG")
     states = pd.read_csv(found / "states.csv")

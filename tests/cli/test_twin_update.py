@@ -5,12 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import first_belief, read_belief
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
 
 Run = Callable[..., Any]
@@ -48,6 +49,25 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
     assert run("twin", "history", tmp_path / "same.json", "--rollback", "1", "--save", tmp_path / "back.json").code == 0
     back, first = (json.loads(path.read_text()) for path in (tmp_path / "back.json", belief))
     assert all(back[key] == first[key] for key in ("mean", "covariance", "history", "laws"))
+
+
+@pytest.mark.slow
+def test_other_ground_than_the_believed_is_warned_of(
+    run: Run, short_plan: Path, short_states: Path, tmp_path: Path
+) -> None:
+    """A belief as sure as after many drives, of another soil: the exit code stays 0, and the belief keeps it."""
+    first = first_belief()
+    away = first.mean + 2.0 * np.sqrt(np.diag(first.covariance))
+    other, new = tmp_path / "other.json", tmp_path / "new.json"
+    other.write_text(SoilBelief(first.laws, away, 0.04 * first.covariance).to_json())
+    update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32", "--save", new, "--force")
+    done = run(*update, "--soil", other, "--json")
+    assert done.code == 0 and any("is it the same ground" in line for line in done.err), done.err
+    said = json.loads(done.out)["result"]
+    assert said["surprise"] > 2 and "begin without --soil, or with --forget" in said["caution"], done.err
+    assert "is it the same ground" in read_belief(read_input(str(new))).caution
+    assert run(*update, "--soil", other, "--forget", "1", "-q").code == 0
+    assert read_belief(read_input(str(new))).caution == ""
 
 
 def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_path: Path) -> None:

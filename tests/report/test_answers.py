@@ -14,7 +14,7 @@ from lunarsci.pages.page import TITLES
 from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
 from lunarsci.pages.sentences import DOUBT, GO, STOP
-from lunarsci.pages.words import counted, measured, percent, words
+from lunarsci.pages.words import counted, measured, number, percent, words
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
 
@@ -135,6 +135,33 @@ def test_single_values_are_one_table_and_names_have_units() -> None:
         assert all(len(table.rows) > 1 for table in tables(of(name)) if table.title != "Single values")
     names = [row[0] for row in budget(of("identify")).rows]
     assert any(text.endswith("internal friction angle φ [°]") for text in names), names
+
+
+def test_what_drives_keep_is_the_end_of_the_command_and_ends_have_their_time() -> None:
+    """Of a lower limit, such as ground clearance, the lower end; of a drive that was not measured to its end when."""
+    drive = of("predict")
+    table = next(one for one in tables(drive) if one.title == "limits")
+    kept = {one["quantity"]: one["kept"] for one in drive.result["limits"]}
+    shown = {row[0]: row[table.headers.index("95 % of drives")] for row in table.rows}
+    assert shown["ground clearance [m]"] == number(kept["clearance_m"]) and len(shown) == len(kept)
+    low = next(one for one in drive.result["limits"] if one["quantity"] == "clearance_m")
+    assert number(low["p05"]) == shown["ground clearance [m]"] != number(low["p95"])
+    assert "95 %" not in table.headers and "5 %" not in table.headers
+    held = of("compare drives")
+    early = replace(held, result={**held.result, "end": {"error_m": 0.041, "time_s": 110.0, "at_end": False}})
+    assert "At 110 s, its last position, before the end of the plan, the rover was 0.041 m" in answer(early).text
+    at_end = replace(held, result={**held.result, "end": {"error_m": 0.041, "time_s": 120.0, "at_end": True}})
+    assert "The drive ended 0.041 m from where it was predicted to." in answer(at_end).text
+
+
+def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
+    drive = of("predict")
+    record = {"untrusted": "", "warnings": ["predicted.png: holds the first page only; a .pdf holds all"]}
+    made = replace(drive, provenance=record)
+    assert answer(made).trust == "The command found nothing against this result."
+    assert not any("first page" in line for line in unknown(made))
+    record["warnings"].append("plan.toml has no [limits]")  # type: ignore[attr-defined]
+    assert "gave 1 warning, below" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
 
 
 def test_a_share_of_no_determined_value_is_not_told() -> None:

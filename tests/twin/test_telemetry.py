@@ -297,7 +297,7 @@ def test_errors_that_positions_share_shift_the_whole_way_and_no_slip(yutu2: Rove
 def test_a_track_tells_of_sinkages_between_positions_that_lie_far_apart(yutu2: Rover) -> None:
     """Two positions have one slip between them; the track is measured all along."""
     drive, terrain = made_up(yutu2, 1, PLAN, SensorErrors(fix_sigma_m=0.007, fix_distance_m=100.0))
-    with pytest.warns(LunarSciWarning, match="2 positions over 5.02 m"):
+    with pytest.warns(LunarSciWarning, match="2 positions over 5.02 m by the wheels"):
         states = found(drive, terrain, track=True)
     slips, depths = (np.isfinite(v).any(axis=1) for v in (states.rows.slip_ratio, states.rows.sinkage_m))
     assert slips.sum() == 1 and depths.sum() > 8

@@ -126,9 +126,14 @@ class SoilUpdate:
         return self.autocorrelation <= SETTLED
 
     @property
-    def of_other_ground(self) -> bool:
-        """Whether the drive was hardly on the ground that was believed."""
-        return self.prior_shift > SURPRISING and not self.refused
+    def other_ground(self) -> str:
+        """What to do where the drive was hardly on the ground that was believed; empty where it was."""
+        if self.refused or self.prior_shift <= SURPRISING:
+            return ""
+        return (
+            f"the soil found lies {self.prior_shift:.1f} standard deviations from what was believed: is it the same "
+            "ground? begin without --soil, or with --forget, at a new site"
+        )
 
     @property
     def doubt(self) -> str:

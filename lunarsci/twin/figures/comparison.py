@@ -121,9 +121,9 @@ def _draw_end(axes: "Axes", matched: MatchedObservations, found: DriveComparison
     _frame_map(axes)
     axes.margins(0.12)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, frameon=False)
-    where = "end" if end.at_end else f"last position, at {end.time_s:.0f} s"
+    where = "end" if end.at_end else f"last, at {end.time_s:.0f} s"
     standing = "" if end.standing is None else f", {end.standing.distance:.1f} sd"
-    axes.set_title(f"{where}: {end.error_m:.3f} m from the predicted middle{standing}")
+    axes.set_title(f"{where}: {end.error_m:.3f} m from the middle{standing}")
 
 
 def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
@@ -176,8 +176,8 @@ def _handles(matched: MatchedObservations) -> list[Any]:
 
     ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
     handles: list[Any] = [
-        Patch(facecolor=ACCENT, alpha=0.22, label="predicted, p05 to p95"),
-        Line2D([], [], marker="o", label="outside its own 90 % band", **ring),
+        Patch(facecolor=ACCENT, alpha=0.22, label="predicted, p05 to p95, without errors of measurement"),
+        Line2D([], [], marker="o", label="outside its own 90 % band, which has them", **ring),
     ]
     for number, wheel in enumerate(matched.forecast.wheels):
         handles.append(Line2D([], [], markersize=4, linewidth=0, label=as_label(wheel), **wheel_dots(number)))

@@ -104,6 +104,11 @@ def doubt_of(name: str, belief: SoilBelief | None) -> str:
     return f"the belief {name} is doubtful: {belief.doubt}" if belief is not None and belief.doubt else ""
 
 
+def caution_of(name: str, belief: SoilBelief | None) -> str:
+    """What to know of a belief of that name that is no doubt; empty where there is nothing."""
+    return f"the belief {name} was learned with a warning: {belief.caution}" if belief and belief.caution else ""
+
+
 def _is_name(name: str) -> bool:
     """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
     return name in known_soils() or not (
@@ -149,7 +154,8 @@ class DriveInputs:
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
         found = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
-        return found | ({"doubt": self.doubt_of_belief} if self.doubt_of_belief else {})
+        told = {"doubt": self.doubt_of_belief, "caution": self.caution_of_belief}
+        return found | {key: text for key, text in told.items() if text}
 
     def soil_notes(self, members: int, drawn: int) -> list[str]:
         """Which soil `members` drives have, where it is not the common one, and what a belief in its place means.
@@ -165,18 +171,26 @@ class DriveInputs:
         drives = start if not belief.history else f"{len(belief.history)} drive(s)"
         unread = len(belief.history) - self.given.learned
         less = f", {unread} of which taught nothing" if unread else ""
-        return [
+        drawn_from = (
             f"soil: {members} drawn from the belief {self.given.name}, which rests on {drives}{less}; it takes the "
             "place of the terrain's soil"
-        ]
+        )
+        return [drawn_from, *([f"caution: {self.caution_of_belief}"] if self.caution_of_belief else [])]
 
     @property
     def doubt_of_belief(self) -> str:
         """Why predictions from the belief, or from the map along the plan, are doubtful; empty where they are not."""
-        belief = self.given.belief
+        return doubt_of(self.given.name, self._belief_along())
+
+    @property
+    def caution_of_belief(self) -> str:
+        """What was warned of when the belief, or the map along the plan, was learned; empty where nothing was."""
+        return caution_of(self.given.name, self._belief_along())
+
+    def _belief_along(self) -> SoilBelief | None:
         if self.given.soil_map is not None:
-            belief = self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
-        return doubt_of(self.given.name, belief)
+            return self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
+        return self.given.belief
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""

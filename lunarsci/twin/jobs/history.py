@@ -82,6 +82,7 @@ class BeliefHistory(Result):
         return {
             "drives": self.drives,
             "doubt": self.belief.doubt or None,
+            "caution": self.belief.caution or None,
             "synthetic": self.synthetic,
             "parameters": parameter_rows(self.belief),
             "discrepancy": self.belief.discrepancy.to_dict(),
@@ -154,6 +155,7 @@ def _drives(belief: "SoilBelief") -> list[dict[str, Any]]:
             "surprise": entry.get("surprise"),
             "refused": entry.get("refused") or None,
             "doubt": entry.get("doubt") or None,
+            "caution": entry.get("caution") or None,
             "moved_sd": moved,
             "parameters": None if state is None else parameter_rows(state),
         }

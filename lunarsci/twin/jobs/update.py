@@ -70,13 +70,15 @@ class Before:
     """What was believed before a drive.
 
     `belief` is of the whole drive, forgotten as far as asked; `soil_map` the map, None where the soil is not kept by
-    place; `file` what they come from, None for the priors; `doubt` why it is doubtful, empty where it is not.
+    place; `file` what they come from, None for the priors; `doubt` why it is doubtful, empty where it is not;
+    `believed` whether it is a belief that was not all forgotten.
     """
 
     belief: "SoilBelief"
     soil_map: "SoilMap | None"
     file: InputFile | None
     doubt: str = ""
+    believed: bool = False
 
     @classmethod
     def read(cls, asked: UpdateRequest, known: "DriveInputs") -> "Before":
@@ -101,7 +103,12 @@ class Before:
             belief = soil_map.belief_along(planned_places(known.plan, known.rover))
         doubt = "" if file is None or asked.forget == 1.0 else doubt_of(file.name, belief)
         belief = belief.inflated(asked.forget) if asked.forget else belief
-        return cls(belief=belief, soil_map=soil_map, file=file, doubt=doubt)
+        believed = file is not None and soil_map is None and asked.forget < 1.0
+        return cls(belief=belief, soil_map=soil_map, file=file, doubt=doubt, believed=believed)
+
+    def cautions(self, found: "SoilUpdate") -> list[str]:
+        """What to know of a drive's soil and is no doubt; a map keeps other ground apart by itself."""
+        return [text for text in (found.caution, found.other_ground if self.believed else "") if text]
 
     def refuse_known(self, states: InputFile) -> None:
         """Raises DataError where the belief has learned from these states: the same drive does not count twice."""
@@ -189,6 +196,7 @@ class LearnedSoil(Result):
             "persistence": found.autocorrelation,
             "refused": found.refused or None,
             "doubt": "; ".join(self.doubts) or None,
+            "caution": "; ".join(self.before.cautions(found)) or None,
             "pace": None if self.pace is None else self.pace.to_dict(),
             "slip_ratio": None if self.slip is None else self.slip.to_dict(),
             "drives": len(found.belief.history),
@@ -220,12 +228,12 @@ class LearnedSoil(Result):
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
+        from lunarsci.figure import as_label
         from lunarsci.regolith.belief_figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
         from lunarsci.twin.ground.soil_layers import soil_layers
 
-        title, synthetic = f"soil after {file_label(self.states.name)}", self.known.terrain.synthetic
+        title, synthetic = f"soil after {as_label(self.known.plan.name)}", self.known.terrain.synthetic
         yield belief_figure(self.belief, title, synthetic=synthetic)
         yield residual_page(self.record, self.found, self.changes)
         if self.soil_map is not None:
@@ -299,12 +307,12 @@ def update(
     drive = (known.rover, known.terrain, known.plan)
     found = assimilate(*drive, record, before.belief, ruts=asked.ruts, teach=teach, **drawing)
     pace = pace_of(along, known.rover, known.plan)
-    line = _DrivenLine(known=known, states=source, doubts=(along.doubt, pace.doubt if pace else ""))
+    line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     slip = SlipLean.of(along, found)
     whole = replace(line, doubts=(*line.doubts, slip.doubt if slip else ""))
     found = _with_history(found, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
-    if found.caution:
-        warnings.warn(f"{source.name}: {found.caution}", LunarSciWarning, stacklevel=2)
+    for text in before.cautions(found):
+        warnings.warn(f"{source.name}: {text}", LunarSciWarning, stacklevel=2)
     segments, soil_map = None, None
     if before.soil_map is None:
         change = find_change(along, found, seed=asked.seed)
@@ -330,28 +338,35 @@ def update(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _DrivenLine:
-    """What a line of history says of a drive, whatever was found: its inputs, its states, and why they are doubtful."""
+    """What a line of history says of a drive, whatever was found: its inputs, its states, why they are doubtful, and
+    what was believed before."""
 
     known: "DriveInputs"
     states: InputFile
     doubts: tuple[str, ...]
+    before: Before
 
     def of(self, found: "SoilUpdate") -> Mapping[str, Any]:
         """The line of history of what was found."""
         doubts = () if found.refused else (*self.doubts, found.doubt)
-        return {
-            "states": Path(self.states.name).name,
-            "sha256": self.states.sha256,
-            "plan": self.known.plan.name,
-            "values": found.values,
-            "outliers": int(found.outliers.sum()),
-            "chi_square": found.chi_square,
-            "inflation": dict(found.inflation),
-            "ruts": found.prediction.ruts,
-            "surprise": found.prior_shift,
-            "refused": found.refused,
-            "doubt": "; ".join(text for text in doubts if text),
-        } | ({"synthetic": True} if self.known.terrain.synthetic else {})
+        caution = "; ".join(self.before.cautions(found))
+        return (
+            {
+                "states": Path(self.states.name).name,
+                "sha256": self.states.sha256,
+                "plan": self.known.plan.name,
+                "values": found.values,
+                "outliers": int(found.outliers.sum()),
+                "chi_square": found.chi_square,
+                "inflation": dict(found.inflation),
+                "ruts": found.prediction.ruts,
+                "surprise": found.prior_shift,
+                "refused": found.refused,
+                "doubt": "; ".join(text for text in doubts if text),
+            }
+            | ({"caution": caution} if caution else {})
+            | ({"synthetic": True} if self.known.terrain.synthetic else {})
+        )
 
 
 def _with_history(

@@ -122,7 +122,7 @@ class RoverCheck:
             return plan
         changed = [f"{limit.quantity} {limit.limit:.3g}" for limit in limits if limit not in plan.limits]
         what = f"{EMBEDDED}, made for Yutu-2," if path is None else f"{path} has no [limits] and"
-        self.say(f"{what} is judged by what is assumed of {self.rover.name}: {', '.join(changed)}")
+        self.say(f"{what} is judged by limits that follow from {self.description.origin}: {', '.join(changed)}")
         return replace(plan, limits=limits)
 
     def _note(self, what: str, made: MadeFor | None, path: str) -> None:

@@ -378,5 +378,7 @@ def check_change(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     """Say positions that are too few or too coarse to tell how slip changes."""
     if smoothed.change.information[0] < SPARSE:
         count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
-        what = f"{count} positions over {float(nodes.way_m.sum()):.3g} m do not tell how fast slip changes"
+        what = (
+            f"{count} positions over {float(nodes.way_m.sum()):.3g} m by the wheels do not tell how fast slip changes"
+        )
         findings.add("sparse positions", what, "errors of slip rest on what is assumed of it", count=count)

@@ -70,7 +70,7 @@ class StateRows:
     Attributes
     ----------
     node : which node each row is. (m,)
-    distance_m : way of the rover as its wheels say. (m,) [m]
+    distance_m : way that the wheels rolled, of their middle; longer than the rover's by slip. (m,) [m]
     place_m : wheel centres. (m, wheels, 2) [m]
     slip_ratio, slip_ratio_sigma, side_slip_deg, side_slip_deg_sigma : (m, wheels)
     sinkage_m, sinkage_m_sigma : NaN where the track does not say it. (m, wheels) [m]
@@ -117,6 +117,11 @@ class DriveStates:
     left_out: FloatArray
     findings: Findings
     pace: WheelPace | None = None
+
+    @property
+    def driven_m(self) -> float:
+        """Length of the estimated way of the rover's origin; that of its wheels is longer by their slip. [m]"""
+        return float(np.hypot(np.diff(self.motion.x_m), np.diff(self.motion.y_m)).sum())
 
 
 def states_of(
