@@ -223,6 +223,10 @@ class Result(ABC):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """The rows of `--csv`."""
 
+    def rows_each(self) -> Sequence[Mapping[str, Any]]:
+        """The same where none of the columns wanted is of a part, as a band of a spectrum is: one of each thing."""
+        return self.rows()
+
     def figures(self) -> "Iterator[Figure]":
         """The pages of `--plot`."""
         return iter(())

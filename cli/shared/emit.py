@@ -121,11 +121,12 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     if output.wanted == "csv":
         if report.rows is None:
             raise RequestError("this result is no table; use --json")
-        return chosen_csv(report.rows, output.chosen) if output.chosen else to_csv(report.rows)
+        rows = report.rows_with(output.chosen) or ()
+        return chosen_csv(rows, output.chosen) if output.chosen else to_csv(report.rows)
     if report.raw is not None and output.wanted == "text" and not output.chosen:
         return [report.raw().encode()]
     tables = report.tables() if callable(report.tables) else report.tables
-    tables = chosen(tables, report.rows, output.chosen) if output.chosen else tables
+    tables = chosen(tables, report.rows_with(output.chosen), output.chosen) if output.chosen else tables
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
     to_file = output.path is not None and not output.folder and not report.written

@@ -249,19 +249,27 @@ class MgmFits(Result):
         }
 
     def rows(self) -> Sequence[dict[str, Any]]:
+        return self._rows(bands=True)
+
+    def rows_each(self) -> Sequence[dict[str, Any]]:
+        return self._rows(bands=False)
+
+    def _rows(self, *, bands: bool) -> Sequence[dict[str, Any]]:
+        """One a band, or one a spectrum without the columns of bands."""
         from lunarsci.record_blocks import in_blocks
         from lunarsci.records import Records
         from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
         if not self._as_arrays:
-            return rows_one_by_one(self.records, self.abundances)
+            return rows_one_by_one(self.records, self.abundances, bands=bands)
         shown = self.abundances.any_told  # type: ignore[attr-defined]
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)
-            return columns.rows(shares.table_columns() if shown else {})
+            return columns.rows(shares.table_columns() if shown else {}, bands=bands)
 
-        return in_blocks(len(self.fits), of_some, size=int(rows_of(self.fits).sum()))  # type: ignore[arg-type]
+        size = int(rows_of(self.fits).sum()) if bands else None  # type: ignore[arg-type]
+        return in_blocks(len(self.fits), of_some, size=size)
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.abundance.result import share_pages
