@@ -1,6 +1,6 @@
 """What a command hands over to be shown."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,8 @@ class Report:
     result : the result, keys with their units; in plain Python, but that long lists may be `Records`.
     tables : the same for people, or what makes it, where that takes time that a file need not wait for.
     rows : the same as one table for `--csv`; None where the result is no table.
-    rows_each : makes the rows for columns of which none is of a part, as a band of a spectrum is; None where `rows` are.
+    may_have : names that may stand below a key of the result, or be lacking; as of `Result`.
+    rows_each : makes the rows where no column wanted is of a part, as a band of a spectrum is; None for `rows`.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
     pictures : further pictures that were asked for, by the file that takes them.
     extras : further files that were asked for, such as films, by name.
@@ -43,6 +44,7 @@ class Report:
     result: Mapping[str, Any]
     tables: Sequence[TextTable] | Callable[[], Sequence[TextTable]]
     rows: Sequence[Mapping[str, Any]] | None = None
+    may_have: Callable[[str], Collection[str]] = lambda key: ()
     rows_each: Callable[[], Sequence[Mapping[str, Any]]] | None = None
     figures: Callable[[], "Iterable[Figure]"] | None = None
     pictures: Mapping[Path, Callable[[], "Iterable[Figure]"]] = field(default_factory=dict)
@@ -67,6 +69,7 @@ class Report:
         made = result.made_from
         parts: dict[str, Any] = {
             "rows": result.rows(),
+            "may_have": result.may_have,
             "rows_each": result.rows_each,
             "figures": result.figures,
             "inputs": made.inputs,

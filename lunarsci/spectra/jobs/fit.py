@@ -1,6 +1,6 @@
 """`lunarsci.fit`: the Modified Gaussian Model of spectra, with errors and ratios of band strengths."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -250,6 +250,12 @@ class MgmFits(Result):
 
     def rows(self) -> Sequence[dict[str, Any]]:
         return self._rows(bands=True)
+
+    def may_have(self, key: str) -> Collection[str]:
+        from lunarsci.spectra.mgm import PERCENT_OF
+        from lunarsci.spectra.mgm.assemblages import MINERALS
+
+        return PERCENT_OF if key == "compositions" else MINERALS.values() if key == "abundance" else ()
 
     def rows_each(self) -> Sequence[dict[str, Any]]:
         return self._rows(bands=False)
