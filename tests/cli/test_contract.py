@@ -364,7 +364,7 @@ def test_a_field_below_null_is_null_and_said(run: Run, rock: Path) -> None:
 
 
 def test_a_field_that_other_spectra_have_is_missing_here(run: Run, rock: Path) -> None:
-    """A mineral that was not fitted, and a key that another spectrum of the batch has; a wrong name stays wrong usage."""
+    """A mineral that was not fitted is missing; a wrong name stays wrong usage."""
     fit = ("spectra", "fit", rock, "--assemblage", "OL", "--field")
     lacking = run(*fit, "spectra.0.compositions.fs.mean")
     assert (lacking.code, lacking.out) == (3, "null\n")
