@@ -9,6 +9,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
+from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
 from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.model import NM_PER_UM
@@ -18,6 +19,7 @@ PARTS = ("center", "fwhm", "strength")
 ON_BOUND = [[name for k, name in enumerate(PARTS) if code >> k & 1] for code in range(8)]
 RATIO = ("opx", "cpx", "sigma", "calibration")
 CSV_RATIO = ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high")
+OF_COMPOSITION = ("mean", "sigma", "trend_sigma", "in_range")
 REGIONS = ("um1", "um2")
 COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
 
@@ -69,7 +71,7 @@ class FitColumns:
         for region, numbers in self.ratios.items():
             columns |= {f"nbsr_{region}_{key}": _ratio(numbers)[key] for key in CSV_RATIO}
         for key, item in self._compositions().items():
-            columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in ("mean", "sigma", "in_range")}
+            columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in OF_COMPOSITION}
         if not bands:
             return Records(columns | dict(more), self.size)
         count = rows_of(self.fits)
@@ -113,6 +115,7 @@ class FitColumns:
                 "mineral": item.mineral,
                 "mean": mean,
                 "sigma": sigma,
+                "trend_sigma": Same(TREND_SIGMA[item.key]),
                 "prior_sigma": Same(item.sigma),
                 "lowest": Same(item.lowest),
                 "highest": Same(item.highest),
@@ -179,7 +182,7 @@ def _spectrum_row(record: Mapping[str, Any], shares: Mapping[str, Any]) -> dict[
         for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
             common[f"nbsr_{region}_{key}"] = ratio.get(key)
     for key, item in record["compositions"].items():
-        common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
+        common |= {f"{key}_{name}": item[name] for name in OF_COMPOSITION}
     common |= shares
     if record["choice"]:
         choice = record["choice"]
