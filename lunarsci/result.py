@@ -12,7 +12,7 @@ import re
 import sys
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
@@ -222,6 +222,14 @@ class Result(ABC):
     @abstractmethod
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """The rows of `--csv`."""
+
+    def may_have(self, key: str) -> Collection[str]:
+        """Names that stand below a key of `to_dict` where there is something to say of them, and else do not."""
+        return ()
+
+    def rows_each(self) -> Sequence[Mapping[str, Any]]:
+        """The same where none of the columns wanted is of a part, as a band of a spectrum is: one of each thing."""
+        return self.rows()
 
     def figures(self) -> "Iterator[Figure]":
         """The pages of `--plot`."""

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +46,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
     whole = {"provenance": record, "schema": f"lunarsci/{report.schema}"}
-    value, doubt = ("", "") if output.field_path is None else field_of(report.result, output.field_path, whole)
+    value, doubt = ("", "") if output.field_path is None else field_of(report, output.field_path, whole)
     made = _as_file(report, output, record)
     text: Iterable[bytes] = [value.encode()] if value else () if made else _as_text(report, output, record)
     if output.path and output.folder:
@@ -121,35 +121,42 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     if output.wanted == "csv":
         if report.rows is None:
             raise RequestError("this result is no table; use --json")
-        return chosen_csv(report.rows, output.chosen) if output.chosen else to_csv(report.rows)
+        rows = report.rows_with(output.chosen) or ()
+        return chosen_csv(rows, output.chosen) if output.chosen else to_csv(report.rows)
     if report.raw is not None and output.wanted == "text" and not output.chosen:
         return [report.raw().encode()]
     tables = report.tables() if callable(report.tables) else report.tables
-    tables = chosen(tables, report.rows, output.chosen) if output.chosen else tables
+    tables = chosen(tables, report.rows_with(output.chosen), output.chosen) if output.chosen else tables
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
     to_file = output.path is not None and not output.folder and not report.written
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 
-def field_of(result: Any, path: str, whole: Mapping[str, Any] | None = None) -> tuple[str, str]:
+def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, str]:
     """A value of a result as a line of text, and why it should not be used; '' if it may be.
 
-    `whole`: the parts of the document beside the result, which a path may begin with.
+    `whole`: the parts of the document beside the result, which a path may begin with. A name that other spectra of the
+    result have, or could have, is a value that is missing here; any other is wrong usage.
     """
-    value, doubt = _opened(result), ""
+    value, doubt = _opened(report.result), ""
     steps = path.split(".")
-    if whole and steps[0] in whole and steps[0] not in value:
+    if steps[0] in whole and steps[0] not in value:
         value = whole
-    for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
+    steps = steps[1:] if steps[0] == "result" else steps
+    top = value
+    for depth, step in enumerate(steps):
         if value is None and depth:
             break
         doubt = (doubt_about(value) if isinstance(value, dict) else "") or doubt
         try:
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
+            if isinstance(value, dict) and depth and _could_be(step, steps[:depth], top, report):
+                value, doubt = None, f"no '{step}' here; there is: {_known(value)}"
+                break
             near = meant(step, value) if isinstance(value, dict) else ""
-            inside = _path_to(steps[-1], _opened(result))
+            inside = _path_to(steps[-1], _opened(report.result))
             near = f"did you mean '{inside}'? " if inside else near
             known = f"{near}there is: {_known(value)}"
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
@@ -161,6 +168,23 @@ def field_of(result: Any, path: str, whole: Mapping[str, Any] | None = None) -> 
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
     return f"{text}\n", doubt
+
+
+def _could_be(step: str, above: Sequence[str], top: Any, report: Report) -> bool:
+    """Whether a name that is lacking below a path is one of this kind of result: of other things in its lists too."""
+    return step in report.may_have(above[-1]) or any(step in peer for peer in _peers(top, above))
+
+
+def _peers(value: Any, steps: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+    """What a path leads to where each number in it may be any other."""
+    value = _opened(value)
+    if not steps:
+        yield from [value] if isinstance(value, dict) else []
+    elif _is_list(value):
+        for item in value:
+            yield from _peers(item, steps[1:])
+    elif isinstance(value, dict) and steps[0] in value:
+        yield from _peers(value[steps[0]], steps[1:])
 
 
 def _path_to(name: str, value: Any, depth: int = 4) -> str:

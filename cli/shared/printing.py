@@ -123,6 +123,16 @@ FORMATS: Mapping[str, Callable[[Sequence[TextTable]], str]] = {
 """What --format has beside json and csv, and what makes it."""
 
 
+def names_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Names of the columns of that CSV."""
+    from lunarsci.record_blocks import RecordsInBlocks
+    from lunarsci.records import Records
+
+    if isinstance(rows, Records | RecordsInBlocks):
+        return rows.names
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
     """CSV with full precision in pieces; missing values are empty cells."""
     from lunarsci.record_blocks import RecordsInBlocks
@@ -130,11 +140,11 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
 
     text = io.StringIO()
     if isinstance(rows, Records | RecordsInBlocks):
-        csv.writer(text, lineterminator="\n").writerow(rows.names)
+        csv.writer(text, lineterminator="\n").writerow(names_of(rows))
         yield text.getvalue().encode()
         yield from rows.csv_chunks()
         return
-    names = list(dict.fromkeys(name for row in rows for name in row))
+    names = names_of(rows)
     writer = csv.DictWriter(text, names, lineterminator="\n", restval="")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)

@@ -1,10 +1,11 @@
 """What a command hands over to be shown."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .printing import names_of
 from .table import TextTable
 from .talk import FAILED, UNTRUSTED
 
@@ -24,6 +25,8 @@ class Report:
     result : the result, keys with their units; in plain Python, but that long lists may be `Records`.
     tables : the same for people, or what makes it, where that takes time that a file need not wait for.
     rows : the same as one table for `--csv`; None where the result is no table.
+    may_have : names that may stand below a key of the result, or be lacking; as of `Result`.
+    rows_each : makes the rows where no column wanted is of a part, as a band of a spectrum is; None for `rows`.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
     pictures : further pictures that were asked for, by the file that takes them.
     extras : further files that were asked for, such as films, by name.
@@ -41,6 +44,8 @@ class Report:
     result: Mapping[str, Any]
     tables: Sequence[TextTable] | Callable[[], Sequence[TextTable]]
     rows: Sequence[Mapping[str, Any]] | None = None
+    may_have: Callable[[str], Collection[str]] = lambda key: ()
+    rows_each: Callable[[], Sequence[Mapping[str, Any]]] | None = None
     figures: Callable[[], "Iterable[Figure]"] | None = None
     pictures: Mapping[Path, Callable[[], "Iterable[Figure]"]] = field(default_factory=dict)
     extras: Mapping[Path, Callable[[], bytes]] = field(default_factory=dict)
@@ -64,6 +69,8 @@ class Report:
         made = result.made_from
         parts: dict[str, Any] = {
             "rows": result.rows(),
+            "may_have": result.may_have,
+            "rows_each": result.rows_each,
             "figures": result.figures,
             "inputs": made.inputs,
             "data_tables": made.tables,
@@ -74,6 +81,12 @@ class Report:
             "failures": result.failures,
         }
         return cls(schema=result.schema, result=result.content(), tables=tables, **(parts | more))
+
+    def rows_with(self, columns: Sequence[str]) -> Sequence[Mapping[str, Any]] | None:
+        """The rows for some columns of `--csv`: one of each thing, unless one of them is a column of its parts."""
+        each = self.rows_each() if self.rows_each and columns else None
+        known = {name.casefold() for name in names_of(each)} if each is not None else set()
+        return each if known.issuperset(name.casefold() for name in columns) and columns else self.rows
 
     @property
     def exit_code(self) -> int:

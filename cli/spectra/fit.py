@@ -8,7 +8,7 @@ import typer
 
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
 from lunarsci.spectra.jobs.verdicts import fit_verdict
-from lunarsci.spectra.mgm import PERCENT_OF
+from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
@@ -173,6 +173,7 @@ def _composition_notes(fit: "MgmFit") -> list[str]:
         if item.mean is not None:
             doubt = f", {item.doubt}" if item.doubt else f", if {item.domain}" if item.domain else ""
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
+            value = with_trend(value, item.trend_sigma) if item.in_range and item.told else value
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
     return notes
 

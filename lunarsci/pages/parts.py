@@ -1,5 +1,6 @@
 """What every section of a page has: tables, the error budget, what was assumed, what is not known, what to cite."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -7,8 +8,9 @@ from typing import Any
 
 from lunarsci.pages.documents import Document
 from lunarsci.pages.quantities import PARTS, SAID, Quantity, quantities
+from lunarsci.pages.rock_answers import standing_of
 from lunarsci.pages.sentences import MOST, heard_of
-from lunarsci.pages.words import number, percent, words
+from lunarsci.pages.words import counted, number, percent, words
 from lunarsci.regolith.jobs.identify import alone_title
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 
@@ -26,6 +28,8 @@ SINGLE_STATES = ("agreement", "bearing", "draws", "lateral", "observations", "re
 AGREEMENT = "whether states solved so agree: a test of what is assumed here, not of the answer"
 MOST_ASSUMED = 6
 """Values of a rover that are listed one by one."""
+MOST_CHOICES = 6
+"""Spectra of which what is open is told one by one."""
 MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 40, 40, 12, 5
 """Of a table, of a list, across, and of names in a line, on the page; the files hold all."""
 
@@ -232,7 +236,8 @@ def unknown(document: Document) -> list[str]:
     record = document.provenance
     found = [("", str(text)) for text in (*(record.get("failures") or ()), *heard_of(record))]
     found += [("", text) for text in _of_kind(document)]
-    found += _said(document.result)
+    found += _choices(document.result)
+    found += _said(_without_choices(document.result))
     found += [
         (one.name.partition(" [")[0], f"{one.text}: {one.remark}" if one.refused else one.remark)
         for one in quantities(document.result)
@@ -244,6 +249,29 @@ def unknown(document: Document) -> list[str]:
             continue  # a warning, which names its file, says it
         names.setdefault(text, []).append(of)
     return [_line(list(dict.fromkeys(filter(None, own))), text) for text, own in names.items()][:MOST_LINES]
+
+
+def _chosen(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Spectra with a choice of the assemblage, where there are several; one alone has its own words."""
+    spectra = result.get("spectra") or ()
+    return [one for one in spectra if one.get("choice")] if len(spectra) > 1 else []
+
+
+def _choices(result: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What was not decided of each spectrum; of many how many have which answer."""
+    weak = [one for one in _chosen(result) if not one["choice"].get("strong")]
+    told = [(str(one.get("id")), f"by weak evidence: {standing_of(one['choice'])}") for one in weak]
+    if len(told) <= MOST_CHOICES:
+        yield from told
+        return
+    for text, count in Counter(text for _, text in told).most_common():
+        yield counted(count, "spectrum"), text
+
+
+def _without_choices(result: Mapping[str, Any]) -> Mapping[str, Any]:
+    if not _chosen(result):
+        return result
+    return {**result, "spectra": [{k: v for k, v in one.items() if k != "choice"} for one in result["spectra"]]}
 
 
 def _of_kind(document: Document) -> list[str]:

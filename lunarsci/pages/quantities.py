@@ -9,10 +9,11 @@ from typing import Any
 from lunarsci.pages.words import measured, number, unit, words
 from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
-from lunarsci.spectra.mgm import PERCENT_OF
+from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
 PARTS = {
     "sigma": "standard error",
+    "trend_sigma": "of the trend",
     "random": "random part",
     "systematic": "systematic part",
     "calibration": "calibration, shared",
@@ -121,6 +122,8 @@ def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quant
     within = WITHIN.get(key, (0.0, 100.0) if symbol == "mol %" else (-math.inf, math.inf))
     value = record[key]
     shown = measured(value, sigma, "", within) if sigma else number(value)
+    if sigma and not doubt and "trend_sigma" in record:
+        shown = with_trend(shown, record["trend_sigma"])
     return Quantity(_path(above), name, shown, {part: number(float(own), 2) for part, own in parts.items()}, doubt)
 
 

@@ -87,9 +87,21 @@ def _fit_in_short(one: Result) -> str:
     if (one.get("status") or "converged") not in FINE:
         return str(one["status"])
     chosen = one.get("choice") or {}
-    evidence = "" if not chosen else ", by strong evidence" if chosen.get("strong") else ", by weak evidence"
+    found = standing_of(chosen) or one.get("assemblage", "bands")
     shares = "shares of minerals determined" if _mineral_shares(one) else "shares not determined"
-    return f"{one.get('assemblage', 'bands')}{evidence}, {shares}"
+    return f"{found}, {shares}"
+
+
+def standing_of(choice: Mapping[str, Any]) -> str:
+    """Which minerals are sure and which are open, as columns of the CSV have them; '' where nothing was chosen.
+
+    >>> standing_of({"sure": ["olivine", "pyroxene"], "open": ["plagioclase"]})
+    'sure are olivine, pyroxene, open plagioclase'
+    """
+    if "sure" not in choice:
+        return str(choice.get("status", ""))
+    sure, left = ", ".join(choice["sure"]), ", ".join(choice["open"])
+    return f"{f'sure are {sure}' if sure else 'no mineral is sure'}{f', open {left}' if left else ''}"
 
 
 def _one_fit(one: Result) -> str:

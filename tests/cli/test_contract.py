@@ -12,6 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from lunarsci.cli.shared.emit import field_of
+from lunarsci.cli.shared.report import Report
+from typer import BadParameter
 
 from lunarsci.kept_blocks import KeptBlocks
 
@@ -358,6 +361,29 @@ def test_a_field_below_null_is_null_and_said(run: Run, rock: Path) -> None:
     done = run("spectra", "fit", rock, "--assemblage", "OL", "--field", "spectra.0.nbsr.um1.opx")
     assert (done.code, done.out) == (3, "null\n")
     assert done.err == ["--field spectra.0.nbsr.um1.opx: no value"]
+
+
+def test_a_field_that_other_spectra_have_is_missing_here(run: Run, rock: Path) -> None:
+    """A mineral that was not fitted is missing; a wrong name stays wrong usage."""
+    fit = ("spectra", "fit", rock, "--assemblage", "OL", "--field")
+    lacking = run(*fit, "spectra.0.compositions.fs.mean")
+    assert (lacking.code, lacking.out) == (3, "null\n")
+    assert lacking.err == ["--field spectra.0.compositions.fs.mean: no value: no 'fs' here; there is: fo"]
+    for name in ("fss", "sigma"):
+        wrong = run(*fit, f"spectra.0.compositions.{name}.mean")
+        assert (wrong.code, wrong.out) == (2, "")
+
+
+def test_names_of_other_things_of_a_list_could_be_here() -> None:
+    result = {"rocks": [{"inner": {"a": 1}}, {"inner": {"b": 2}}], "a": None}
+    report = Report(schema="x/1", result=result, tables=())
+    assert field_of(report, "rocks.0.inner.a", {}) == ("1\n", "")
+    text, doubt = field_of(report, "rocks.0.inner.b", {})
+    assert text == "null\n"
+    assert "no 'b' here; there is: a" in doubt
+    for path in ("rocks.0.inner.c", "rocks.2.inner", "rocks.0.b", "b"):
+        with pytest.raises(BadParameter):
+            field_of(report, path, {})
 
 
 def test_a_fit_that_explains_nothing_is_not_to_be_trusted(run: Run, rock: Path) -> None:

@@ -326,3 +326,19 @@ def test_end_members_of_the_user_take_the_place_of_the_embedded_ones(run: Run, r
     lacking = run("spectra", "unmix", rock, "--method", "hapke", "--library", library)
     assert lacking.code == 1
     assert "no end member of clinopyroxene" in lacking.err[-1]
+
+
+def test_columns_of_spectra_have_a_row_each(run: Run, rock: Path, tmp_path: Path) -> None:
+    """A column of a band gives rows of bands; equal names of two files stay two rows."""
+    other = tmp_path / "again.csv"
+    other.write_bytes(rock.read_bytes())
+    fit = ("spectra", "fit", rock, other)
+    for how in ((), ("--assemblage", "auto")):
+        done = run(*fit, *how, "--csv", "--columns", "id,assemblage,nbsr_um2_opx,STATUS")
+        assert len(done.out.splitlines()) == 3, done.out
+        bands = run(*fit, *how, "--csv", "--columns", "id,name").out.splitlines()
+        assert len(bands) == len(run(*fit, *how, "--csv").out.splitlines()) > 3
+    assert len(run(*fit, "--columns", "id,nbsr_um1_opx", "--format", "tsv").out.splitlines()) == 3
+    unmixed_rows = run("spectra", "unmix", *fit[2:], "--csv", "--columns", "id,kind").out.splitlines()
+    assert len(unmixed_rows) == 3
+    assert "did you mean 'assemblage'" in run(*fit, "--csv", "--columns", "id,assemblge").err[-1]

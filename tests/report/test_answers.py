@@ -95,6 +95,29 @@ def test_verdicts_are_told_in_the_words_of_the_command() -> None:
     assert "synthetic; the verdict says nothing about a real site" in answer(of("predict")).text
 
 
+def test_what_is_open_of_several_spectra_is_told_with_their_names() -> None:
+    """Up to six by name, of more how many have which answer; as the CSV says it, never by the bare assemblage."""
+    one = KNOWN["fit auto"]["result"]["spectra"][0]
+
+    def many(count: int) -> list[dict[str, Any]]:
+        choices = [one["choice"] | {"strong": False, "sure": ["pyroxene"], "open": ["olivine"]}] * count
+        choices[0] = choices[0] | {"open": []}
+        return [one | {"id": f"R{k}", "choice": choice} for k, choice in enumerate(choices)]
+
+    few, more = (of("fit auto", spectra=many(count)) for count in (3, 12))
+    said = [line for line in unknown(few) if "weak evidence" in line]
+    assert said == [
+        "R0: by weak evidence: sure are pyroxene",
+        "R1; R2: by weak evidence: sure are pyroxene, open olivine",
+    ]
+    assert [line for line in unknown(more) if "weak evidence" in line] == [
+        "11 spectra: by weak evidence: sure are pyroxene, open olivine",
+        "1 spectrum: by weak evidence: sure are pyroxene",
+    ]
+    assert "11: sure are pyroxene, open olivine" in answer(more).text
+    assert one["assemblage"] not in answer(more).text
+
+
 def test_what_a_command_refuses_is_neither_in_the_budget_nor_in_the_tables() -> None:
     """Fo of the 1 um centre, beside a 2 um band; Wo beyond its trend; a ratio with an error of 300."""
     refused = KNOWN["bands"]["result"]["spectra"][0]["chemistry"]["fo_bc1000"]

@@ -1,6 +1,6 @@
 """`lunarsci.fit`: the Modified Gaussian Model of spectra, with errors and ratios of band strengths."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -248,20 +248,30 @@ class MgmFits(Result):
             "abundances": {modes["method"]: modes for modes in found},
         }
 
-    def rows(self) -> Sequence[dict[str, Any]]:
+    def may_have(self, key: str) -> Collection[str]:
+        from lunarsci.spectra.mgm import PERCENT_OF
+        from lunarsci.spectra.mgm.assemblages import MINERALS
+
+        return PERCENT_OF if key == "compositions" else MINERALS.values() if key == "abundance" else ()
+
+    def rows_each(self) -> Sequence[dict[str, Any]]:
+        return self.rows(bands=False)
+
+    def rows(self, *, bands: bool = True) -> Sequence[dict[str, Any]]:
         from lunarsci.record_blocks import in_blocks
         from lunarsci.records import Records
         from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
         if not self._as_arrays:
-            return rows_one_by_one(self.records, self.abundances)
+            return rows_one_by_one(self.records, self.abundances, bands=bands)
         shown = self.abundances.any_told  # type: ignore[attr-defined]
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)
-            return columns.rows(shares.table_columns() if shown else {})
+            return columns.rows(shares.table_columns() if shown else {}, bands=bands)
 
-        return in_blocks(len(self.fits), of_some, size=int(rows_of(self.fits).sum()))  # type: ignore[arg-type]
+        size = int(rows_of(self.fits).sum()) if bands else None  # type: ignore[arg-type]
+        return in_blocks(len(self.fits), of_some, size=size)
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.abundance.result import share_pages
@@ -299,6 +309,7 @@ def fit(
     """
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
     from lunarsci.spectra.mgm.continua import spread_over_continua
+    from lunarsci.spectra.mgm.fits import intervals_of
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(FitRequest, request, options)
@@ -309,7 +320,10 @@ def fit(
     if asked.continuum_spread:
         how: dict[str, Any] = {"model_error": asked.model_error, "starts": asked.starts, "progress": progress}
         found["fits"] = spread_over_continua(batch.spectra, found["fits"], asked.model, **how)
-    more = {"intervals": _intervals(found["fits"], asked, progress), "abundances": nbsr_abundances(found["fits"])}
+    more = {
+        "intervals": intervals_of(found["fits"], asked.errors, asked.seed, progress),
+        "abundances": nbsr_abundances(found["fits"]),
+    }
     return MgmFits(batch=batch, request=asked, **(found | more))
 
 
@@ -376,24 +390,3 @@ def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Prog
         for index, item in zip(own, _by_prior([spectra[k] for k in own], model, request, None), strict=True):
             fits[index] = item
     return {"fits": fits, "choices": choices}
-
-
-def _intervals(results: Sequence[Any], request: FitRequest, progress: Progress | None) -> dict[int, "Intervals"]:
-    if request.errors == "laplace":
-        return {}
-    from lunarsci.spectra.mgm.result import MgmFit
-
-    fits = {index: item for index, item in enumerate(results) if isinstance(item, MgmFit) and item.converged}
-    if request.errors == "sample":
-        from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
-
-        posteriors = sample_batch(list(fits.values()), seed=request.seed, progress=progress)
-        return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
-    from lunarsci.spectra.mgm.profile import profile_intervals
-
-    found = {}
-    for done, (index, item) in enumerate(fits.items(), start=1):
-        found[index] = profile_intervals(item)
-        if progress:
-            progress(done, len(fits))
-    return found

@@ -93,9 +93,9 @@ class UnmixedSpectra(MgmFits):
             "normative": soil.to_dict() if soil else None,
         }
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self, *, bands: bool = True) -> list[dict[str, Any]]:
         own = {(record["source"], record["id"]): _kind_columns(record) for record in self.records}
-        return [row | own[row["source"], row["id"]] for row in MgmFits.rows(self)]
+        return [row | own[row["source"], row["id"]] for row in MgmFits.rows(self, bands=bands)]
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.abundance.normative import normative_pages

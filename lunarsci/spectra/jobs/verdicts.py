@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lunarsci.spectra.band_status import centre_said, spread_of
-from lunarsci.spectra.mgm import PERCENT_OF
+from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
 SEEN = 2.0
 """A band is seen where its strength is this many standard errors off 0; assumed."""
@@ -62,10 +62,7 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     if not record["bands"]:
         return f"no fit: {record['status']}"
     parts = [minerals_said(record["choice"]) if record["choice"] else _assumed(record), *_strained(record)]
-    known = [
-        f"{PERCENT_OF[key]} {item['mean']:.0f} ± {item['sigma']:.0f} mol %{_condition(item)}"
-        for key, item in _told(record)
-    ]
+    known = [f"{PERCENT_OF[key]} {_composition(item)} mol %{_condition(item)}" for key, item in _told(record)]
     sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
     parts += [f"{'' if sure else 'if so, '}{', '.join(known)}"] if known else ["no composition is told"]
     return "; ".join(parts)
@@ -73,6 +70,11 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
 
 def _condition(item: Mapping[str, Any]) -> str:
     return f" (if {item['domain']})" if item.get("domain") else ""
+
+
+def _composition(item: Mapping[str, Any]) -> str:
+    shown = f"{item['mean']:.0f} ± {item['sigma']:.0f}"
+    return with_trend(shown, item["trend_sigma"]) if "trend_sigma" in item else shown
 
 
 def _strained(record: Mapping[str, Any]) -> list[str]:

@@ -25,3 +25,15 @@ PERCENT_OF = {
     "fs_cpx": "Fs of clinopyroxene",
 }
 """Compositions that band centres speak for, in mol %, by their keys."""
+TREND_SIGMA = {"fo": 10.0, "fs": 9.0, "wo": 15.0, "fs_cpx": 9.0}
+"""What the trends of centres with composition miss beside a fit's own error, root mean square over minerals of RELAB
+and meteorites of known composition, with the assemblage chosen: `tests/benchmarks/compositions.py`. [mol %]"""
+
+
+def with_trend(shown: str, trend_sigma: float, digits: int = 0) -> str:
+    """A composition with its fit's own error, and that of the trend beside it.
+
+    >>> with_trend("43.0 ± 4.3", 9.0)
+    '43.0 ± 4.3 (fit) ± 9 (trend)'
+    """
+    return f"{shown} (fit) ± {trend_sigma:.{digits}f} (trend)"

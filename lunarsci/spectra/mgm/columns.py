@@ -9,6 +9,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
+from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
 from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.model import NM_PER_UM
@@ -18,8 +19,8 @@ PARTS = ("center", "fwhm", "strength")
 ON_BOUND = [[name for k, name in enumerate(PARTS) if code >> k & 1] for code in range(8)]
 RATIO = ("opx", "cpx", "sigma", "calibration")
 CSV_RATIO = ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high")
+OF_COMPOSITION = ("mean", "sigma", "trend_sigma", "in_range", "domain")
 REGIONS = ("um1", "um2")
-OF_COMPOSITION = ("mean", "sigma", "in_range", "domain")
 COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
 
 
@@ -61,20 +62,25 @@ class FitColumns:
         }
         return Records(self.plain | columns | dict(more), self.size)
 
-    def rows(self, more: Mapping[str, Column]) -> Records:
-        """The rows of `--csv`, one a band, with further columns; a spectrum without a fit has one with its status."""
+    def rows(self, more: Mapping[str, Column], *, bands: bool = True) -> Records:
+        """The rows of `--csv`, one a band, with further columns; a spectrum without a fit has one with its status.
+
+        Without `bands` there is one a spectrum, without the columns of bands.
+        """
         columns = dict(self.plain)
         for region, numbers in self.ratios.items():
             columns |= {f"nbsr_{region}_{key}": _ratio(numbers)[key] for key in CSV_RATIO}
         for key, item in self._compositions().items():
             columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in OF_COMPOSITION}
+        if not bands:
+            return Records(columns | dict(more), self.size)
         count = rows_of(self.fits)
         row = np.repeat(np.arange(self.size), count)
         place = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
         spectra = Records(columns | dict(more), self.size).taken(row)
         shown = self.there[row] & (self._count > 0)
-        bands = {key: Where(shown, _stacked(column, row, place)) for key, column in self._bands().items()}
-        return Records({**spectra.columns, **bands}, row.size)
+        own = {key: Where(shown, _stacked(column, row, place)) for key, column in self._bands().items()}
+        return Records({**spectra.columns, **own}, row.size)
 
     @property
     def _count(self) -> int:
@@ -109,6 +115,7 @@ class FitColumns:
                 "mineral": item.mineral,
                 "mean": mean,
                 "sigma": sigma,
+                "trend_sigma": Same(TREND_SIGMA[item.key]),
                 "prior_sigma": Same(item.sigma),
                 "lowest": Same(item.lowest),
                 "highest": Same(item.highest),
@@ -159,14 +166,17 @@ def _stacked(column: Any, row: IntArray, place: IntArray) -> Column:
     return Codes(place, column) if column else None
 
 
-def rows_one_by_one(records: Sequence[Mapping[str, Any]], shares: Mapping[int, Sequence[Any]]) -> list[dict[str, Any]]:
+def rows_one_by_one(
+    records: Sequence[Mapping[str, Any]], shares: Mapping[int, Sequence[Any]], *, bands: bool = True
+) -> list[dict[str, Any]]:
     """The rows of `--csv` of records that were made one by one, and the shares of some by position."""
     found = ((record, _share_columns(shares.get(index, ()))) for index, record in enumerate(records))
-    return [row for record, columns in found for row in _band_rows(record, columns)]
+    each = ((record, _spectrum_row(record, columns)) for record, columns in found)
+    return [row for record, own in each for row in (_band_rows(record, own) if bands else [own])]
 
 
-def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row per band; a spectrum without a fit has one row with its status."""
+def _spectrum_row(record: Mapping[str, Any], shares: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of a spectrum, which are the same in the rows of all its bands."""
     common = {key: record[key] for key in COMMON}
     for region in ("um1", "um2"):
         ratio = (record["nbsr"] or {}).get(region) or {}
@@ -181,8 +191,18 @@ def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dic
         common |= {key: "+".join(choice[key]) for key in ("sure", "open", "not_needed")}
         found = choice["mineral_probability"] | choice["group_probability"]
         common |= {f"probability_of_{name}": chance for name, chance in found.items()}
-    ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
-    common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
+    ends = _ends(record)
+    return common | _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
+
+
+def _ends(record: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Intervals by parameter."""
+    return {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
+
+
+def _band_rows(record: Mapping[str, Any], common: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row per band; a spectrum without a fit has one row with its status."""
+    ends = _ends(record)
     return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
 
 

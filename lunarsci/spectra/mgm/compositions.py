@@ -6,6 +6,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
+from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.assemblages import CompositionPrior
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.result import MgmFit
@@ -19,6 +20,7 @@ class MineralComposition:
     ----------
     key : `fo`, `fs`, `wo`, or `fs_cpx` for the iron of clinopyroxene.
     mean, sigma : posterior mean and standard deviation; None where the mineral's bands are not there. [mol %]
+    trend_sigma : what the trend itself misses, which `sigma` does not include. [mol %]
     prior_sigma : before the spectrum was seen; a `sigma` close to it means that the spectrum says nothing. [mol %]
     lowest, highest : range over which the trend is known. [mol %]
     in_range : whether the mean lies there; beyond, the trend is only extended.
@@ -29,6 +31,7 @@ class MineralComposition:
     mineral: str
     mean: float | None
     sigma: float | None
+    trend_sigma: float
     prior_sigma: float
     lowest: float
     highest: float
@@ -89,6 +92,7 @@ def _composition(column: CompositionColumn, domain: str) -> MineralComposition:
         item.mineral,
         mean if shown else None,
         sigma if shown else None,
+        TREND_SIGMA[item.key],
         item.sigma,
         item.lowest,
         item.highest,

@@ -12,6 +12,7 @@ from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
 
 if TYPE_CHECKING:
+    from lunarsci.spectra.mgm.profile import Intervals
     from lunarsci.spectra.mgm.selection import Choice
 
 
@@ -105,3 +106,25 @@ def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: "Mapping[int, Cho
     weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
     more = f" and {len(weak) - NAMED} more" if len(weak) > NAMED else ""
     return doubts + ([f"the assemblage is not decided for {', '.join(weak[:NAMED])}{more}"] if weak else [])
+
+
+def intervals_of(
+    results: Sequence[Any], errors: str, seed: int, progress: Callable[[int, int], None] | None
+) -> dict[int, "Intervals"]:
+    """Intervals by position of fits that converged, by profile or sample; none for laplace."""
+    if errors == "laplace":
+        return {}
+    fits = {index: item for index, item in enumerate(results) if isinstance(item, MgmFit) and item.converged}
+    if errors == "sample":
+        from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
+
+        posteriors = sample_batch(list(fits.values()), seed=seed, progress=progress)
+        return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
+    from lunarsci.spectra.mgm.profile import profile_intervals
+
+    found = {}
+    for done, (index, item) in enumerate(fits.items(), start=1):
+        found[index] = profile_intervals(item)
+        if progress:
+            progress(done, len(fits))
+    return found

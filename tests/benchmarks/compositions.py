@@ -1,0 +1,64 @@
+"""How often compositions from band centres are right within their errors, on minerals and meteorites of known ones.
+
+`LUNARSCI_REFERENCE_DATA=… python tests/benchmarks/compositions.py`, five minutes. The assemblage is chosen; of each key
+those are counted that a result quotes: in range, and not the prior's. `TREND_SIGMA` is the last column but two.
+"""
+
+import os
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import lunarsci
+from lunarsci.result import from_prior
+from lunarsci.spectra.mgm import TREND_SIGMA
+
+TRUTH = {
+    "fo": ("fo", "vol_ol"),
+    "fs": ("opx_fs", "vol_opx"),
+    "wo": ("cpx_wo", "vol_cpx"),
+    "fs_cpx": ("cpx_fs", "vol_cpx"),
+}
+SETS = ("meteorites", "relab")
+
+
+def misses(data: Path, name: str) -> dict[str, list[tuple[float, float]]]:
+    """(error, sigma) of what is quoted, by key; what the manifest leaves open or states as 0 is not counted."""
+    known = pd.read_csv(data / f"spectra/{name}/manifest.csv").set_index("id")
+    found = defaultdict(list)
+    for record in lunarsci.fit(data / f"spectra/{name}/reflectance.csv", assemblage="auto").to_dict()["spectra"]:
+        for key, item in record["compositions"].items():
+            truth, share = (known.loc[record["id"], column] for column in TRUTH[key])
+            told = item["in_range"] and not from_prior(item["sigma"], item["prior_sigma"])
+            if told and truth > 0 and share > 0:
+                found[key].append((item["mean"] - 100 * truth, item["sigma"]))
+    return found
+
+
+def row(name: str, key: str, values: list[tuple[float, float]]) -> str:
+    """Root mean square, mean, what sigma leaves of the first; shares within two errors without and with the trend's."""
+    error, sigma = np.array(values).T
+    left = np.sqrt(max(0.0, float(np.mean(error**2 - sigma**2))))
+    inside = [np.mean(np.abs(error) <= 2 * np.hypot(sigma, more)) for more in (0.0, TREND_SIGMA[key])]
+    rms = np.sqrt(np.mean(error**2))
+    return (
+        f"{key:<7} {name:<11} {error.size:>4} {rms:>6.1f} {error.mean():>+6.1f} {np.median(sigma):>6.1f} {left:>6.1f} "
+        f"{inside[0]:>7.0%} {inside[1]:>7.0%}"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    data = Path(os.environ["LUNARSCI_REFERENCE_DATA"])
+    found = {name: misses(data, name) for name in SETS}
+    print("key     spectra        n    rms   bias  sigma  trend  within 2, and with the trend's")
+    for key in TRUTH:
+        for name in SETS:
+            print(row(name, key, found[name][key]))
+        print(row("both", key, [one for name in SETS for one in found[name][key]]))
+
+
+if __name__ == "__main__":
+    main()
