@@ -29,7 +29,7 @@ def test_bands(run: Callable[..., object], reference_data: Path, file: str, coun
     for spectrum in spectra:
         for band, (low, high) in (("1000", (760, 1500)), ("2000", (1620, 2450))):
             centre, status = spectrum[f"bc{band}_nm"], spectrum[f"band{band}_status"]
-            assert (status == "ok") == (centre is not None)
+            assert (status in ("ok", "centre depends on the method")) == (centre is not None)
             if centre is None:
                 assert status.startswith(("no ", "its "))
             else:
