@@ -6,7 +6,6 @@ Made of the keys of `--json`, so that it says no more than they do.
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsci.spectra.band_status import centre_said, spread_of
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
 SEEN = 2.0
@@ -19,6 +18,8 @@ MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 def centres_said(record: Mapping[str, Any]) -> dict[str, str]:
     """By key of each band that is there, its centre with the errors of noise and of method."""
+    from lunarsci.spectra.band_status import centre_said, spread_of
+
     return {
         key: centre_said(
             record[f"bc{key}_nm"],
