@@ -114,7 +114,8 @@ def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quant
     doubt = str(record.get("doubt") or ("" if "in_domain" in record else doubt_about(record)))
     if not doubt and _is_number(record.get("prior_sigma")) and from_prior(record.get("sigma"), record["prior_sigma"]):
         doubt = PRIORS_OWN
-    if not doubt and isinstance(record.get("domain"), str):
+    refused = bool(doubt)
+    if not refused and record.get("domain") and isinstance(record["domain"], str):
         doubt = f"only if {record['domain']}"
     sigma = parts.get("standard error")
     if record.get("in_range") is False:
@@ -122,7 +123,7 @@ def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quant
     within = WITHIN.get(key, (0.0, 100.0) if symbol == "mol %" else (-math.inf, math.inf))
     value = record[key]
     shown = measured(value, sigma, "", within) if sigma else number(value)
-    if sigma and not doubt and "trend_sigma" in record:
+    if sigma and not refused and "trend_sigma" in record:
         shown = with_trend(shown, record["trend_sigma"])
     return Quantity(_path(above), name, shown, {part: number(float(own), 2) for part, own in parts.items()}, doubt)
 

@@ -111,6 +111,8 @@ def posterior_figure(
     ----------
     rows, prior, draws : of a `SoilPosterior`.
     synthetic : whether the states are made up.
+
+    Draws that are all one value have no density: their median and interval alone are drawn.
     """
     from scipy.stats import gaussian_kde
 
@@ -121,11 +123,13 @@ def posterior_figure(
         ends = law.transformed(np.array([[row[f"{of}low95"], row[f"{of}high95"]] for of in ("prior_", "")]))
         at = np.linspace(ends.min() - 0.25 * np.ptp(ends), ends.max() + 0.25 * np.ptp(ends), 400)
         before = np.exp(-0.5 * ((at - law.center) / law.width) ** 2) / (law.width * np.sqrt(2 * np.pi))
-        after = gaussian_kde(law.transformed(draws[:, k]))(at)
+        own = law.transformed(draws[:, k])
+        spreads = np.ptp(own) > 1e-9 * max(law.width, float(np.abs(own).max()))
+        after = gaussian_kde(own)(at) if spreads else np.full(at.size, np.nan)
         values = law.back(at)
         panel.fill_between(values, before, color=INK, alpha=0.15, linewidth=0, label="prior")
         panel.plot(values, after, color=OWN, label="posterior")
-        foot = -0.07 * max(after.max(), before.max())
+        foot = -0.07 * float(np.nanmax([after, before]))
         panel.plot([row["low95"], row["high95"]], [foot] * 2, color=OWN, linewidth=2, label="95 %")
         panel.plot([row["low68"], row["high68"]], [foot] * 2, color=OWN, linewidth=4, label="68 %")
         panel.plot(row["median"], foot, "o", color=OTHER, markersize=4, label="median")

@@ -684,22 +684,24 @@ def document_readers() -> dict[str, Reader]:
 
     def page(path: Path) -> Any:
         given = [str(path), *([str(other)] if (other := path.with_name("given.png")).exists() else [])]
-        return _function("report.job:report")(given).html(time=False)
+        return _function("pages.job:report")(given).html(time=False)
 
     folder = BETWEEN.join([json.dumps(former("predict")).encode(), table("time_s,x_m,y_m"), picture])
     ground_m = b"x_m,y_m,height_m\n" + b"".join(b"%d,%d,0.1\n" % (x, y) for y in range(3) for x in range(3))
     tables = [spectrum_files()[".csv"], telemetry()[".csv"], table("sinkage_m,slip_ratio,normal_force_n"), ground_m,
               b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\n", belief(), soil_map(),
-              json.dumps(former("fit")).encode(), FEATURE.encode(), b"CDF\x01"]  # fmt: skip
+              json.dumps(former("fit")).encode(), FEATURE.encode(), b"CDF\x01",
+              b"slip,avg_Fx,avg_Fz\n0.1,2,3\n"]  # fmt: skip
     settings = [SOIL, POSE, mission(), rig(), (own / "rovers/yutu2.toml").read_bytes(),
-                (own / "twin/plans/plan.toml").read_bytes()]  # fmt: skip
+                (own / "twin/plans/plan.toml").read_bytes(),
+                _function("guide.template:template")("prior").text.encode()]  # fmt: skip
 
     return {
         "any table": Reader(_told, ["spoilt.csv"], tables),
         "any settings": Reader(_told, ["spoilt.toml"], settings),
         "sources": Reader(lambda path: of_path("guide.cite:cite")(path).bibtex(), ["spoilt.json"], every),
-        "results": Reader(page, ["spoilt.json", "given.png"], [one + BETWEEN + picture for one in every]),
-        "folder of results": Reader(lambda path: _function("report.job:report")([str(path.parent)]).html(time=False),
+        "results": Reader(page, ["spoilt.json", "given.png"], [one + BETWEEN + picture for one in [*every, belief()]]),
+        "folder of results": Reader(lambda path: _function("pages.job:report")([str(path.parent)]).html(time=False),
                                     ["result.json", "paths.csv", "map.png"], [folder]),
         "TOML": Reader(_toml, ["spoilt.toml"],
                        [(own / "twin/plans/plan.toml").read_bytes(), (own / "rovers/yutu2.toml").read_bytes()]),

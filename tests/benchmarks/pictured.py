@@ -473,7 +473,7 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "report bands": lambda: chart(measured("fit")),
     "report shares": lambda: chart(measured("fit"), 1, spectra=[{"id": "rock", "abundance": SHARES}]),
     "report craters": lambda: chart(matched()),
-    "report soil": lambda: chart(lunarsci.identify(wheel_table(), lateral_modulus="20")),
+    "report soil": lambda: chart(lunarsci.identify(wheel_table(), lateral_modulus="20"), 1),
     "report learned": lambda: chart(history()),
     "report limits": lambda: chart(predicted()),
     "report states": lambda: chart(states(), tables=saved("states", states())),

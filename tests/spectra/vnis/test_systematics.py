@@ -307,7 +307,7 @@ def test_errors_of_bands_are_those_of_measuring_shifted_spectra(continuum: str) 
     base = measured(source)
     pairs = [[measured(shifted(source, name, sign * share)) for sign in (1, -1)] for name in source.systematic]
     for key, band in base.items():
-        assert band.status == "ok"
+        assert band.center_nm is not None
         for quantity, stated in BANDS.items():
             slopes = [(getattr(up[key], quantity) - getattr(down[key], quantity)) / (2 * share) for up, down in pairs]
             assert getattr(band, stated) == pytest.approx(float(np.linalg.norm(slopes)), rel=0.05)
@@ -317,7 +317,7 @@ def test_errors_of_bands_are_those_of_measuring_shifted_spectra(continuum: str) 
 def test_bands_of_a_spectrum_without_shared_errors_say_nothing_about_them() -> None:
     source = replace(mafic(0.1), systematic={})
     for band in measure_bands(source).bands.values():
-        assert band.status == "ok"
+        assert band.center_nm is not None
         assert [getattr(band, stated) for stated in BANDS.values()] == [None] * 3
 
 
