@@ -16,6 +16,7 @@ import os
 import pickle
 import re
 import stat
+import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -33,6 +34,8 @@ from lunarsci.errors import LunarSciWarning
 PACKAGE = Path(__file__).parent
 IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
 DIGEST_BYTES = 32
+BEGAN = time.time()
+"""About when this process began to read its sources: what is newer need not be what it compiles. [s]"""
 ROOT = 0
 """The user who may write everywhere."""
 
@@ -49,7 +52,8 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     is refused here; the function is then compiled anew in each process, which is slower to start and gives the same
     numbers.
 
-    The cache of a function is renewed when its own file changes, or any that it imports.
+    The cache of a function is renewed when its own file changes, or any that it imports. A process whose sources were
+    changed after it began, as by an update of lunarsci, neither reads nor keeps anything there.
     """
     if function is None:
         return lambda f: compiled(f, **options)
@@ -191,10 +195,14 @@ class _Entries(IndexDataCacheFile):  # type: ignore[misc]
 
     def save(self, key: Any, data: Any) -> None:
         """Keep an entry; a full disk or a folder that went read-only is no reason to fail."""
+        if changed_since(self._source, BEGAN):
+            return
         with contextlib.suppress(OSError):
             super().save(key, data)
 
     def _load_index(self) -> Any:
+        if changed_since(self._source, BEGAN):
+            return {}
         try:
             return super()._load_index()
         except Exception:  # whatever a damaged pickle raises, the function is compiled anew
@@ -218,16 +226,30 @@ class _Entries(IndexDataCacheFile):  # type: ignore[misc]
 
 @cache
 def sources_digest(source: str) -> str:
-    """SHA-256 over a file of this package and all of the package that it imports, directly or not."""
+    """SHA-256 over the `sources` of a file."""
+    whole = hashlib.sha256()
+    for path in sources(source):
+        whole.update(path.name.encode() + _content(path))
+    return whole.hexdigest()
+
+
+def changed_since(source: str, moment_s: float) -> bool:
+    """Whether one of the `sources` of a file was changed, or taken away, after a moment of the clock."""
+    try:
+        return any(path.stat().st_mtime > moment_s for path in sources(source))
+    except OSError:
+        return True
+
+
+@cache
+def sources(source: str) -> tuple[Path, ...]:
+    """A file of this package and all of the package that it imports, directly or not, in order."""
     found, wanted = {Path(source)}, [Path(source)]
     while wanted:
         for path in _imported(wanted.pop()) - found:
             found.add(path)
             wanted.append(path)
-    whole = hashlib.sha256()
-    for path in sorted(found):
-        whole.update(path.name.encode() + _content(path))
-    return whole.hexdigest()
+    return tuple(sorted(found))
 
 
 @cache

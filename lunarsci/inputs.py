@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.names import some_of
 
 if TYPE_CHECKING:
     from typing import IO, BinaryIO
@@ -362,12 +363,12 @@ def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
     if not found:
         raise DataError(f"{path}: folder holds no files; name the files or a pattern")
-    if left := [name for name in found if no_data(name) and not all_files]:
-        names = ", ".join(Path(name).name for name in left[:NAMED_LEFT]) + (", …" if len(left) > NAMED_LEFT else "")
-        warnings.warn(f"{path}: left out, no data by name: {names}", LunarSciWarning, 2)
-    if len(left) == len(found):
+    data = [name for name in found if all_files or not no_data(name)]
+    if left := [Path(name).name for name in found if not all_files and no_data(name)]:
+        warnings.warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}", LunarSciWarning, 2)
+    if not data:
         raise DataError(f"{path}: folder holds no files of data; name the files or a pattern")
-    return [name for name in found if name not in left]
+    return data
 
 
 def no_data(name: str) -> bool:

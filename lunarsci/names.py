@@ -1,7 +1,7 @@
-"""A name among those that are known, and the nearest of these where it is none of them."""
+"""Names for messages: the nearest known one to a name that is none of them, and the first of many."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from lunarsci.errors import ParameterError
 
@@ -38,6 +38,16 @@ def one_of(name: str, known: Iterable[str]) -> str:
     """
     names = list(known)
     return f"{meant(name, names)}these are: {', '.join(names)}"
+
+
+def some_of(names: Sequence[str], most: int, between: str = ", ") -> str:
+    """The first of some names, and how many more there are.
+
+    >>> some_of(["a", "b", "c"], 2), some_of(["a", "b"], 2)
+    ('a, b and 1 more', 'a, b')
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{between.join(names[:most])}{more}"
 
 
 def known_name(name: str, known: Iterable[str], what: str) -> str:

@@ -10,7 +10,7 @@ import typer
 
 from lunarsci.atomic import write_files
 from lunarsci.errors import OutputError, RequestError
-from lunarsci.names import meant
+from lunarsci.names import meant, some_of
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 from lunarsci.result import doubt_about
@@ -98,11 +98,10 @@ def _verdicts(report: Report) -> list[str]:
 def _counted(report: Report) -> str:
     """How many inputs of a batch failed, and the first of them."""
     names = list(dict.fromkeys(failure.split(": ")[0] for failure in report.failures))
-    first = ", ".join(names[:NAMED]) + (", …" if len(names) > NAMED else "")
     found = next(
         (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
     )
-    return f"{found}{len(report.failures)} without: {first}; all of them: --field provenance.failures"
+    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: --field provenance.failures"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lunarsci.names import some_of
 from lunarsci.provenance import plain
 
 SHOWN = 100
@@ -70,9 +71,7 @@ def counted(notes: Sequence[str], total: int, things: str, names: Sequence[str] 
 
 
 def _first(names: Sequence[str]) -> str:
-    shown = [name for name in names[:MOST_NAMED] if name]
-    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
-    return f": {', '.join(shown)}{more}" if shown else ""
+    return f": {some_of(names, MOST_NAMED)}" if all(names) else ""
 
 
 def verdict_table(records: Sequence[Mapping[str, Any]], verdict: Callable[[Mapping[str, Any]], str]) -> list[TextTable]:

@@ -17,7 +17,6 @@ from .options import INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
-    from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.jobs.update import LearnedSoil
 
 
@@ -140,7 +139,7 @@ def _notes(learned: "LearnedSoil") -> list[str]:
 
     found = learned.found
     notes = [
-        f"{_told(found)}; {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}",
+        f"learned from {found.told}; {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}",
         f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
         f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
         *learned.doubts,
@@ -159,19 +158,6 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     if not found.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, EFFECTIVE]
-
-
-def _told(found: "SoilUpdate") -> str:
-    """How many values the soil was learned from, and of what."""
-    import numpy as np
-
-    from lunarsci.twin.assimilation.drive_record import OBSERVED
-
-    kept = (np.isfinite(found.residuals) & ~found.outliers).sum(axis=0)
-    parts = [f"{count} of {name}" for name, count in zip(OBSERVED, kept, strict=True) if count]
-    places = found.values - int(kept.sum())
-    parts += [f"{places} of {places // 2} positions (x and y)"] if places else []
-    return f"learned from {found.values} values: {', '.join(parts)}"
 
 
 def _slip_notes(learned: "LearnedSoil") -> list[str]:

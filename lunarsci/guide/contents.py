@@ -8,6 +8,7 @@ from typing import Any
 from lunarsci.documents import toml_document
 from lunarsci.errors import LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, read_json, text
+from lunarsci.names import some_of
 
 LARGEST_WHEEL = "lrv"
 """Whose radius no sinkage passes, where the rover is not known."""
@@ -24,8 +25,7 @@ LIKE = {
 
 
 def _listed(names: Any) -> str:
-    texts = [str(name) for name in names]
-    return ", ".join(texts[:MOST]) + (f" and {len(texts) - MOST} more" if len(texts) > MOST else "")
+    return some_of([str(name) for name in names], MOST)
 
 
 def _spectra(file: InputFile) -> Mapping[str, Any]:

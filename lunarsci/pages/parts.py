@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
+from lunarsci.names import some_of
 from lunarsci.pages.documents import Document
 from lunarsci.pages.quantities import PARTS, SAID, Quantity, quantities
 from lunarsci.pages.rock_answers import standing_of
@@ -293,8 +294,7 @@ def _of_kind(document: Document) -> list[str]:
 
 
 def _line(names: Sequence[str], text: str) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return f"{'; '.join(names[:MOST_NAMED])}{more}: {text}" if names else text
+    return f"{some_of(names, MOST_NAMED, '; ')}: {text}" if names else text
 
 
 def _said(value: Any, name: str = "") -> Iterator[tuple[str, str]]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lunarsci.names import some_of
 from lunarsci.pages.sentences import Result, ResultAnswer, each, sentence
 from lunarsci.pages.words import counted, measured, number, percent
 from lunarsci.result import FINE
@@ -61,8 +62,7 @@ def _depending(spectra: Sequence[Result]) -> str:
         for key, name in (("1000", "1 µm"), ("2000", "2 µm"))
         if one.get(f"band{key}_status") == DEPENDS
     ]
-    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
-    return f"{sentence(DEPENDS)[:-1]} more than on the noise: {', '.join(named[:MOST_NAMED])}{more}." if named else ""
+    return f"{sentence(DEPENDS)[:-1]} more than on the noise: {some_of(named, MOST_NAMED)}." if named else ""
 
 
 def _one_bands(one: Result) -> str:

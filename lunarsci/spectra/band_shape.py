@@ -61,7 +61,8 @@ LEAST_CENTER = 1.5
 """Least standard error of a centre, times the relative error of the depth and the standard width (area over depth of a
 Gaussian): a dip that noise makes is sharp, and its curvature alone promises too much. Chosen on the smoothed spectra
 of 17 targets of Chang'E-4 with their own noise, 100 draws each; measured on the other 71: at 2 um 68 % intervals hold
-73 % of the centres (64 without), 95 % ones 93 (86), those of the smallest tenth of the errors 62 and 88 (29 and 51)."""
+73 % of the centres (64 without), 95 % ones 93 (86), those of the smallest tenth of the errors 62 and 88 (29 and 51):
+`tests/benchmarks/bench_bands.py --rover`."""
 
 
 (

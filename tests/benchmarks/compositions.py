@@ -1,12 +1,15 @@
 """How often compositions from band centres are right within their errors, on minerals and meteorites of known ones.
 
 `LUNARSCI_REFERENCE_DATA=… python tests/benchmarks/compositions.py`, five minutes. The assemblage is chosen; of each key
-those are counted that a result quotes: in range, and not the prior's. `TREND_SIGMA` is the last column but two.
+those are counted that a result quotes: in range, and not the prior's. `TREND_SIGMA` is the last column but two. Below,
+mixtures of two pyroxenes of which one alone was called sure, and the largest share of the other: `HIDDEN`.
 """
 
 import os
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,19 +25,47 @@ TRUTH = {
     "fs_cpx": ("cpx_fs", "vol_cpx"),
 }
 SETS = ("meteorites", "relab")
+PYROXENES = {"orthopyroxene": "vol_opx", "clinopyroxene": "vol_cpx"}
+LEAST_SHARE = 0.05
+"""Of both pyroxenes in a mixture."""
+Records = Mapping[str, Mapping[str, Any]]
 
 
-def misses(data: Path, name: str) -> dict[str, list[tuple[float, float]]]:
-    """(error, sigma) of what is quoted, by key; what the manifest leaves open or states as 0 is not counted."""
+def fitted(data: Path, name: str) -> tuple[pd.DataFrame, Records]:
+    """The manifest of a set, and its fits with the assemblage chosen, by id."""
     known = pd.read_csv(data / f"spectra/{name}/manifest.csv").set_index("id")
+    spectra = lunarsci.fit(data / f"spectra/{name}/reflectance.csv", assemblage="auto").to_dict()["spectra"]
+    return known, {record["id"]: record for record in spectra}
+
+
+def misses(known: pd.DataFrame, records: Records) -> dict[str, list[tuple[float, float]]]:
+    """(error, sigma) of what is quoted, by key; what the manifest leaves open or states as 0 is not counted."""
     found = defaultdict(list)
-    for record in lunarsci.fit(data / f"spectra/{name}/reflectance.csv", assemblage="auto").to_dict()["spectra"]:
+    for name, record in records.items():
         for key, item in record["compositions"].items():
-            truth, share = (known.loc[record["id"], column] for column in TRUTH[key])
+            truth, share = (known.loc[name, column] for column in TRUTH[key])
             told = item["in_range"] and not from_prior(item["sigma"], item["prior_sigma"])
             if told and truth > 0 and share > 0:
                 found[key].append((item["mean"] - 100 * truth, item["sigma"]))
     return found
+
+
+def hidden(*sets: tuple[pd.DataFrame, Records]) -> None:
+    """Print how many mixtures of two pyroxenes were fitted by one, and the most that was hidden of the other."""
+    shares = pd.concat(known[list(PYROXENES.values())].fillna(0.0) for known, _ in sets)
+    records = {name: record for _, own in sets for name, record in own.items()}
+    mixed = [name for name in records if (shares.loc[name] >= LEAST_SHARE).all() and records[name]["choice"]]
+    print(f"{len(mixed)} mixtures with {LEAST_SHARE:.0%} or more of both pyroxenes")
+    for mineral, column in PYROXENES.items():
+        other = next(one for one in PYROXENES if one != mineral)
+        alone = [
+            name
+            for name in mixed
+            if other in records[name]["choice"]["sure"] and mineral not in records[name]["choice"]["sure"]
+        ]
+        most = max(alone, key=lambda name: float(shares.loc[name, column]), default="")
+        told = f", at most {shares.loc[most, column]:.0%} ({most})" if most else ""
+        print(f"{other} alone is sure in {len(alone)}, and hides {mineral}{told}")
 
 
 def row(name: str, key: str, values: list[tuple[float, float]]) -> str:
@@ -52,12 +83,14 @@ def row(name: str, key: str, values: list[tuple[float, float]]) -> str:
 def main() -> None:
     """Print the table."""
     data = Path(os.environ["LUNARSCI_REFERENCE_DATA"])
-    found = {name: misses(data, name) for name in SETS}
+    fits = {name: fitted(data, name) for name in SETS}
+    found = {name: misses(*fits[name]) for name in SETS}
     print("key     spectra        n    rms   bias  sigma  trend  within 2, and with the trend's")
     for key in TRUTH:
         for name in SETS:
             print(row(name, key, found[name][key]))
         print(row("both", key, [one for name in SETS for one in found[name][key]]))
+    hidden(fits["relab"], fitted(data, "minerals"))
 
 
 if __name__ == "__main__":

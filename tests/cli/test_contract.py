@@ -475,7 +475,7 @@ def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(
     assert "%" in drawn
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_leaves_nothing_behind_and_names_itself(name: str, tmp_path: Path) -> None:
     target = tmp_path / "drive"
     process = subprocess.Popen(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import ParameterError
+from lunarsci.names import some_of
 from lunarsci.result import job, request_of
 from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
 
@@ -83,7 +84,9 @@ class UnmixedSpectra(MgmFits):
         for found in self.abundances.values():
             if found and not found[0].determined:
                 names.setdefault(found[0].status.removeprefix("not determined: "), []).append(found[0].id)
-        doubts += [f"shares of {_some(own)} are not determined: {reason}" for reason, own in names.items()]
+        doubts += [
+            f"shares of {some_of(own, MOST_NAMED)} are not determined: {reason}" for reason, own in names.items()
+        ]
         return "; ".join(doubts)
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
@@ -176,11 +179,6 @@ def unmix(
     return UnmixedSpectra(
         batch=batch, request=asked, abundances=shares, kinds=kinds, normatives=soils, files=files, **found
     )
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + more
 
 
 def _kind_columns(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,8 @@ ALONE = "no second pyroxene"
 HIDDEN = {"orthopyroxene": 0.73, "clinopyroxene": 0.26}
 """Largest share of a pyroxene in RELAB mixtures of which the comparison called the other one sure, and not this one.
 Measured: of 32 mixtures with 5 vol % or more of both, 12 were so fitted by clinopyroxene (MIX230: 73 vol %
-orthopyroxene; five others 39 or more), 9 by orthopyroxene (XP-CMP-004 and -013: 26 vol % clinopyroxene)."""
+orthopyroxene; five others 39 or more), 9 by orthopyroxene (XP-CMP-004 and -013: 26 vol % clinopyroxene), by
+`tests/benchmarks/compositions.py`."""
 BIC_OF_CHOICE = (
     "BIC of all assemblages is of channels joined to 20 nm and of the comparison's own errors: it compares them and is "
     "another than that of the fit"

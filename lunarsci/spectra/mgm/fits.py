@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.names import some_of
 from lunarsci.spectra.mgm.batch import FitBatch
 from lunarsci.spectra.mgm.data import SpectraRows
 from lunarsci.spectra.mgm.model import MgmModel
@@ -104,8 +105,7 @@ def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: "Mapping[int, Cho
     texts = ("no convergence for {}", "the model does not describe {}")
     doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
     weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
-    more = f" and {len(weak) - NAMED} more" if len(weak) > NAMED else ""
-    return doubts + ([f"the assemblage is not decided for {', '.join(weak[:NAMED])}{more}"] if weak else [])
+    return doubts + ([f"the assemblage is not decided for {some_of(weak, NAMED)}"] if weak else [])
 
 
 def intervals_of(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, together
-from lunarsci.names import meant
+from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.columns import is_wavelength
@@ -107,8 +107,8 @@ def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
     """The spectra of some names, in the order of the inputs."""
     ids = batch.spectra.ids
     if missing := next((name for name in only if name not in ids), None):
-        first = ", ".join(ids[:NAMED]) + (", …" if len(ids) > NAMED else "")
-        raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {first}")
+        found = some_of(ids, NAMED)
+        raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {found}")
     places = np.array([place for place, name in enumerate(ids) if name in only])
     return replace(batch, spectra=batch.spectra.taken(places), origins=[batch.origins[k] for k in places])
 

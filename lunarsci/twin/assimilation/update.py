@@ -126,6 +126,15 @@ class SoilUpdate:
         return self.autocorrelation <= SETTLED
 
     @property
+    def told(self) -> str:
+        """How many values the soil was learned from, and of what."""
+        kept = (np.isfinite(self.residuals) & ~self.outliers).sum(axis=0)
+        parts = [f"{count} of {name}" for name, count in zip(OBSERVED, kept, strict=True) if count]
+        places = self.values - int(kept.sum())
+        parts += [f"{places} of {places // 2} positions (x and y)"] if places else []
+        return f"{self.values} values: {', '.join(parts)}"
+
+    @property
     def other_ground(self) -> str:
         """What to do where the drive was hardly on the ground that was believed; empty where it was."""
         if self.refused or self.prior_shift <= SURPRISING:
