@@ -35,6 +35,9 @@ def test_the_citation_is_of_this_version_and_licence() -> None:
     """Zenodo reads CITATION.cff."""
     assert f"version: {PROJECT['version']}\n" in CITATION
     assert f"license: {PROJECT['license']}\n" in CITATION
+    own = tomllib.loads((ROOT / "spectra_data/references.toml").read_text("utf-8"))["lunarsci"]
+    assert CITATION.count(f'title: "{own["title"]}"\n') == 2 and CITATION.count(f'name: "{own["author"][1:-1]}"\n') == 2
+    assert f"  year: {own['year']}\n" in CITATION and CITATION.count(f"version: {PROJECT['version']}\n") == 2
     doi = "10.1038/s41467-024-46233-8"
     assert f"doi: {doi}\n" in CITATION and doi in (ROOT / "README.md").read_text("utf-8")
 

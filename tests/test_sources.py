@@ -96,6 +96,10 @@ def _load() -> ModuleType:
 PAGES = _load()
 
 
+def _works() -> dict[str, dict[str, Any]]:
+    return tomllib.loads((FOLDER / "references.toml").read_text("utf-8"))
+
+
 def lacking(source: str, *, assumed: bool = False) -> str:
     """What a source lacks: an author with a year, a DOI, or the word that it is assumed or measured; '' if nothing."""
     if not source.strip():
@@ -166,6 +170,9 @@ def test_the_page_shows_every_source() -> None:
         assert entry.get("doi", "") in page
     for row in PAGES.of_soils():
         assert row.name in page
+    recalled = [str(one["recalled"]) for one in _works().values() if "recalled" in one]
+    assert recalled and page.count("(recalled: ") == len(recalled)
+    assert [text for text in recalled if "doi" in text.lower()] == []
 
 
 def a_setting(row: Any) -> bool:
@@ -222,7 +229,7 @@ SOILS = ("soils.toml", "priors.toml", "reference_soils.csv", "lateral_soils.csv"
 def test_every_doi_of_a_table_is_that_of_a_work_which_is_cited_for_it() -> None:
     """Else `lunarsci cite` leaves out what a result rests on."""
     tables = tomllib.loads((FOLDER / "sources.toml").read_text("utf-8")).values()
-    works = tomllib.loads((FOLDER / "references.toml").read_text("utf-8")).values()
+    works = _works().values()
     cited = {(str(work.get("doi", "")).lower(), table) for work in works for table in work.get("tables", ())}
     stated = {(one["doi"].lower(), one["table"]) for one in tables if "doi" in one and one["doi"] not in RECALLED}
     assert stated - cited == set()

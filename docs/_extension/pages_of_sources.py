@@ -162,8 +162,14 @@ def sources_text() -> str:
 
 
 def works_text() -> str:
-    """The works of `references.toml`, with the tables that rest on them."""
-    lines = ["| key | work | tables |", "| --- | --- | --- |"]
+    """The works of `references.toml`, with what of them was recalled and the tables that rest on them."""
+    lines = [
+        "Authors, titles and places are as an index record, a reference list or a public bibliography has them, which "
+        "does not say that the work itself was read. What was written down from memory is called recalled; no DOI is.",
+        "",
+        "| key | work | tables |",
+        "| --- | --- | --- |",
+    ]
     for name, work in tomllib.loads((FOLDER / "references.toml").read_text("utf-8")).items():
         who = work.get("author", work.get("editor", "")).strip("{}").split(" and ")
         names = " and ".join(who) if len(who) < 4 else f"{who[0]} and others"
@@ -172,7 +178,8 @@ def works_text() -> str:
         said = ", ".join(str(part).replace("--", "-") for part in [*parts, work.get("doi")] if part)
         tables = ", ".join(f"`{one}`" for one in work.get("tables", ()))
         year = f" ({work['year']})" if "year" in work else ""
-        lines.append(f"| `{name}` | {linked(_cell(f'{names}{year}, {said}'))} | {tables} |")
+        recalled = f" (recalled: {work['recalled']})" if "recalled" in work else ""
+        lines.append(f"| `{name}` | {linked(_cell(f'{names}{year}, {said}'))}{recalled} | {tables} |")
     return "\n".join(lines)
 
 

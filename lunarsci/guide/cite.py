@@ -25,10 +25,13 @@ REMARK = re.compile(r": |;| \(|(?:doi:? )?\b10\.\d{4,9}/")
 """Where a reference that has no volume ends: a remark, or its DOI."""
 LONGEST_PLACE = 80
 """Letters of a place without a volume, such as a conference or a book; more are a sentence."""
-TITLE = "lunarsci: rock, ground and drive of a lunar rover"
-
-
-NOT_FIELDS = ("type", "tables")
+SEVERAL = re.compile(r"; (?=[A-Z][^();]{1,120}? \((?:1[89]|20)\d\d\), )")
+"""Between two references of one source: `Wang & Han (2016), ...; Lim et al. (2021), ...`."""
+OWN = "lunarsci"
+"""Its own work in `references.toml`."""
+BY_ROWS = ("reference_soils.csv", "band_chemistry.csv")
+"""Tables of which a result names the sources of the rows that it used, so that no others are cited."""
+NOT_FIELDS = ("type", "tables", "recalled")
 """Of a work: what is no field of its entry."""
 
 
@@ -132,17 +135,17 @@ class CitedSources(Result):
 
     def bibtex(self) -> str:
         """The entries, that of lunarsci first."""
-        note = f"version {', '.join(self.versions)}" if self.versions else ""
-        own = {"author": "{lunarsci contributors}", "title": f"{{{TITLE}}}", "note": note}
-        entries = [_entry("misc", "lunarsci", {name: value for name, value in own.items() if value}, braced=False)]
+        own = reference_to(OWN)
+        version = {"note": f"version {', '.join(self.versions)}"} if self.versions else {}
+        entries = [_entry(own.kind, OWN, own.fields | version)]
         for key, one in self.keyed.items():
             entries.append(_entry(one.kind, key, one.fields))
         return "\n".join(entries)
 
 
-def _entry(kind: str, key: str, fields: Mapping[str, str], braced: bool = True) -> str:
+def _entry(kind: str, key: str, fields: Mapping[str, str]) -> str:
     """`@article{ding2024, ...}`; signs that TeX takes for commands are escaped."""
-    lines = [f"  {name} = {{{value if not braced else _tex(name, value)}}}," for name, value in fields.items()]
+    lines = [f"  {name} = {{{_tex(name, value)}}}," for name, value in fields.items()]
     return "\n".join([f"@{kind}{{{key},", *lines, "}", ""])
 
 
@@ -172,21 +175,36 @@ def reference_to(name: str, text: str = "") -> Reference:
 
 
 def _of_tables(names: Sequence[str]) -> Iterator[Reference]:
-    """The works that tables of lunarsci rest on."""
+    """The works that tables of lunarsci rest on, but for those cited row by row."""
+    whole = set(names) - {*BY_ROWS}
     for name, work in works().items():
-        if not set(names).isdisjoint(work.get("tables", ())):
+        if not whole.isdisjoint(work.get("tables", ())):
             yield reference_to(name)
 
 
 def _cited(text: str) -> Reference:
-    """A source of a result: the work that has its DOI, or its author and year where the result has no DOI."""
+    """A source of a result: the work that has its DOI, or where the result has none, its number, title or author."""
     found = reference_of(text)
     for name, work in works().items():
         if found.doi and str(work.get("doi", "")).lower() == found.doi.lower():
             return reference_to(name, text)
+        if not found.doi and (_is_report(work, text) or _is_titled(work, found)):
+            return reference_to(name, text)
     same = works().get(found.key, {})
     alone = found.journal == "" or found.volume in ("", same.get("volume", found.volume))
     return reference_to(found.key, text) if same and not found.doi and alone else found
+
+
+def _is_report(work: Mapping[str, Any], text: str) -> bool:
+    """Whether the text has the number of this report, such as `JPL Technical Report 32-1023 (1966)`."""
+    number = re.escape(str(work.get("number", "")))
+    return work.get("type") == "techreport" and re.search(rf"(?<![\w-]){number}(?![\w-])", text) is not None
+
+
+def _is_titled(work: Mapping[str, Any], found: Reference) -> bool:
+    """Whether a title stands where authors do, as in `Lunar Sourcebook (1991), ch. 9`."""
+    start = f"{found.authors}:"
+    return bool(found.authors) and found.year == work.get("year") and str(work["title"]).startswith(start)
 
 
 def reference_of(text: str) -> Reference:
@@ -218,16 +236,16 @@ def cite(*results: Sequence[str | Path | Result] | str | Path | Result) -> Cited
     """What to cite for results: those of functions, JSON files of commands, or folders of their -o; lists of them, too.
 
     The sources that a result names, and the works that its tables rest on, such as laboratory spectra, catalogues of
-    craters and priors. Sources that differ only in what follows the DOI are one. Raises DataError for what is no
-    result.
+    craters and priors; of reference soils and regressions of bands only those that the result used. Sources that
+    differ only in what follows the DOI are one. Raises DataError for what is no result.
     """
     given = [one for own in results for one in ([own] if isinstance(own, str | Path | Result) else own)]
     documents = read_results(given)[0] if given else []
     records = [document.provenance for document in documents]
-    texts = [text for record in records for text in record.get("sources") or ()]
+    texts = [part for record in records for text in record.get("sources") or () for part in SEVERAL.split(str(text))]
     tables = [PurePath(str(one.get("name", one.get("path", "")))).name for record in records for one in _named(record)]
     found: dict[str, Reference] = {}
-    for one in (*map(_cited, map(str, texts)), *_of_tables(tables)):
+    for one in (*map(_cited, texts), *_of_tables(tables)):
         found.setdefault(one.same, one)
     return CitedSources(references=list(found.values()), documents=documents)
 

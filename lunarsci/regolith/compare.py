@@ -4,7 +4,7 @@ Parameters of different laws cannot be compared one by one, (K_s, N) least of al
 the parameters predict: bearing pressure over the sinkages of a wheel, shear strength over the stresses under it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -248,6 +248,11 @@ def lateral_soils() -> tuple[Mapping[str, str], ...]:
 def reference_hash() -> dict[str, str]:
     """Names and SHA-256 of the tables, for the provenance."""
     return table_hashes(TABLE, LATERAL, package=__package__)
+
+
+def sources_of(soils: Iterable[ReferenceSoil]) -> list[str]:
+    """Where the numbers of these soils come from, each source once."""
+    return list(dict.fromkeys(soil.source for soil in soils))
 
 
 def _soil(row: Mapping[str, str]) -> ReferenceSoil:

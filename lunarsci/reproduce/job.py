@@ -61,9 +61,11 @@ class Reproduction(Result):
     @property
     def made_from(self) -> MadeFrom:
         from lunarsci.constants import PAPER
+        from lunarsci.regolith.compare import reference_soils, sources_of
 
         options = {} if self.parts == ("spectra",) else {"rover": self.description.origin}
-        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=[PAPER], options=options)
+        soils = sources_of(reference_soils()) if "soil" in self.parts else []
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=[PAPER, *soils], options=options)
 
     @property
     def verdicts(self) -> dict[str, int]:

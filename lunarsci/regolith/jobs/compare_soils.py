@@ -112,7 +112,7 @@ def compare_soils(
     Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
     """
     from lunarsci.provenance import sha256
-    from lunarsci.regolith.compare import compare_site, reference_hash, remarks
+    from lunarsci.regolith.compare import compare_site, reference_hash, remarks, sources_of
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.rovers import read_rover
 
@@ -130,6 +130,7 @@ def compare_soils(
         name = description.name
         width, tables = read_wheel(description).width_m, {f"{rover} (rover)": sha256(description.text.encode())}
     soils = compare_site(site, width, left_open=left_open)
+    compared = [item.soil for item in soils if item.bearing is not None or item.strength is not None]
     return ComparedSoils(
         site=site,
         rover=rover,
@@ -142,7 +143,7 @@ def compare_soils(
         origin=MadeFrom(
             inputs=inputs,
             tables=tables | reference_hash(),
-            sources=[PAPER],
+            sources=[PAPER, *sources_of(compared)],
             options={"rover": rover},
         ),
     )

@@ -21,14 +21,20 @@ if TYPE_CHECKING:
 
 SMOOTH_NM = 205.0
 """The 41 channels of 5 nm of Ding et al. (2024)."""
+REGRESSIONS = {
+    "gaffey-2002": "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",
+    "burbine-2007": "Burbine et al. (2009), Meteorit. Planet. Sci. 44, 1331, 10.1111/j.1945-5100.2009.tb01225.x (HED)",
+    "dunn-2010": "Dunn et al. (2010), Icarus 208, 789, 10.1016/j.icarus.2010.02.016 (chondrites)",
+    "cloutis-1986": "Cloutis et al. (1986), J. Geophys. Res. 91, 11641, 10.1029/JB091iB11p11641 (area ratio)",
+    "opx-band-trend": "Klima et al. (2007), Meteorit. Planet. Sci. 42, 235, 10.1111/j.1945-5100.2007.tb00230.x (opx)",
+    "olivine-bc1000": "King & Ridley (1987), J. Geophys. Res. 92, 11457, 10.1029/JB092iB11p11457 (the trend)",
+}
+"""What to cite where a regression may be used, by its entry of `sources.toml`."""
 CHEMISTRY = (
-    "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",
-    "Burbine et al. (2009), Meteorit. Planet. Sci. 44, 1331, 10.1111/j.1945-5100.2009.tb01225.x (Fs, Wo)",
-    "Dunn et al. (2010), Icarus 208, 789, 10.1016/j.icarus.2010.02.016 (chondrites)",
-    "Cloutis et al. (1986), J. Geophys. Res. 91, 11641, 10.1029/JB091iB11p11641 (area ratio)",
     "Sanchez et al. (2012), Icarus 220, 36, 10.1016/j.icarus.2012.04.008 (temperature)",
     "Adams (1974), J. Geophys. Res. 79, 4829, 10.1029/JB079i032p04829 (the plane of the centres)",
 )
+"""The same wherever bands are measured."""
 SHORT = {
     "fs": "Fs",
     "wo": "Wo",
@@ -108,7 +114,16 @@ class MeasuredBands(Result):
         from lunarsci.tables import table_hashes
 
         tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE)
-        return MadeFrom(inputs=self.batch.inputs, tables=tables, sources=[PAPER, SMOOTHING, *CHEMISTRY])
+        sources = [PAPER, SMOOTHING, *self._regressions, *CHEMISTRY]
+        return MadeFrom(inputs=self.batch.inputs, tables=tables, sources=sources)
+
+    @cached_property
+    def _regressions(self) -> list[str]:
+        """The sources of those that some spectrum can use."""
+        from lunarsci.spectra.chemistry.bands import KEYS
+
+        used = {str(one["source"]) for one in self.examples(KEYS).values()}
+        return [text for source, text in REGRESSIONS.items() if source in used]
 
     @property
     def good(self) -> "list[SpectrumBands]":
