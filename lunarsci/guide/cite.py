@@ -150,7 +150,10 @@ def _entry(kind: str, key: str, fields: Mapping[str, str]) -> str:
 
 
 def _tex(name: str, value: str) -> str:
-    return value if name == "doi" or value.startswith("https://") else re.sub(r"([&%$#_])", r"\\\1", value)
+    r"""`&` as `\&`, and an umlaut as `{\"o}`, which every program takes."""
+    if name == "doi" or value.startswith("https://"):
+        return value
+    return re.sub("([a-zA-Z])\u0308", r'{\\"\1}', unicodedata.normalize("NFD", re.sub(r"([&%$#_])", r"\\\1", value)))
 
 
 @cache

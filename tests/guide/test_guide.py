@@ -312,6 +312,7 @@ def test_every_entry_that_can_be_printed_is_whole() -> None:
     named = {one.same: one for one in map(cite_of, texts)}
     rest = [reference_to(name) for name in works() if name not in {"lunarsci", *named}]
     found = CitedSources(references=[*named.values(), *rest], documents=[])
+    assert found.bibtex().isascii() and 'F{\\"o}rstner, W.' in found.bibtex()
     printed = re.findall(r"@(\w+)\{([\w-]+),\n(.*?)\n\}\n", found.bibtex(), re.DOTALL)
     assert [name for _, name, _ in printed] == ["lunarsci", *found.keyed]
     assert len(printed) == found.bibtex().count("\n@") + 1 == len({name for _, name, _ in printed})
