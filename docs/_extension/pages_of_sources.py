@@ -175,7 +175,9 @@ def works_text() -> str:
         names = " and ".join(who) if len(who) < 4 else f"{who[0]} and others"
         place = " ".join(work[one] for one in ("journal", "booktitle", "institution", "publisher") if one in work)
         parts = [work.get("title"), f"{place} {work.get('volume', work.get('number', ''))}".strip(), work.get("pages")]
-        said = ", ".join(str(part).replace("--", "-") for part in [*parts, work.get("doi")] if part)
+        said = ", ".join(
+            str(part).replace("--", "-") for part in [*parts, work.get("doi"), work.get("howpublished")] if part
+        )
         tables = ", ".join(f"`{one}`" for one in work.get("tables", ()))
         year = f" ({work['year']})" if "year" in work else ""
         recalled = f" (recalled: {work['recalled']})" if "recalled" in work else ""

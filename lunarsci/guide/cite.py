@@ -167,9 +167,14 @@ def reference_to(name: str, text: str = "") -> Reference:
     work = works()[name]
     who, where = str(work.get("author", work.get("editor", ""))), str(work.get("journal", ""))
     said = {key: str(work.get(key, "")) for key in ("year", "volume", "pages", "doi")}
-    place = ", ".join(
-        part for part in (work.get("title"), f"{where} {said['volume']}".strip(), said["pages"], said["doi"]) if part
+    parts = (
+        work.get("title"),
+        f"{where} {said['volume']}".strip(),
+        said["pages"],
+        said["doi"],
+        work.get("howpublished"),
     )
+    place = ", ".join(part for part in parts if part)
     short = who.strip("{}") if who.count(" and ") < 4 else f"{who.split(' and ')[0]} and others"
     whole = f"{short} ({said['year']}), {place}" if said["year"] else f"{short}, {place}"
     return Reference(
@@ -207,7 +212,7 @@ def _is_report(work: Mapping[str, Any], text: str) -> bool:
 def _is_titled(work: Mapping[str, Any], found: Reference) -> bool:
     """Whether a title stands where authors do, as in `Lunar Sourcebook (1991), ch. 9`."""
     start = f"{found.authors}:"
-    return bool(found.authors) and found.year == work.get("year") and str(work["title"]).startswith(start)
+    return bool(found.authors) and found.year == work.get("year") and str(work.get("title", "")).startswith(start)
 
 
 def reference_of(text: str) -> Reference:

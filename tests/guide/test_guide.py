@@ -249,6 +249,7 @@ def test_works_behind_tables_are_cited(tmp_path: Path) -> None:
     record = Provenance(command="lunarsci spectra unmix", sources=SOURCES[:1], tables=tables).to_dict(time=False)
     found = cite(written(tmp_path, "unmix.json", to_json(document("spectra-unmix/1", {"spectra": []}, record))))
     assert {"kokaly2017", "korda2023", "iau-gazetteer", "hu2019", "ishigami2007", "ding2024"} <= set(found.keyed)
+    assert found.keyed["pavlov2019"].text.endswith("(2019), Proc. of the ISTVS 15th European-African Conference")
     assert [one.doi for one in found.references].count("10.1038/s41467-024-46233-8") == 1
     chosen = Provenance(command="lunarsci twin predict", tables={"soils.toml": "0" * 64}).to_dict(time=False)
     driven = cite(written(tmp_path, "drive.json", to_json(document("twin-predict/1", {}, chosen))))
@@ -297,8 +298,8 @@ NO_YEAR = {"zhao-ga-plsr", "iau-gazetteer"}
 """A repository without a date, and a list that grows; their notes say so."""
 
 
-UNTITLED = {"anbazhagan2021", "cherkasov1977", "dnizhininskaya1971", "wang2016", "yin2023"}
-"""Sources of reference soils that were seen in public collections only: author, year and place, but no title."""
+UNTITLED = {"anbazhagan2021", "cherkasov1977", "dnizhininskaya1971", "pavlov2019", "wang2016", "yin2023"}
+"""Works that were seen in public collections and code only, all of soils: author, year and place, but no title."""
 
 
 NAME = re.compile(r"[A-Z](?:[\w'-]|\{\\\"[aou]\})+(?:, [A-Z]\.(?:[ -][A-Z]\.)*)|\{[\w .]+\}")
