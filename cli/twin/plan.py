@@ -50,7 +50,10 @@ OPTIONS = {
         metavar="FILE",
     ),
     "speed": option("Speed in m/s; the rover's highest if left out.", panel=PATH),
-    "turning_radius": option("Smallest radius of an arc, in m.", panel=LIMITS),
+    "turning_radius": option(
+        "Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.",
+        panel=LIMITS,
+    ),
     "hazard_distance": option("Distance to keep from hazards and holes, in m.", panel=LIMITS),
     "risk": option(
         "Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at "

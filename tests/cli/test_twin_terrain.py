@@ -104,6 +104,9 @@ def test_synthetic_ground_has_its_options(run: Run) -> None:
         ["--target", "a,b"],
         ["--target", "1,2,3,4"],
         ["--start", "0,0", "--target", "1,1"],
+        ["--target", "9,2", "--turning-radius", "0.49"],
+        ["--target", "9,2", "--turning-radius", "0"],
+        ["--target", "9,2", "--turning-radius", "nan"],
         ["--extent", "10"],
         ["file.npz", "--rocks", "0.01"],
     ],
@@ -111,6 +114,7 @@ def test_synthetic_ground_has_its_options(run: Run) -> None:
 def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
     wrong = run(*(PLAN if arguments[0] in ("--target", "--start") else TERRAIN), *arguments)
     assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
+    assert "--turning-radius" not in arguments or "give 0.5 m or more" in wrong.err[0]
 
 
 @pytest.mark.parametrize(
