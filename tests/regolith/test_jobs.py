@@ -12,7 +12,7 @@ import pytest
 from astropy import units
 from scipy import stats
 
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.identify import Estimate
 from lunarsci.regolith.jobs.compare_soils import compare_soils
