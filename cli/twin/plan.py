@@ -35,9 +35,10 @@ OPTIONS = {
         show_default=False,
     ),
     "start": option(
-        "Pose of the rover, in m and deg, such as the last row of motion.csv of `twin states`.",
+        "Pose of the rover, in m and deg; or where a drive ended: the folder of `twin states` or `twin predict`, or a "
+        "motion.csv.",
         panel=PATH,
-        metavar="X,Y,HEADING",
+        metavar="X,Y,HEADING|DRIVE",
         kind=str,
     ),
     "lonlat": option(

@@ -247,7 +247,8 @@ def ground_about(soil_map: SoilMap, name: str) -> Terrain:
     nx, ny = (max(2, int(np.ceil(length / spacing)) + 1) for length in size)
     flat = np.zeros((ny, nx))
     synthetic = any(bool(entry.get("synthetic")) for zone in soil_map.zones for entry in zone.belief.history)
-    return build_terrain(name, *map(float, low), spacing, flat, read_soil("longji"), synthetic=synthetic)
+    x0, y0 = float(low[0]), float(low[1])
+    return build_terrain(name, x0, y0, spacing, flat, read_soil("longji"), synthetic=synthetic)
 
 
 def map_record(soil_map: SoilMap) -> dict[str, Any]:

@@ -374,7 +374,7 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     sun, shadow_cost = asked.light()
     costs = asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
-    inputs |= {path: read_input(path).sha256 for path in asked.layer}
+    inputs |= {path: read_input(path).sha256 for path in (*asked.layer, *getattr(asked, "start_files", ()))}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = RoverCheck(description, built, asked=True)
     check.terrain(file.made_for, terrain)
