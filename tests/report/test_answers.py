@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.figure import FIRST_PAGE
 from lunarsci.pages.answers import ANSWERS, answer
 from lunarsci.pages.documents import Document, document_of, read_results
 from lunarsci.pages.page import TITLES
@@ -182,7 +183,7 @@ def test_what_drives_keep_is_the_end_of_the_command_and_ends_have_their_time() -
 
 def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     drive = of("predict")
-    record = {"untrusted": "", "warnings": ["predicted.png: holds the first page only; a .pdf holds all"]}
+    record = {"untrusted": "", "warnings": ["a.png: holds the first page only; a .pdf holds all", f"b.png: {FIRST_PAGE}"]}
     made = replace(drive, provenance=record)
     assert answer(made).trust == "The command found nothing against this result."
     assert not any("first page" in line for line in unknown(made))
