@@ -24,7 +24,9 @@ OPTIONS = {
 }
 Results = Annotated[
     list[str],
-    typer.Argument(metavar="RESULT…", help="Files of --json, folders of -o, beliefs, pictures (.png, .svg) of --plot."),
+    typer.Argument(
+        metavar="RESULT…", help="Files of --json, folders of -o, beliefs, soil maps, pictures (.png, .svg) of --plot."
+    ),
 ]
 
 

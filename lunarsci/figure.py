@@ -74,7 +74,7 @@ STYLE: Any = {
 }
 """What every picture looks like unless it says otherwise: sober, of one size of text, of few lines."""
 
-FIRST_PAGE = "holds the first page only; a .pdf holds all"
+FIRST_PAGE = "the picture has several pages, and this is the first; a .pdf has all"
 """What is said of a picture of several pages that takes one."""
 
 

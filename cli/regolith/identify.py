@@ -51,7 +51,7 @@ States = Annotated[
 ]
 ASSUMED = "What is assumed, and so what is solved for"
 OPTIONS = {
-    "rover": option(f"{ROVER.rstrip('.')}; left out, yutu2."),
+    "rover": option(f"{ROVER.rstrip('.')}; left out, the one that the states name, else yutu2."),
     "exponent": option("Assume N and solve K_s; 1.0 if neither is given.", panel=ASSUMED),
     "stiffness": option("Assume K_s in kPa m^-N and solve N.", panel=ASSUMED),
     "cohesion": option("Assume c in Pa and solve φ; 520 if neither is given.", panel=ASSUMED),
@@ -156,7 +156,7 @@ def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
 def wheel_text(result: IdentifiedSoil) -> str:
     """How many states, and with which wheel: its name, and the file where it is another."""
     count = len(result.found.observations)
-    default = " (the default)" if result.asked and result.asked.options["rover"] is None else ""
+    default = {"default": " (the default)", "table": " (named in the table)"}.get(result.named_by, "")
     return f"{count} state{'s' if count > 1 else ''} with the wheel of {result.wheel_of}{default}"
 
 

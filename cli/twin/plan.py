@@ -35,9 +35,10 @@ OPTIONS = {
         show_default=False,
     ),
     "start": option(
-        "Pose of the rover, in m and deg, such as the last row of motion.csv of `twin states`.",
+        "Pose of the rover, in m and deg; or where a drive ended: the folder of `twin states` or `twin predict`, or a "
+        "motion.csv.",
         panel=PATH,
-        metavar="X,Y,HEADING",
+        metavar="X,Y,HEADING|DRIVE",
         kind=str,
     ),
     "lonlat": option(
@@ -50,7 +51,10 @@ OPTIONS = {
         metavar="FILE",
     ),
     "speed": option("Speed in m/s; the rover's highest if left out.", panel=PATH),
-    "turning_radius": option("Smallest radius of an arc, in m.", panel=LIMITS),
+    "turning_radius": option(
+        "Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.",
+        panel=LIMITS,
+    ),
     "hazard_distance": option("Distance to keep from hazards and holes, in m.", panel=LIMITS),
     "risk": option(
         "Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at "

@@ -163,9 +163,8 @@ def _notes(learned: "LearnedSoil") -> list[str]:
 def _slip_notes(learned: "LearnedSoil") -> list[str]:
     """Slip and rates of the wheels, as measured beside the drive that was simulated."""
     notes, pace = [], learned.pace
-    if (slip := learned.slip) is not None:
-        text = f"{slip.measured:.3f} measured, {slip.simulated:.3f} simulated on the soil found"
-        notes.append(f"median slip ratio: {text}; standard error of the difference {slip.error:.3f}")
+    if learned.slip is not None:
+        notes.append(learned.slip.text)
     if pace is None:
         notes.append("the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)")
     elif not pace.off:
@@ -184,6 +183,7 @@ def _segment_table(segments: "list[Segment]") -> TextTable:
         for segment in segments
         if not segment.learned
     ]
+    notes += [segment.slip_text for segment in segments]
     headers = ["parameter", *(f"{segment.from_m:.1f} to {segment.to_m:.1f} m" for segment in segments)]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
     title = "Soil of each stretch of the way: median, and in brackets its width, of that before any drive"

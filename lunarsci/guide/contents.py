@@ -219,7 +219,7 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.states import read_state_table
     from lunarsci.regolith.wheel import read_wheel
 
-    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL))
+    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
     return {
         **_rows(file),
         "columns of no use": _listed(table.unused) or "none",

@@ -272,10 +272,11 @@ def _states() -> str:
         "# slip_ratio, side_slip_deg and lateral_force_n may be blank or left out. NAME_sigma is the standard",
         "# deviation of NAME, in its unit; without it the default errors of `lunarsci regolith infer` are taken.",
         *(f"# {name}: {told[name]}" for name in COLUMNS),
-        ",".join([*COLUMNS, "sinkage_m_sigma", "synthetic"]),
+        "# rover: name in its file and size of its wheels; leave it out, and name your rover or wheel with --rover.",
+        ",".join([*COLUMNS, "sinkage_m_sigma", "synthetic", "rover"]),
     ]
     for row in wheel_forces(rover="yutu2", load=36.5, slip="0:0.5:6", side_slip=2.0).rows():
-        lines.append(",".join([*(f"{row[name]:.5g}" for name in COLUMNS), "0.0005", "true"]))
+        lines.append(",".join([*(f"{row[name]:.5g}" for name in COLUMNS), "0.0005", "true", row["rover"]]))
     return "\n".join([*lines, ""])
 
 

@@ -139,6 +139,7 @@ ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {
     "regolith-identify": soil,
     "regolith-infer": soil,
     "reproduce": reproduced,
+    "soil-map": drive_answers.soil_by_place,
     "spectra-bands": rock_answers.bands,
     "spectra-calibrate": rock_answers.calibrated,
     "spectra-fit": rock_answers.fit,

@@ -24,7 +24,6 @@ LARGEST_PICTURE = 4_000_000
 MOST_ROWS = 200_000
 """Rows that are read of a table beside a result; assumed."""
 NO_RESULTS = {
-    "lunarsci/soil-map": "its drives are told by: lunarsci twin update … --json, which made it",
     "lunarsci/twin-prediction": "give the folder that it lies in",
 }
 """Documents that commands read and that are no results, and what to give instead."""
@@ -32,6 +31,8 @@ DESCRIPTIONS = (".toml", ".csv", ".npz", ".ecsv")
 """Files that commands are given, not results."""
 BELIEF = "lunarsci/soil-belief"
 """Schema, without its version, of a belief of the soil: the page shows what `twin history` tells of it."""
+SOIL_MAP = "lunarsci/soil-map"
+"""The same of a map of beliefs, as `twin update --save-map` writes it."""
 REMEDY = "give a file that a command wrote with --json, the folder of its -o, or a picture of its --plot"
 
 
@@ -164,6 +165,8 @@ def _document(name: str, path: str | Path, folder: Path | None, drawn: bool) -> 
     found = read_json(file, "a result", lambda value: value)
     if isinstance(found, dict) and str(found.get("schema", "")).startswith(f"{BELIEF}/"):
         return _belief(name, file)
+    if isinstance(found, dict) and str(found.get("schema", "")).startswith(f"{SOIL_MAP}/"):
+        return _soil_map(name, file)
     if not isinstance(found, dict) or not isinstance(found.get("result"), dict):
         raise DataError(f"{file.name}: no result of a lunarsci command{_instead(found)}; {_remedy(found)}")
     schema, record = found.get("schema"), found.get("provenance")
@@ -193,6 +196,32 @@ def _belief(name: str, file: InputFile) -> Document:
     return Document(
         name, told.schema, told.to_dict(), record, None, {"the soil before any drive and now.svg": drawn}, file.sha256
     )
+
+
+def _soil_map(name: str, file: InputFile) -> Document:
+    """What a soil map says of its zones, with the pictures of `twin update`. Raises DataError."""
+    from lunarsci.figure import picture_bytes, styled
+    from lunarsci.twin.figures.maps import soil_pages
+    from lunarsci.twin.ground.soil_layers import soil_layers
+    from lunarsci.twin.ground.soil_map import ground_about, map_record, read_soil_map
+
+    found = read_soil_map(file)
+    told, names = map_record(found), ("median of the soil.svg", "what is left of the first spread.svg")
+    pictures = dict[str, bytes]()
+    if found.zones:
+        with styled():
+            layers = soil_layers(found, ground_about(found, file.name))
+            drawn = soil_pages(layers, found)
+            pictures = {one: picture_bytes([page], Path("soil.svg")) for one, page in zip(names, drawn, strict=True)}
+    doubts = dict.fromkeys(f"{one['name']}: {one['doubt']}" for one in told["zones"] if one["doubt"])
+    record = {
+        "command": "lunarsci twin update --save-map",
+        "inputs": [{"path": file.name, "sha256": file.sha256}],
+        "untrusted": "; ".join(doubts),
+        "failures": [],
+    }
+    pictures = {one: content for one, content in pictures.items() if len(content) <= LARGEST_PICTURE}
+    return Document(name, "soil-map/1", told, record, None, pictures, file.sha256)
 
 
 def _remedy(found: Any) -> str:

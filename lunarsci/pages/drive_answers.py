@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsci.pages.sentences import GO, MOST, PLAIN, STOP, Result, ResultAnswer
+from lunarsci.pages.sentences import GO, MOST, PLAIN, STOP, Result, ResultAnswer, sentence
 from lunarsci.pages.words import counted, number, percent, quantity, unit, words
 from lunarsci.result import UNMOVED
 
@@ -181,6 +181,20 @@ def learned(result: Result) -> ResultAnswer:
     return ResultAnswer(
         f"The soil was learned from {counted(result['values'], 'value')} of the drive. {like(result['parameters'])}"
         f"{changed}"
+    )
+
+
+def soil_by_place(result: Result) -> ResultAnswer:
+    zones = result["zones"]
+    if not zones:
+        return ResultAnswer("The map has no zone yet: everywhere the priors hold, as before any drive.")
+    drives = counted(result["drives"], "drive")
+    told = [f"{one['name']} ({one['stretch']}): {like(one['parameters'])}" for one in zones[:MOST]]
+    rest = f" {counted(len(zones) - MOST, 'more zone')} below." if len(zones) > MOST else ""
+    made_up = " The drives are synthetic." if result["synthetic"] else ""
+    of_each = " ".join(map(sentence, told))
+    return ResultAnswer(
+        f"The map knows the soil of {counted(len(zones), 'zone')}, from {drives}. {of_each}{rest}{made_up}"
     )
 
 

@@ -35,6 +35,7 @@ TITLES = {
     "regolith-identify": "The soil from wheel states",
     "regolith-infer": "The soil from wheel states",
     "reproduce": "Published numbers",
+    "soil-map": "The soil by place",
     "spectra-bands": "Absorption bands",
     "spectra-calibrate": "Calibrated spectra",
     "spectra-fit": "Minerals",

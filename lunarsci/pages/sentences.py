@@ -57,9 +57,13 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
+FORMER_PAGE = "holds the first page only; a .pdf holds all"
+"""What results of former versions say in place of `FIRST_PAGE`."""
+
+
 def heard_of(record: Mapping[str, Any]) -> list[str]:
     """Warnings about a result: those about the pages of its picture say nothing of it."""
-    return [str(text) for text in record.get("warnings") or () if not str(text).endswith(FIRST_PAGE)]
+    return [str(text) for text in record.get("warnings") or () if not str(text).endswith((FIRST_PAGE, FORMER_PAGE))]
 
 
 def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:

@@ -14,6 +14,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
+from lunarsci.regolith.written_rover import check_written_for
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawba
 IDENTIFIERS = (
     *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
     *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
-    *("rim_m_s", "doubt"),
+    *("rim_m_s", "doubt", "rover"),
 )
 KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"
@@ -132,6 +133,7 @@ def read_state_table(
     rover: str = "",
     errors: MeasurementErrors | None = None,
     every: bool = False,
+    any_wheel: bool = False,
 ) -> StateTable:
     """Read a table of wheel states from CSV.
 
@@ -145,11 +147,13 @@ def read_state_table(
     measured : columns of which one must be there.
     wheels, rover : of one drive of a rover: names of its wheels, one of which each state belongs to, at a time.
     every : whether the caller checks the range of every value; else that of the medians is checked.
+    any_wheel : whether `wheel` is only for ranges, and the states may be those of another.
 
     Raises
     ------
     DataError for a missing or misspelt column, text among numbers, a blank time, rows that contradict each other,
-    several drives where one is read, and values that are mostly of a wrong sign or unit.
+    several drives where one is read, values that are mostly of a wrong sign or unit, and a column `rover` of another
+    wheel.
     """
     file, table = source.name, read_csv_table(source)
     columns = [str(name) for name in table.columns]
@@ -161,6 +165,8 @@ def read_state_table(
     unused = check_columns(file, columns, KNOWN, (*(("time_s", "wheel") if wheels else ()), *needed))
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
+    if not any_wheel:
+        check_written_for(file, table, wheel, rover)
     if wheels:
         _check_drive(file, table, wheels, rover)
     if "time_s" in columns and "wheel" in columns:

@@ -12,6 +12,7 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import one_of
 from lunarsci.regolith.wheel import Wheel, read_wheel
+from lunarsci.regolith.written_rover import written_for
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.electrics import Motors, PowerSupply, read_part
 from lunarsci.twin.rover_limits import check_limits, check_speed
@@ -157,6 +158,11 @@ class Rover:
     def wheels(self) -> tuple[str, ...]:
         """Names of the wheels in the order of all results: FL, FR, (ML, MR,) RL, RR."""
         return tuple(pair[0].upper() + side for pair in self.pairs for side in "LR")
+
+    @property
+    def written(self) -> str:
+        """The rover as its tables name it."""
+        return written_for(self.name, self.wheel)
 
     @property
     def mass_kg(self) -> float:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import ParameterError, RequestError
 
 if TYPE_CHECKING:
     from lunarsci.twin.rover import Rover
@@ -52,6 +52,16 @@ def check_speed(rover: "Rover") -> None:
     if rover.max_speed_m_s > reached:
         raise ParameterError(
             f"max_speed_m_s is {rover.max_speed_m_s:g}, but motors without load reach {reached:.3g} m/s; is it in mm/s?"
+        )
+
+
+def check_turning(rover: "Rover", radius_m: float | None) -> None:
+    """Raises RequestError for arcs that a rover cannot drive: their centre would lie between its wheels."""
+    least = 1.0 / rover.tightest_curvature_per_m
+    if radius_m is not None and not radius_m >= least * (1 - 1e-9):
+        raise RequestError(
+            f"`turning_radius` is {radius_m:g} m, and the smallest arc of {rover.name} has {least:.3g} m: within it "
+            f"the turning centre lies between the wheels; give {math.ceil(100 * least) / 100:g} m or more"
         )
 
 

@@ -56,6 +56,7 @@ def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run: Run, files: dict[s
     assert picture.stat().st_size > 30_000 and json.loads((folder / "result.json").read_text())["result"] == result
     table = pd.read_csv(folder / "forces.csv")
     assert len(table) == 6 * 16 and table["valid"].sum() > 60
+    assert set(table["rover"]) == {"yutu2; wheels 150 x 150 mm"}
     assert not table["valid"][:6].any() and table["normal_force_n"][:6].notna().all()
     for name in FORCES:
         assert (table.loc[table["valid"], f"{name}_sigma"] > 0).all()

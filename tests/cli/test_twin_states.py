@@ -88,7 +88,9 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
         "valid",
         "slip_basis",
         "rim_m_s",
+        "rover",
     ]
+    assert set(states["rover"]) == {"yutu2; wheels 150 x 150 mm"} == set(pd.read_csv(found / "motion.csv")["rover"])
     assert list(pd.read_csv(found / "positions.csv").columns) == ["time_s", "x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]
     forces = run("twin", "loads", "--motion", found / "motion.csv", "-o", tmp_path / "forces.csv")
     assert forces.code == 0, forces.err

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.synthetic import synthetic_longji
+from lunarsci.twin.jobs.plan import PlanRequest
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
@@ -104,6 +105,9 @@ def test_synthetic_ground_has_its_options(run: Run) -> None:
         ["--target", "a,b"],
         ["--target", "1,2,3,4"],
         ["--start", "0,0", "--target", "1,1"],
+        ["--target", "9,2", "--turning-radius", "0.49"],
+        ["--target", "9,2", "--turning-radius", "0"],
+        ["--target", "9,2", "--turning-radius", "nan"],
         ["--extent", "10"],
         ["file.npz", "--rocks", "0.01"],
     ],
@@ -111,6 +115,7 @@ def test_synthetic_ground_has_its_options(run: Run) -> None:
 def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
     wrong = run(*(PLAN if arguments[0] in ("--target", "--start") else TERRAIN), *arguments)
     assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
+    assert "--turning-radius" not in arguments or "give 0.5 m or more" in wrong.err[0]
 
 
 @pytest.mark.parametrize(
@@ -139,3 +144,28 @@ def test_what_cannot_be_done_is_one_line_and_nothing_is_written(
 def test_equal_runs_are_byte_identical(run: Run) -> None:
     first, second = (run(*PLAN, *COARSE, *TARGET, "--json", "--no-time").out for _ in range(2))
     assert first == second
+
+
+def test_a_plan_starts_where_the_last_drive_ended(run: Run, tmp_path: Path) -> None:
+    """The last row by time of a measured drive; of a prediction the middle of the ends: 179 and -177 deg give 181."""
+    folder = tmp_path / "states"
+    folder.mkdir()
+    motion = folder / "motion.csv"
+    motion.write_text("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n20,0.5,0.25,10\n10,0.2,0.1,5\n30,,,\n")
+    for given in (folder, motion):
+        done = run("twin", "plan", "--target", "3,0.5", "--start", given, "--json")
+        assert done.code == 0, done.err
+        found = json.loads(done.out)
+        assert found["result"]["path"]["length_m"] == pytest.approx(2.5125, abs=0.1)
+        assert str(motion) in [one["path"] for one in found["provenance"]["inputs"]]
+    assert PlanRequest(target="3,0", start=str(folder)).places[0] == (0.5, 0.25, pytest.approx(10.0))
+    motion.unlink()
+    empty = run("twin", "plan", "--target", "3,0", "--start", folder)
+    assert empty.code == 2 and "no motion.csv or paths.csv in it" in empty.err[0]
+    paths = folder / "paths.csv"
+    paths.write_text("member,time_s,x_m,y_m,yaw_deg\n0,0,0,0,0\n0,9,1,0,179\n1,0,0,0,0\n1,9,2,0.2,-177\n")
+    assert PlanRequest(target="3,0", start=str(folder)).places[0] == pytest.approx((1.5, 0.1, -179.0))
+    paths.write_text("time_s,x_m,y_m\n0,0,0\n")
+    bad = run("twin", "plan", "--target", "3,0", "--start", paths)
+    assert bad.code == 1 and "no column yaw_deg" in bad.err[0]
+    assert run("twin", "plan", "--target", "3,0", "--start", folder, "--lonlat").code == 2

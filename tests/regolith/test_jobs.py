@@ -201,14 +201,9 @@ def test_scatter_within_the_errors_is_no_contradiction() -> None:
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
 
-@pytest.mark.parametrize(
-    ("wheels", "load_n", "silent"),
-    [((), 36.0, False), (WHEELS, 36.0, True), (WHEELS, 80.0, False), (WHEELS[:2], 36.0, False)],
-)
-def test_states_of_an_unnamed_rover_are_said_to_have_the_wheel_of_yutu2(
-    wheels: tuple[str, ...], load_n: float, silent: bool
-) -> None:
-    """Silent only where wheels and loads are those of Yutu-2: 135 kg at 1.622 m/s² on six wheels, 36.5 N each."""
+@pytest.mark.parametrize(("wheels", "load_n"), [((), 36.0), (WHEELS, 36.0), (WHEELS, 80.0)])
+def test_states_of_an_unnamed_rover_are_said_to_have_the_wheel_of_yutu2(wheels: tuple[str, ...], load_n: float) -> None:
+    """Names and loads like Yutu-2's, 135 kg at 1.622 m/s² on six wheels, 36.5 N each, may be those of another."""
     table = pd.DataFrame({"sinkage_m": [0.008] * 6, "normal_force_n": load_n, "drawbar_pull_n": -1.3})
     if wheels:
         table["wheel"] = [wheels[k % len(wheels)] for k in range(6)]
@@ -216,11 +211,38 @@ def test_states_of_an_unnamed_rover_are_said_to_have_the_wheel_of_yutu2(
         warnings.simplefilter("always")
         found = identify(table, draws=2)
     said = [str(one.message) for one in heard if "no rover is named" in str(one.message)]
-    assert len(said) == (0 if silent else 1)
-    assert silent or (f"36 N on each, here {load_n:g} N" in said[0] and "with `rover`" in said[0])
+    assert len(said) == 1 and f"36 N on each, here {load_n:g} N" in said[0] and "with `rover`" in said[0]
+    assert found.to_dict()["wheel"]["named_by"] == "default"
     assert found.rover == "yutu2" and json.loads(found.to_json())["provenance"]["options"]["rover"] == "yutu2"
     assert "with the wheel of yutu2 (the default)" in str(found)
-    assert identify(table, rover="yutu2", draws=2).to_dict() == found.to_dict()
+    named = identify(table, rover="yutu2", draws=2).to_dict()
+    assert named.pop("wheel") == found.to_dict()["wheel"] | {"named_by": "option"}
+    assert named.items() <= found.to_dict().items()
+
+
+def states_of(rover: str) -> pd.DataFrame:
+    columns = ["sinkage_m", "slip_ratio", "normal_force_n", "drawbar_pull_n", "rover"]
+    return pd.DataFrame(wheel_forces(rover=rover, load=60.0, slip="0.1:0.5:4").rows())[columns]
+
+
+def test_states_that_name_their_rover_are_read_for_it_or_refused(tmp_path: Path) -> None:
+    forces = states_of("hit-smooth")
+    assert set(forces["rover"]) == {"hit-smooth; wheels 157.35 x 165 mm"}
+    found = identify(forces, draws=2)
+    assert found.rover == "hit-smooth" and found.wheel.width_m == 0.165
+    assert "with the wheel of hit-smooth (named in the table)" in str(found)
+    with pytest.raises(
+        DataError, match=r"for 'hit-smooth; wheels 157\.35 x 165 mm', and is read for wheels 150 x 150 mm"
+    ):
+        identify(forces, rover="yutu2", draws=2)
+    own = tmp_path / "own.toml"
+    own.write_text('name = "Own, of ours"\n[wheel]\nradius_m = 0.11\nwidth_m = 0.1\n')
+    ours = states_of(str(own))
+    with pytest.raises(DataError, match="'Own of ours; wheels 110 x 100 mm', which lunarsci does not have; give the"):
+        identify(ours, draws=2)
+    assert identify(ours, rover=str(own), draws=2).wheel.radius_m == 0.11
+    with pytest.raises(DataError, match="rows of several rovers"):
+        identify(pd.concat([forces, ours]), draws=2)
 
 
 def test_states_without_forces_name_the_ways_on() -> None:

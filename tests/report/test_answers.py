@@ -5,9 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.figure import FIRST_PAGE
 from lunarsci.pages.answers import ANSWERS, answer
 from lunarsci.pages.documents import Document, document_of, read_results
 from lunarsci.pages.page import TITLES
@@ -15,8 +17,10 @@ from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
 from lunarsci.pages.sentences import DOUBT, GO, STOP
 from lunarsci.pages.words import counted, measured, number, percent, words
+from lunarsci.regolith.belief import first_belief
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
+from lunarsci.twin.ground.soil_map import SoilMap, Zone, soil_map_bytes
 
 from .conftest import FORMER, documents
 
@@ -179,11 +183,12 @@ def test_what_drives_keep_is_the_end_of_the_command_and_ends_have_their_time() -
 
 def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     drive = of("predict")
-    record = {"untrusted": "", "warnings": ["predicted.png: holds the first page only; a .pdf holds all"]}
+    pages = ["a.png: holds the first page only; a .pdf holds all", f"b.png: {FIRST_PAGE}"]
+    record = {"untrusted": "", "warnings": pages}
     made = replace(drive, provenance=record)
     assert answer(made).trust == "The command found nothing against this result."
-    assert not any("first page" in line for line in unknown(made))
-    record["warnings"].append("plan.toml has no [limits]")  # type: ignore[attr-defined]
+    assert not any(".png" in line for line in unknown(made))
+    pages.append("plan.toml has no [limits]")
     assert "gave 1 warning, below" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
 
 
@@ -209,7 +214,8 @@ def test_numbers_are_rounded_to_their_errors() -> None:
     [
         ('{"a": 1}', "no result of a lunarsci command"),
         ('{"schema": "lunarsci/soil-belief/3", "mean": []}', "its schema must be"),
-        ('{"schema": "lunarsci/soil-map/1", "zones": []}', "but lunarsci/soil-map/1"),
+        ('{"schema": "lunarsci/soil-map/1", "zones": []}', "no 'laws' in it"),
+        ('{"schema": "lunarsci/twin-prediction/1"}', "but lunarsci/twin-prediction/1"),
         ("TRUSTED: drive, 64 drives", "text, no JSON result"),
         ('{"schema": "other/1", "result": {}, "provenance": {}}', "does not name a lunarsci result"),
         ('{"schema": "lunarsci/twin-predict/1", "result": {}, "provenance": {}}', "lacks 'verdict'"),
@@ -224,6 +230,34 @@ def test_what_is_no_result_is_one_clear_error(tmp_path: Path, content: str, said
         [answer(one) for one in read_results([file])[0]]
     assert said in str(error.value)
     assert len(str(error.value)) <= 300
+
+
+def test_a_soil_map_is_told_by_its_zones(tmp_path: Path) -> None:
+    first = first_belief()
+    known = replace(first, covariance=0.04 * first.covariance, history=({"sha256": "a", "states": "s.csv"},))
+    doubted = replace(known, history=({"sha256": "b", "doubt": "the wheels leaned"},))
+    way = np.column_stack([np.linspace(0.0, 4.0, 9), np.zeros(9)])
+    zones = (
+        Zone(name="out, 0.0 to 4.0 m", place_m=way, belief=known),
+        Zone(name="back", place_m=way + 4.0, belief=doubted),
+    )
+    file = tmp_path / "map.json"
+    for kept, drives, said in (
+        (zones[:1], "1 zone, from 1 drive. Zone 1 (out, 0.0 to 4.0 m): The ground", ""),
+        (zones, "2 zones, from 2 drives.", "Zone 2: a drive: the wheels leaned"),
+        ((), "", ""),
+    ):
+        file.write_bytes(soil_map_bytes(SoilMap(zones=kept)))
+        (document,), _ = read_results([file])
+        told = answer(document)
+        assert drives in told.text and (told.tone == DOUBT) == bool(said) and said in told.trust
+        assert len(document.pictures) == (2 if kept else 0)
+        assert any("alike over 5 m, which is assumed" in line for line in unknown(document))
+    assert "no zone yet" in told.text
+    file.write_bytes(soil_map_bytes(SoilMap(zones=zones)))
+    table = tables(read_results([file])[0][0])[-1]
+    assert table.title == "zones" and [row[0] for row in table.rows] == ["zone 1", "zone 2"]
+    assert any(header.startswith("cohesion") for header in table.headers)
 
 
 def test_folders_pictures_and_nothing(tmp_path: Path) -> None:

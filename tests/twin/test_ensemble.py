@@ -166,8 +166,9 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
     states, samples = state_table(prediction), len(prediction.distance_m)
     assert list(states.columns) == [
         *("member", "distance_m", "time_s", "wheel", "x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg"),
-        *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid"),
+        *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid", "rover"),
     ]
+    assert set(states["rover"]) == {"yutu2; wheels 150 x 150 mm"}
     assert len(states) == 6 * samples * len(prediction.rover.wheels) and states["valid"].dtype == bool
     row = states[(states["member"] == 4) & (states["wheel"] == "RL")].iloc[10]
     assert row["sinkage_m"] == prediction.states[4, 10, 4, 2]

@@ -3,6 +3,7 @@ over ground whose soil changes on the way."""
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,11 +23,13 @@ from lunarsci.twin.assimilation.change_point import (
 )
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
-from lunarsci.twin.assimilation.segments import drive_segments, find_change, record_within
+from lunarsci.twin.assimilation.segments import LEAST_SLIPS, drive_segments, find_change, record_within
+from lunarsci.twin.assimilation.slip_lean import SlipLean
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.figures.maps import residual_page
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.jobs.update import LearnedSoil
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
@@ -231,6 +234,18 @@ def test_each_stretch_is_learned_on_its_own(yutu2: Rover, ground: Terrain) -> No
         truth = np.array([segment.belief.laws[name].transformed(np.array(soil[name])) for name in PARAMETERS])
         spread = np.sqrt(np.diag(segment.belief.covariance))
         assert (np.abs(segment.belief.mean - truth) < 3.0 * spread).all()
+    # Each is judged on its own slip: right on its soil, and said to be off where slip was 0.1 more than on it.
+    for segment in segments:
+        lean, stretch = segment.slip, f"{segment.from_m:.1f} to {segment.to_m:.1f} m: "
+        assert lean is not None and not lean.off and segment.slips >= LEAST_SLIPS
+        assert segment.slip_text.startswith(f"{stretch}median slip ratio: {lean.measured:.3f} measured")
+        off = dataclasses.replace(segment, slip=dataclasses.replace(lean, measured=lean.simulated + 0.1))
+        parts: Any = {"found": found, "record": record, "pace": None, "slip": off.slip}
+        told = LearnedSoil.doubts.fget(SimpleNamespace(**parts, segments=[segments[0], off]))  # type: ignore[attr-defined]
+        assert any(one.startswith(f"{stretch}median slip is") and "--save-map" not in one for one in told)
+        assert not any(
+            "median slip" in one for one in LearnedSoil.doubts.fget(SimpleNamespace(**parts, segments=segments))
+        )  # type: ignore[attr-defined]
     # The sinkage of each zone's drive, its first or last metre, is the one measured there.
     for segment, row in zip(segments, (5, -5), strict=True):
         assert segment.found is not None
@@ -254,6 +269,11 @@ def test_a_stretch_with_too_little_data_stays_as_it_was(yutu2: Rover, ground: Te
     segments, changes = drive_segments(yutu2, ground, PLAN, record, found, SoilMap(), particles=32)
     assert changes and not segments[-1].learned and segments[-1].why_not == "too few values"
     assert segments[-1].belief.mean == pytest.approx(first_belief().mean)
+    few = f"median slip not judged: {segments[-1].slips} states"
+    assert segments[-1].slip is None and few in segments[-1].slip_text and segments[-1].slips < LEAST_SLIPS
+    slips = int(np.isfinite(record.values[:, OBSERVED.index("slip_ratio")]).sum())
+    assert SlipLean.of(record, found, least=slips) is not None and SlipLean.of(record, found, least=slips + 1) is None
+    assert segments[-1].to_dict()["slip_ratio"] is None
 
 
 def test_errors_that_were_widened_hide_no_change(yutu2: Rover, ground: Terrain) -> None:

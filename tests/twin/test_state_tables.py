@@ -57,6 +57,23 @@ def test_rows_that_are_there_twice_count_once(readers: list[Callable[[InputFile]
             read(table(HEAD, (*ROWS, ROWS[0])))
 
 
+def test_tables_of_another_rover_are_refused_and_another_name_is_said(
+    readers: list[Callable[[InputFile], object]], yutu2: Rover
+) -> None:
+    def named(rover: str) -> InputFile:
+        return table(f"{HEAD},rover", [f"{row},{rover}" for row in ROWS])
+
+    for read in readers:
+        with pytest.raises(DataError, match="'Six; wheels 120 x 150 mm', and is read for wheels 150 x 150 mm"):
+            read(named("Six; wheels 120 x 150 mm"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", LunarSciWarning)
+            read(named(yutu2.written))
+    for read in readers[1:]:
+        with pytest.warns(LunarSciWarning, match="was written for 'Six', and is read for yutu2"):
+            read(named("Six; wheels 150 x 150 mm"))
+
+
 def test_good_tables_are_read_alike(yutu2: Rover) -> None:
     """Errors of the file go before those of `MeasurementErrors`: a slip's is that of the way, times 1 - |s|."""
     file = table(HEAD + ",sinkage_m_sigma,remark", (ROWS[0] + ",0.001,a", ROWS[1] + ",,b"))

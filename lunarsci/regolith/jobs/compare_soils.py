@@ -2,8 +2,8 @@
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
@@ -17,10 +17,34 @@ if TYPE_CHECKING:
 
     from lunarsci.regolith.compare import OpenSite, Site, SoilComparison
 
-_Given: TypeAlias = (
-    "tuple[Site, Mapping[str, Any] | None, Mapping[str, str], Mapping[str, Any] | None, OpenSite | None]"
-)
-"""A site, curves of single states, the files that they come from, the wheel, and what is left open of the site."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _GivenSite:
+    """A site as it was given.
+
+    Attributes
+    ----------
+    site : what is compared.
+    curves : of single states by aspect; None where the site was given by numbers or a belief.
+    inputs : file to SHA-256.
+    wheel : whose, as the result has it; None where it does not.
+    left_open : what the result does not tell of the site; None where it does not say.
+    """
+
+    site: "Site"
+    curves: Mapping[str, Any] | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    wheel: Mapping[str, Any] | None = None
+    left_open: "OpenSite | None" = None
+
+    @classmethod
+    def of(cls, found: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> "_GivenSite":
+        """Of the result of `identify` or `infer`."""
+        from lunarsci.regolith.compare import open_site, site_of
+
+        site, curves = site_of(found)
+        left = open_site(found) if "joint" in found else None
+        return cls(site=site, curves=curves, inputs=inputs, wheel=wheel, left_open=left)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +145,8 @@ def compare_soils(
         raise RequestError(
             "give either a result of `regolith infer --json` or `identify`, or a belief; or `stiffness` and its like"
         )
-    site, curves, inputs, wheel, left_open = _site(result, asked)
+    given = _site(result, asked)
+    site, wheel, left_open = given.site, given.wheel, given.left_open
     if asked.rover is None and wheel is not None:
         rover, width, tables = str(wheel["of"]), float(wheel["width_m"]), dict[str, str]()
         name = str(wheel.get("name") or "")
@@ -137,11 +162,11 @@ def compare_soils(
         called=name,
         width_m=width,
         soils=soils,
-        curves=curves,
+        curves=given.curves,
         undetermined=left_open.undetermined() if left_open else {},
         remarks=remarks(left_open, soils) if left_open else (),
         origin=MadeFrom(
-            inputs=inputs,
+            inputs=given.inputs,
             tables=tables | reference_hash(),
             sources=[PAPER, *sources_of(compared)],
             options={"rover": rover},
@@ -149,10 +174,10 @@ def compare_soils(
     )
 
 
-def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) -> "_Given":
+def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) -> _GivenSite:
     """The site with what is known beside it, where the result has it."""
     from lunarsci.regolith.belief import SCHEMA, doubt, read_belief
-    from lunarsci.regolith.compare import OpenSite, Site, open_site, site_of, site_of_belief
+    from lunarsci.regolith.compare import OpenSite, Site, site_of_belief
 
     if result is None:
         site = Site(
@@ -161,11 +186,10 @@ def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) 
             cohesion_pa=asked.cohesion,
             friction_angle_deg=asked.friction_angle,
         )
-        return site, None, {}, None, None
+        return _GivenSite(site=site)
     if isinstance(result, IdentifiedSoil):
         found = result.to_dict()
-        left = open_site(found) if "joint" in found else None
-        return *site_of(found), result.made_from.inputs, found["wheel"], left
+        return _GivenSite.of(found, result.made_from.inputs, found["wheel"])
     file = read_input(result)
     content = text(file)
     try:
@@ -175,10 +199,9 @@ def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) 
             if told := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
                 warnings.warn(f"{file.name}: a doubtful belief: {told}", LunarSciWarning, stacklevel=3)
             left = OpenSite(belief, belief.sd_ratio)
-            return site_of_belief(belief), None, {file.name: file.sha256}, None, left
+            return _GivenSite(site=site_of_belief(belief), inputs={file.name: file.sha256}, left_open=left)
         found = document["result"]
-        left = open_site(found) if "joint" in found else None
-        return *site_of(found), {file.name: file.sha256}, found.get("wheel"), left
+        return _GivenSite.of(found, {file.name: file.sha256}, found.get("wheel"))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ParameterError | DataError):
             raise

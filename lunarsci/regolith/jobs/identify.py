@@ -19,13 +19,12 @@ if TYPE_CHECKING:
     from lunarsci.regolith.sensitivity import Sensitivity
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
+    from lunarsci.regolith.written_rover import NamedBy
     from lunarsci.rovers import RoverDescription
 
 
-DEFAULT_ROVER, ITS_WHEELS = "yutu2", frozenset(("FL", "FR", "ML", "MR", "RL", "RR"))
-"""Whose wheel is taken where none is named, and the names of its wheels."""
-LIKE_LOAD = 0.25
-"""Share by which the median load of states may differ from that of the rover's wheels, and be theirs; assumed."""
+DEFAULT_ROVER, ITS_WHEELS = "yutu2", 6
+"""Whose wheel is taken where none is named, and how many it has."""
 LABELS = {
     "stiffness_kpa_m_n": "stiffness K_s",
     "exponent": "sinkage exponent N",
@@ -53,7 +52,7 @@ class IdentifyRequest:
 
     Attributes
     ----------
-    rover : rover or wheel, a name or a TOML file; left out, yutu2, with a warning where its wheels have other loads.
+    rover : rover or wheel, a name or a TOML file; left out, the one that the table names, else yutu2, with a warning.
     exponent [-], stiffness [kPa m^-N] : bearing pair N, K_s.
     cohesion [Pa], friction_angle [deg] : shear pair c, phi.
     shear_modulus : K_x. [mm]
@@ -199,41 +198,42 @@ class StatesOfWheel:
     origin: MadeFrom
     assumed: Sequence[str]
     called: str
+    named_by: "NamedBy"
 
 
 def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErrors") -> StatesOfWheel:
-    """Read the wheel states and the wheel, Yutu-2's where none is named. Raises DataError."""
+    """Read the states and the wheel: as asked for, as the table says, or Yutu-2's with a warning. Raises DataError."""
     from lunarsci.provenance import sha256
     from lunarsci.regolith.states import read_states
     from lunarsci.regolith.wheel import left_to_defaults, read_wheel
+    from lunarsci.regolith.written_rover import rover_of_states
     from lunarsci.rovers import read_rover
 
-    named = rover or DEFAULT_ROVER
-    description, source = read_rover(named), read_input(states)
+    source = read_input(states)
+    named, by = rover_of_states(source, rover, DEFAULT_ROVER)
+    description = read_rover(named)
     wheel = read_wheel(description)
     tables = {f"{named} (rover)": sha256(description.text.encode())}
     assumed = [name for name in description.assumed if name.startswith("wheel.")]
     assumed += [f"wheel.{name}" for name in left_to_defaults(description)]
     origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
-    found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed, description.name)
-    if rover is None:
+    found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed, description.name, by)
+    if by == "default":
         _warn_of_default(source.name, found, description)
     return found
 
 
 def _warn_of_default(file: str, given: StatesOfWheel, rover: "RoverDescription") -> None:
-    """Say that nobody named a rover, unless wheels and loads are those of the one that is taken."""
+    """Say that nobody named a rover, and which wheel is taken; names and loads like its own do not tell its size."""
     import numpy as np
 
     mass = rover.table("mass")
-    usual = (mass["body_kg"] / len(ITS_WHEELS) + mass["wheel_kg"]) * LUNAR_GRAVITY.value
+    usual = (mass["body_kg"] / ITS_WHEELS + mass["wheel_kg"]) * LUNAR_GRAVITY.value
     load = float(np.median(given.states.values[:, 3]))
-    if set(given.states.wheels) == ITS_WHEELS and abs(load / usual - 1) < LIKE_LOAD:
-        return
     size = f"radius {1e3 * given.wheel.radius_m:g} mm, width {1e3 * given.wheel.width_m:g} mm"
     warnings.warn(
         f"{file}: no rover is named, so the wheel of {DEFAULT_ROVER} is taken ({size}; {usual:.0f} N on each, here "
-        f"{load:.3g} N): another wheel gives another soil; name yours with `rover`, {DEFAULT_ROVER} if it is this one",
+        f"{load:.3g} N): another wheel gives another soil; name yours with `rover`, or {DEFAULT_ROVER}",
         LunarSciWarning,
         stacklevel=3,
     )
@@ -251,6 +251,7 @@ class IdentifiedSoil(Result):
     shares : where the errors come from, None where that was not asked for.
     assumed : keys of the rover's file that are guesses, and those of the wheel that it leaves to the usual numbers.
     called : its name in its file.
+    named_by : `option`, `table` (the column `rover` of the states), or `default` where nothing names it.
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
@@ -261,6 +262,7 @@ class IdentifiedSoil(Result):
     shares: "Sequence[Sensitivity] | None"
     assumed: Sequence[str]
     called: str
+    named_by: "NamedBy"
     origin: MadeFrom
 
     @property
@@ -299,6 +301,7 @@ class IdentifiedSoil(Result):
             "wheel": {
                 "of": self.rover,
                 "name": self.called,
+                "named_by": self.named_by,
                 "radius_m": self.wheel.radius_m,
                 "width_m": self.wheel.width_m,
             },
@@ -392,5 +395,6 @@ def identified(
         shares=shares,
         assumed=given.assumed,
         called=given.called,
+        named_by=given.named_by,
         origin=replace(given.origin, seed=asked.seed),
     )

@@ -178,6 +178,7 @@ def infer(
         shares=alone.shares,
         assumed=alone.assumed,
         called=alone.called,
+        named_by=alone.named_by,
         origin=replace(made, inputs={**made.inputs, **inputs}, tables={**made.tables, **prior_hash()}),
         posterior=posterior,
         scores=scores,

@@ -178,6 +178,7 @@ class ForcesOnWheel(Result):
     cohesion_share : what cohesion alone could pull, as a share of the normal force, at its largest. [-]
     traction : figures of the loaded wheel; None for a single slip, and for a sinkage.
     assumed : keys of the rover's file that are guesses.
+    called : its name in its file.
     """
 
     schema: ClassVar[str] = "regolith-forces/1"
@@ -189,6 +190,7 @@ class ForcesOnWheel(Result):
     cohesion_share: float
     traction: "Traction | None"
     assumed: Sequence[str]
+    called: str
     origin: MadeFrom
 
     @property
@@ -217,7 +219,7 @@ class ForcesOnWheel(Result):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        rows = self.rows()
+        rows = [self._row(state) for state in self.states]
         return {
             **(rows[0] if len(rows) == 1 else {"states": rows}),
             "traction": None if self.traction is None else self.traction._asdict(),
@@ -229,7 +231,10 @@ class ForcesOnWheel(Result):
         }
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        return [self._row(state) for state in self.states]
+        """One a slip, with the rover, so that `infer` reads them for its wheel."""
+        from lunarsci.regolith.written_rover import written_for
+
+        return [self._row(state) | {"rover": written_for(self.called, self.wheel)} for state in self.states]
 
     def _row(self, state: "LoadedState") -> dict[str, Any]:
         there = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
@@ -289,6 +294,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
         cohesion_share=float(max(shares, key=lambda share: share if share >= 0 else np.inf)),
         traction=None if loaded is None or len(slips) == 1 else traction(loaded, states),
         assumed=description.assumed,
+        called=description.name,
         origin=MadeFrom(
             inputs=inputs,
             tables={f"{asked.rover} (rover)": sha256(description.text.encode())} | tables,

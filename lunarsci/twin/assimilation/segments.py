@@ -6,6 +6,7 @@ A drive in which a change is found is cut in two, the soil of each part is found
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from lunarsci.twin.assimilation.change_point import (
 )
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.slip_lean import SlipLean
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
@@ -49,6 +51,8 @@ FINER = 0.25
 MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
 """Of a stretch, assumed; with fewer it stays as it was believed to be."""
+LEAST_SLIPS = 2 * len(PARAMETERS)
+"""Of a stretch whose median slip is judged, as many as `FEWEST_VALUES` of which its soil is learned; assumed."""
 TOLD = 1.0
 """Steps of a measured quantity that are named, in its errors; assumed."""
 
@@ -184,6 +188,8 @@ class Segment:
     place_m : places of the origin. (k, 2) [m]
     before : what was believed of the soil there.
     found : what the stretch says; None where it has too little data.
+    slips : how many states of it have a slip.
+    slip : median slip as measured and on its soil; None where nothing was learned, or by fewer than `LEAST_SLIPS`.
     """
 
     from_m: float
@@ -191,6 +197,8 @@ class Segment:
     place_m: FloatArray
     before: SoilBelief
     found: SoilUpdate | None
+    slips: int = 0
+    slip: SlipLean | None = None
 
     @property
     def learned(self) -> bool:
@@ -201,6 +209,31 @@ class Segment:
     def belief(self) -> SoilBelief:
         """After the drive."""
         return self.before if self.found is None else self.found.belief
+
+    @property
+    def slip_text(self) -> str:
+        """Its median slip as measured beside the simulated one, or that it is not judged."""
+        if self.slip is not None:
+            return self.slip.text
+        states = f"{self.slips} state{'' if self.slips == 1 else 's'}"
+        return f"{self.from_m:.1f} to {self.to_m:.1f} m: median slip not judged: {states}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For a result."""
+        left = self.belief.sd_ratio
+        return {
+            "from_m": self.from_m,
+            "to_m": self.to_m,
+            "learned": self.learned,
+            "why_not": self.why_not or None,
+            "surprise": self.found.prior_shift if self.found else None,
+            "slips": self.slips,
+            "slip_ratio": self.slip.to_dict() if self.slip else None,
+            "parameters": {
+                name: {"median": middle, "low": low, "high": high, "left_of_prior": left[name]}
+                for name, (middle, low, high) in self.belief.intervals().items()
+            },
+        }
 
     @property
     def why_not(self) -> str:
@@ -285,8 +318,15 @@ class _Part:
 
     def segment(self, way: Traverse) -> Segment:
         low, high = max(self.low_m, float(way.distance_m[0])), min(self.high_m, float(way.distance_m[-1]))
+        stretch = f"{low:.1f} to {high:.1f} m: "
         return Segment(
-            from_m=low, to_m=high, place_m=way.between(self.low_m, self.high_m), before=self.before, found=self.found
+            from_m=low,
+            to_m=high,
+            place_m=way.between(self.low_m, self.high_m),
+            before=self.before,
+            found=self.found,
+            slips=int(np.isfinite(self.record.values[:, OBSERVED.index("slip_ratio")]).sum()),
+            slip=None if self.found is None else SlipLean.of(self.record, self.found, stretch, LEAST_SLIPS),
         )
 
 

@@ -26,6 +26,7 @@ class SlipLean:
 
     Attributes
     ----------
+    stretch : of the way that it is about, such as `2.0 to 5.1 m: `; empty for the whole drive.
     measured, simulated : medians over the measured states, the latter on the soil that explains the drive best. [-]
     spread : standard deviation of the latter over the soils of the belief. [-]
     sigma : error of the former, that of a single state, as neighbours share their errors. [-]
@@ -35,13 +36,14 @@ class SlipLean:
     simulated: float
     spread: float
     sigma: float
+    stretch: str = ""
 
     @classmethod
-    def of(cls, record: DriveRecord, found: SoilUpdate) -> "SlipLean | None":
-        """Of a record with the slips that positions tell, too; None where no slip was measured."""
+    def of(cls, record: DriveRecord, found: SoilUpdate, stretch: str = "", least: int = 1) -> "SlipLean | None":
+        """Of a record with the slips that positions tell, too; None for fewer slips than `least`."""
         column, best = OBSERVED.index("slip_ratio"), found.prediction
         known = np.isfinite(record.values[:, column])
-        if not known.any() or found.refused:
+        if known.sum() < least or found.refused:
             return None
         soils = found.belief.draws(LEAN_SOILS)
         driven = predict(
@@ -58,6 +60,7 @@ class SlipLean:
             simulated=float(medians(best)[0]),
             spread=float(spread.std(ddof=1)) if spread.size > 1 else 0.0,
             sigma=float(np.median(record.sigmas[known, column])),
+            stretch=stretch,
         )
 
     @property
@@ -77,11 +80,18 @@ class SlipLean:
             return ""
         more = "more" if self.simulated > self.measured else "less"
         errors = abs(self.simulated - self.measured) / self.error
+        way_out = "" if self.stretch else ", or learn each stretch on its own (--save-map)"
         return (
-            f"median slip is {self.simulated:.3f} on the soil found, {self.measured:.3f} was measured ({errors:.1f} "
-            f"standard errors): predictions slip {more} than the rover does; look for a wrong rover, track depth or "
-            "terrain, or learn each stretch on its own (--save-map)"
+            f"{self.stretch}median slip is {self.simulated:.3f} on the soil found, {self.measured:.3f} was measured "
+            f"({errors:.1f} standard errors): predictions slip {more} than the rover does; look for a wrong rover, "
+            f"track depth or terrain{way_out}"
         )
+
+    @property
+    def text(self) -> str:
+        """Both medians and the error of their difference."""
+        found = f"{self.measured:.3f} measured, {self.simulated:.3f} simulated on the soil found"
+        return f"{self.stretch}median slip ratio: {found}; standard error of the difference {self.error:.3f}"
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""

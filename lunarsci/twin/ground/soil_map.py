@@ -23,6 +23,8 @@ from lunarsci.inputs import InputFile, read_json
 from lunarsci.regolith.belief import SoilBelief, belief_of
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
+from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
 CORRELATION_M = 5.0
 """Distance over which soils resemble each other, where none is given; assumed."""
@@ -30,6 +32,8 @@ REACH_M = 0.6
 """Half the width of ground that a drive speaks of: 0.45 m to a wheel's middle, and the wheel; assumed for Yutu-2."""
 NEIGHBOURS = 4
 """Zones that a node looks at, the nearest ones; assumed."""
+MARGIN_M, NODES_ABOUT = 3.0, 120
+"""Ground that is drawn about the zones, and nodes of its longer side; assumed."""
 NUGGET = 1e-9
 NEAREST_M = 1e-9
 NODES_AT_ONCE = 16_384
@@ -230,6 +234,57 @@ def zone_roots(soil_map: SoilMap) -> FloatArray:
         values, vectors = np.linalg.eigh(zone.belief.covariance / np.outer(width, width))
         roots.append(width[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
     return np.array(roots).reshape(-1, len(PARAMETERS), len(PARAMETERS))
+
+
+def ground_about(soil_map: SoilMap, name: str) -> Terrain:
+    """Flat ground about the zones, for pictures of a map without its terrain. Raises ParameterError without zones."""
+    if not soil_map.zones:
+        raise ParameterError("the map has no zone to draw ground about; learn from a drive")
+    places = np.concatenate([zone.place_m for zone in soil_map.zones])
+    low = places.min(axis=0) - MARGIN_M
+    size = places.max(axis=0) + MARGIN_M - low
+    spacing = float(size.max() / NODES_ABOUT)
+    nx, ny = (max(2, int(np.ceil(length / spacing)) + 1) for length in size)
+    flat = np.zeros((ny, nx))
+    synthetic = any(bool(entry.get("synthetic")) for zone in soil_map.zones for entry in zone.belief.history)
+    x0, y0 = float(low[0]), float(low[1])
+    return build_terrain(name, x0, y0, spacing, flat, read_soil("longji"), synthetic=synthetic)
+
+
+def map_record(soil_map: SoilMap) -> dict[str, Any]:
+    """The zones of a map for a page: where they are, what is believed there, and what it rests on."""
+    zones = [{"name": f"zone {k}"} | _zone_record(zone) for k, zone in enumerate(soil_map.zones, 1)]
+    drives = {str(entry.get("sha256")): str(entry.get("states")) for zone in soil_map.zones
+              for entry in zone.belief.history if not entry.get("refused")}  # fmt: skip
+    remarks = [
+        f"within {soil_map.reach_m:g} m of a zone's way its soil holds as it is; beyond, soils are taken as alike over "
+        f"{soil_map.correlation_m:g} m, which is assumed, and far from all zones only the priors are known"
+    ]
+    synthetic = any(bool(entry.get("synthetic")) for zone in soil_map.zones for entry in zone.belief.history)
+    return {
+        "correlation_m": soil_map.correlation_m,
+        "reach_m": soil_map.reach_m,
+        "drives": len(drives),
+        "remarks": remarks,
+        "synthetic": synthetic,
+        "zones": zones,
+    }
+
+
+def _zone_record(zone: Zone) -> dict[str, Any]:
+    left = zone.belief.sd_ratio
+    x, y = zone.place_m[len(zone.place_m) // 2]
+    return {
+        "stretch": zone.name,
+        "x_m": round(float(x), 2),
+        "y_m": round(float(y), 2),
+        "doubt": zone.belief.doubt,
+        "caution": zone.belief.caution,
+        "parameters": {
+            name: {"median": middle, "low": low, "high": high, "left_of_prior": left[name]}
+            for name, (middle, low, high) in zone.belief.intervals().items()
+        },
+    }
 
 
 SCHEMA = "lunarsci/soil-map/1"

@@ -1,9 +1,10 @@
 """A path to a target around what a rover may not drive on; of many drives the one to take by its risk; a mission."""
 
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import RequestError
+from lunarsci.errors import DataError, RequestError
 from lunarsci.result import job, request_of
 from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, Progress, SurveyedSite, TerrainSurvey, read_site
 
@@ -30,7 +31,8 @@ class PlanRequest(GroundRequest):
     Attributes
     ----------
     target : x, y, and the heading there where it matters; numbers, or a text of them with commas. [m, m, deg]
-    start : x, y, heading of the rover. [m, m, deg]
+    start : x, y, heading of the rover; or where a drive ended: the folder of `states` or `predict`, or a table of
+        x_m, y_m, yaw_deg such as motion.csv, whose last row is taken. [m, m, deg]
     speed : of the drive; the rover's highest where it is None. [m/s]
     turning_radius, hazard_distance : limits in place of the rover's: smallest radius of an arc, and distance to keep
         from hazards and holes. [m]
@@ -85,8 +87,11 @@ class PlanRequest(GroundRequest):
             return
         if not self.target:
             raise RequestError("`target` says where the path shall end; give X,Y or X,Y,HEADING")
+        if self.start_files and self.lonlat:
+            raise RequestError(f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude")
         for name, counts in (("start", (3,)), ("target", (2, 3))):
-            object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
+            if name == "target" or not self.start_files:
+                object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
         if self.risk is None:
             self._check_path()
         else:
@@ -129,9 +134,24 @@ class PlanRequest(GroundRequest):
         return self.places[1][2] if len(self.places[1]) == 3 else None
 
     @property
+    def start_files(self) -> tuple[str, ...]:
+        """The table that says where the rover stands; none where numbers do."""
+        if not isinstance(self.start, str) or not Path(self.start).exists():
+            return ()
+        if not (folder := Path(self.start)).is_dir():
+            return (self.start,)
+        found = next((name for name in ("motion.csv", "paths.csv") if (folder / name).is_file()), None)
+        if found is None:
+            raise RequestError(
+                f"`start` {self.start}: no motion.csv or paths.csv in it; give a folder of `twin states`"
+            )
+        return (str(folder / found),)
+
+    @property
     def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Start and target as numbers. [m, m, deg]"""
-        return _numbers("start", self.start, (3,)), _numbers("target", self.target, (2, 3))
+        start = last_pose(self.start_files[0]) if self.start_files else _numbers("start", self.start, (3,))
+        return start, _numbers("target", self.target, (2, 3))
 
     def on(self, terrain: "Terrain") -> "PlanRequest":
         """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
@@ -227,6 +247,33 @@ def limits_at(site: SurveyedSite) -> tuple["Limit", ...]:
     from lunarsci.twin.plans.rover_check import limits_of_rover
 
     return limits_of_rover(read_plan().limits, site.description, site.rover)
+
+
+def last_pose(path: str) -> tuple[float, float, float]:
+    """Where a drive ended: the last row of a motion, of several members the middle of their ends. [m, m, deg]
+
+    Raises DataError for what has no x_m, y_m and yaw_deg.
+    """
+    import numpy as np
+
+    from lunarsci.tables import numbers_of, read_csv_table
+
+    table = read_csv_table(path)
+    for name in ("time_s", "x_m", "y_m", "yaw_deg"):
+        if name not in table:
+            raise DataError(f"{path}: no column {name}; a start is read of motion.csv of `twin states`, or X,Y,HEADING")
+    columns = {name: numbers_of(path, name, table[name]) for name in ("time_s", "x_m", "y_m", "yaw_deg")}
+    member = numbers_of(path, "member", table["member"]) if "member" in table else np.zeros(len(table))
+    known = np.isfinite(np.column_stack([*columns.values(), member])).all(axis=1)
+    if not known.any():
+        raise DataError(f"{path}: no row with a whole pose; is the file complete?")
+    time = np.where(known, columns["time_s"], -np.inf)
+    last = [
+        own[np.argmax(time[own])] for own in (np.flatnonzero(known & (member == k)) for k in np.unique(member[known]))
+    ]
+    x, y = (float(np.median(columns[name][last])) for name in ("x_m", "y_m"))
+    yaw = np.radians(columns["yaw_deg"][last])
+    return x, y, float(np.degrees(np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean())))
 
 
 def _numbers(option: str, place: Place, counts: tuple[int, ...]) -> tuple[float, ...]:

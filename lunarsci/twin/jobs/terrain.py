@@ -356,10 +356,12 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
     from lunarsci.twin.plans.rover_check import RoverCheck
     from lunarsci.twin.rover import build_rover
+    from lunarsci.twin.rover_limits import check_turning
 
     made, name = asked.made(terrain), soil or DEFAULT_SOIL
     description = read_rover(asked.rover)
     built, own_soil = build_rover(description), read_soil(name)
+    check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
         make = synthetic.synthetic_longji if terrain == "synthetic-longji" else synthetic.synthetic_terrain
         file, inputs = TerrainFile(make(own_soil, **made)), {}
@@ -372,7 +374,7 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     sun, shadow_cost = asked.light()
     costs = asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
-    inputs |= {path: read_input(path).sha256 for path in asked.layer}
+    inputs |= {path: read_input(path).sha256 for path in (*asked.layer, *getattr(asked, "start_files", ()))}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = RoverCheck(description, built, asked=True)
     check.terrain(file.made_for, terrain)

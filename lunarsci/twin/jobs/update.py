@@ -176,7 +176,8 @@ class LearnedSoil(Result):
         """Why what was learned is doubtful, each reason once."""
         parts = [self.found] if self.segments is None else [one.found for one in self.segments if one.learned]
         told = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
-        told += [self.slip.doubt] if self.slip is not None and self.segments is None else []
+        leans = [self.slip] if self.segments is None else [one.slip for one in self.segments]
+        told += [lean.doubt for lean in leans if lean]
         return list(dict.fromkeys(text for text in told if text))
 
     def to_dict(self) -> dict[str, Any]:
@@ -205,7 +206,7 @@ class LearnedSoil(Result):
             "made_for": self.known.made_for,
             "rover": self.known.rover.name,
             "soil": self._soil_record(),
-            "zones": None if self.segments is None else [_segment_record(segment) for segment in self.segments],
+            "zones": None if self.segments is None else [segment.to_dict() for segment in self.segments],
             "map": None
             if soil_map is None
             else {"zones": len(soil_map.zones), "correlation_m": soil_map.correlation_m},
@@ -257,21 +258,6 @@ class LearnedSoil(Result):
         if self.soil_map is None:
             raise RequestError("the soil is not kept by place; give a map as `soil`, or `by_place`")
         return self.soil_map
-
-
-def _segment_record(segment: "Segment") -> dict[str, Any]:
-    left = segment.belief.sd_ratio
-    return {
-        "from_m": segment.from_m,
-        "to_m": segment.to_m,
-        "learned": segment.learned,
-        "why_not": segment.why_not or None,
-        "surprise": segment.found.prior_shift if segment.found else None,
-        "parameters": {
-            name: {"median": middle, "low": low, "high": high, "left_of_prior": left[name]}
-            for name, (middle, low, high) in segment.belief.intervals().items()
-        },
-    }
 
 
 @job
@@ -393,7 +379,8 @@ def _with_history(
 def _zone(segment: "Segment", drive: _DrivenLine) -> "Zone":
     from lunarsci.twin.ground.soil_map import Zone
 
-    line = dict(drive.of(segment.found)) if segment.found else {}
+    lean = (segment.slip.doubt,) if segment.slip else ()
+    line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.found)) if segment.found else {}
     line |= {"from_m": round(segment.from_m, 3), "to_m": round(segment.to_m, 3)}
     belief = replace(segment.belief, history=(*segment.before.history, line))
     name = f"{drive.known.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"

@@ -15,6 +15,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.regolith.written_rover import check_written_for
 from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
@@ -115,12 +116,13 @@ def read_motion(
 
     Columns time_s, x_m, y_m, yaw_deg as in the `paths.csv` of a prediction; optionally member, of which one is read;
     and the commands of each wheel, `steering_FL_deg` and `speed_FL_m_s` and so on. Without these columns the commands
-    are those of `plan` at the same times. Columns `x_m_sigma`, `y_m_sigma`, `yaw_deg_sigma` are standard errors. At a
-    halt the rims turn at less than half their usual speed, or the plan is not under way. Raises DataError; warns of
-    gaps and of poses outside the times of the plan.
+    are those of `plan` at the same times. Columns `x_m_sigma`, `y_m_sigma`, `yaw_deg_sigma` are standard errors. A
+    `rover` with other wheels is refused. At a halt the rims turn at less than half their usual speed, or the plan is
+    not under way. Raises DataError; warns of gaps and of poses outside the times of the plan.
     """
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)
+    check_written_for(file.name, table, rover.wheel, rover.name)
     try:
         missing = [name for name in POSE_COLUMNS if name not in table]
         if missing:
