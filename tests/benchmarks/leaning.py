@@ -14,6 +14,8 @@ measured slip is off, by whether the belief was right. `CASES` lists what is rig
 | tilted | the twin, the ground 3 degrees steeper ahead | the ground without |
 
 Each drive is one line of the file, and one that is there is not driven again. `--report FILE` prints the tables.
+`--halves` learns each half of the way on its own instead, as `twin update --save-map` learns stretches, of right drives
+on one soil: how far right beliefs of stretches lean.
 """
 
 import argparse
@@ -37,8 +39,10 @@ from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.rovers import read_rover
 from lunarsci.tables import csv_bytes
+from lunarsci.twin.assimilation.change_point import traverse_of
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, pace_of, read_record, states_at
 from lunarsci.twin.assimilation.residuals import POSITION
+from lunarsci.twin.assimilation.segments import FEWEST_VALUES, LEAST_SLIPS, record_within
 from lunarsci.twin.assimilation.slip_lean import SlipLean
 from lunarsci.twin.assimilation.update import WIDENED, SoilUpdate, assimilate
 from lunarsci.twin.comparison.checks import ALL
@@ -221,6 +225,38 @@ def experiment(task: tuple[str, int, int]) -> dict[str, Any]:
     return row
 
 
+def halves(task: tuple[str, int, int]) -> dict[str, Any]:
+    """What each half of a drive says of its soil, and how far it leans."""
+    kind, number, seed = task
+    warnings.simplefilter("ignore")
+    out, _, seen = truth(kind, number, seed)
+    rover, told = build_rover("yutu2"), told_ground(kind, number)
+    row: dict[str, Any] = {"kind": kind, "number": number, "seed": seed, "halves": []}
+    along = record_of(sent(out, seen, told, 10 * seed + number), rover, fixes=False)
+    way = traverse_of(predict(rover, told, out.plan, sweep=()))
+    middle = float(way.distance_m.mean())
+    for low, high in ((-np.inf, middle), (middle, np.inf)):
+        own = record_within(along, way, low, high)
+        slips = int(np.isfinite(own.values[:, SLIP]).sum())
+        lean = None
+        if np.isfinite(own.values).sum() >= FEWEST_VALUES:
+            lean = SlipLean.of(own, assimilate(rover, told, out.plan, own, first()), least=LEAST_SLIPS)
+        row["halves"].append({"slips": slips, "lean": lean.to_dict() if lean else None})
+    return row
+
+
+def report_halves(rows: list[dict[str, Any]]) -> str:
+    """How many were judged, how far they lean, and how many are called leaning."""
+    every = [half for row in rows for half in row["halves"]]
+    leans = [half["lean"] for half in every if half["lean"]]
+    far = [abs(one["simulated"] - one["measured"]) for one in leans]
+    errors = [by / np.hypot(one["spread"], one["sigma"]) for by, one in zip(far, leans, strict=True)]
+    return (
+        f"{len(every)} halves of {len(rows)} right drives, {len(leans)} judged: "
+        f"largest lean {max(far, default=0.0):.3f}, {max(errors, default=0.0):.1f} errors; called leaning: {sum(one['off'] for one in leans)}"
+    )
+
+
 def predicted(
     rover: Rover, ground: Terrain, plan: Plan, found: SoilUpdate, records: tuple[DriveRecord, DriveRecord]
 ) -> dict[str, Any]:
@@ -276,26 +312,28 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, help="file of results, one line a drive, added to")
     parser.add_argument("--report", type=Path, help="print the tables of this file, and drive nothing")
+    parser.add_argument("--halves", action="store_true", help="of right drives, each learned on its own")
     given = parser.parse_args()
     rows = rows_of(given.report or given.out)
+    told, drive = (report_halves, halves) if given.halves else (report, experiment)
     if given.report:
-        print(report(rows))
+        print(told(rows))
         return
     done = {(row["kind"], row["number"], row["seed"]) for row in rows}
     tasks = [
         (number / CASES[kind], (kind, number, given.seed))
-        for kind in given.kinds
+        for kind in (RIGHT if given.halves else given.kinds)
         for number in range(round(given.share * CASES[kind]))
     ]
     missing = [task for _, task in sorted(tasks) if task not in done]
     with ProcessPoolExecutor(given.jobs, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-        for row in pool.map(experiment, missing):
+        for row in pool.map(drive, missing):
             rows.append(row)
             print(json.dumps(row), flush=True)
             if given.out:
                 with given.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
-    print(report(rows))
+    print(told(rows))
 
 
 RIGHT = ("right", "uphill")
