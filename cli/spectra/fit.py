@@ -171,7 +171,13 @@ def _composition_notes(fit: "MgmFit") -> list[str]:
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
-            doubt = f", {item.doubt}" if item.doubt else f", if {item.domain}" if item.domain else ""
+            doubt = (
+                f", {item.doubt}{'' if item.in_range else ': do not use'}"
+                if item.doubt
+                else f", if {item.domain}"
+                if item.domain
+                else ""
+            )
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
             value = with_trend(value, item.trend_sigma) if item.in_range and item.told else value
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
