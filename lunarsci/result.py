@@ -87,12 +87,12 @@ def doubt_about(record: Mapping[str, Any]) -> str:
     """Why the values of an object of a result should not be used, where it says so; '' where they may be.
 
     >>> doubt_about({"mean": 104.8, "in_range": False, "lowest": 0.0, "highest": 100.0})
-    'beyond the 0-100 of the trend: do not use'
+    'beyond 0-100, where the trend was measured'
     """
     reason = record.get("reason") or record.get("status")
     told = reason if isinstance(reason, str) and reason not in FINE else ""
     if not told and record.get("in_range") is False and "lowest" in record:
-        told = f"beyond the {record['lowest']:g}-{record['highest']:g} of the trend: do not use"
+        told = f"beyond {record['lowest']:g}-{record['highest']:g}, where the trend was measured"
     outside = any(record.get(flag) is False for flag in ("in_range", "in_domain"))
     return told or "out of range" if outside or record.get("status") in NO_VALUE else ""
 
@@ -239,11 +239,14 @@ class Result(ABC):
         """The rows of `to_table`: those of `--csv`, but where these are the steps to an answer."""
         return self.rows()
 
-    def to_table(self) -> "QTable":
-        """The answer as a table; a column with a unit in its name is a quantity, missing numbers are NaN."""
+    def to_table(self, *, parts: bool = True) -> "QTable":
+        """The answer as a table; a column with a unit in its name is a quantity, missing numbers are NaN.
+
+        Without `parts` there is one row of each thing, as of a spectrum, and not one of each of its bands.
+        """
         from astropy.table import QTable
 
-        rows = [plain(row) for row in self.answers()]
+        rows = [plain(row) for row in (self.answers() if parts else self.rows_each())]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return QTable({name: _column(name, [row.get(name) for row in rows]) for name in names})
 

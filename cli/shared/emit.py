@@ -138,8 +138,10 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
     `whole`: the parts of the document beside the result, which a path may begin with. A name that other spectra of the
     result have, or could have, is a value that is missing here; any other is wrong usage.
     """
-    value, doubt = _opened(report.result), ""
     steps = path.split(".")
+    stored = report.stored if report.stored and steps[0] == "result" and len(steps) > 1 else None
+    own = stored["result"] if stored else report.result
+    value, doubt = _opened(own), ""
     if steps[0] in whole and steps[0] not in value:
         value = whole
     steps = steps[1:] if steps[0] == "result" else steps
@@ -155,7 +157,7 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
                 value, doubt = None, f"no '{step}' here; there is: {_known(value)}"
                 break
             near = meant(step, value) if isinstance(value, dict) else ""
-            inside = _path_to(steps[-1], _opened(report.result))
+            inside = _path_to(steps[-1], _opened(own))
             near = f"did you mean '{inside}'? " if inside else near
             known = f"{near}there is: {_known(value)}"
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
@@ -166,7 +168,8 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
     elif doubt:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
-    return f"{text}\n", doubt
+    kept = (stored.get("provenance") or {}).get("untrusted") if stored else ""
+    return f"{text}\n", doubt or kept or ""
 
 
 def _could_be(step: str, above: Sequence[str], top: Any, report: Report) -> bool:

@@ -38,6 +38,7 @@ class Report:
     failures : inputs that gave no result, one sentence each.
     options : what was taken for options that were left out, for the provenance.
     raw : makes a text that is the result itself, such as a file to begin with, and is shown as it is.
+    stored : document of a result that is there, which paths of `--field` lead into that begin with `result`.
     """
 
     schema: str
@@ -60,6 +61,7 @@ class Report:
     failures: Sequence[str] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     raw: Callable[[], str] | None = None
+    stored: Mapping[str, Any] | None = None
 
     @classmethod
     def of(

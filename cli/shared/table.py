@@ -74,10 +74,14 @@ def _first(names: Sequence[str]) -> str:
     return f": {some_of(names, MOST_NAMED)}" if all(names) else ""
 
 
-def verdict_table(records: Sequence[Mapping[str, Any]], verdict: Callable[[Mapping[str, Any]], str]) -> list[TextTable]:
-    """One sentence about each spectrum, where these are few."""
+def verdict_table(
+    records: Sequence[Mapping[str, Any]],
+    verdict: Callable[[Mapping[str, Any]], str],
+    together: Callable[[Sequence[Mapping[str, Any]]], list[str]] | None = None,
+) -> list[TextTable]:
+    """One sentence about each spectrum, where these are few; else what `together` counts."""
     if len(records) > MOST_VERDICTS:
-        return []
+        return [TextTable([], [], title=SAYS, notes=together(records))] if together else []
     return [TextTable([], [], title=SAYS, notes=[f"{item['id']}: {verdict(item)}" for item in records])]
 
 

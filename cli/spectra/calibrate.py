@@ -86,7 +86,8 @@ def _table(good: "Sequence[Calibration]") -> TextTable:
         "observation", "i [deg]", "e [deg]", "g [deg]", "Sun [AU]", "lit pixels", "step", "gain", "R at 750 nm",
         "shared [%]", "masked",
     ]  # fmt: skip
-    notes = counted([note for item in good for note in item.notes], len(good), "observations")
+    said = [(note, item.id) for item in good for note in item.notes]
+    notes = counted([note for note, _ in said], len(good), "observations", [name for _, name in said])
     return TextTable(headers, [_row(item) for item in good], notes=notes)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
-from lunarsci.spectra.jobs.verdicts import fit_verdict
+from lunarsci.spectra.jobs.verdicts import fit_verdict, fits_counted
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
 from ..shared.command import command
@@ -104,7 +104,7 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
 
 def result_tables(found: MgmFits) -> list[TextTable]:
     """The fits, and what they say."""
-    return [*fit_tables(found), *verdict_table(found.records, fit_verdict)]
+    return [*fit_tables(found), *verdict_table(found.records, fit_verdict, fits_counted)]
 
 
 def fit_tables(found: MgmFits) -> list[TextTable]:
@@ -171,7 +171,13 @@ def _composition_notes(fit: "MgmFit") -> list[str]:
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
-            doubt = f", {item.doubt}" if item.doubt else f", if {item.domain}" if item.domain else ""
+            doubt = (
+                f", {item.doubt}{'' if item.in_range else ': do not use'}"
+                if item.doubt
+                else f", if {item.domain}"
+                if item.domain
+                else ""
+            )
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
             value = with_trend(value, item.trend_sigma) if item.in_range and item.told else value
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
@@ -240,7 +246,7 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-    from lunarsci.spectra.mgm.assemblages import BIC_OF_CHOICE
+    from lunarsci.spectra.mgm.assemblages import BIC_OF_CHOICE, SURE
 
     rows = [
         [item["assemblage"], f"{100 * item['probability']:.0f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
@@ -249,7 +255,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     headers = ["assemblage", "probability [%]", "ln evidence", "BIC"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
     notes = [
-        choice["status"],
+        f"together {100 * SURE:.0f} % or more: {', '.join(choice['family'])}",
         "probability: of the evidence, as far as laboratory spectra taught to believe it; fewer minerals come first",
         f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
         BIC_OF_CHOICE,

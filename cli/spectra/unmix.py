@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
-from lunarsci.spectra.jobs.verdicts import shares_verdict
+from lunarsci.spectra.jobs.verdicts import fits_counted, shares_verdict
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -92,7 +92,7 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 
 def result_tables(found: UnmixedSpectra) -> list[TextTable]:
     """The fits, the shares, the kinds of target and what depends on them."""
-    told = verdict_table(found.records, shares_verdict)
+    told = verdict_table(found.records, shares_verdict, fits_counted)
     return [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found), *told]
 
 

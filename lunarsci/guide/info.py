@@ -8,7 +8,7 @@ import re
 import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
@@ -125,6 +125,7 @@ class FileInfo(Result):
     trouble : why its reader refuses it; '' if it does not.
     remarks : what its reader warns of.
     further : commands that take it beside those of its kind.
+    stored : the document of a stored result, which `--field` reads; None of other files.
     """
 
     schema: ClassVar[str] = "info/1"
@@ -135,6 +136,7 @@ class FileInfo(Result):
     trouble: str = ""
     remarks: Sequence[str] = ()
     further: Sequence[str] = ()
+    stored: Mapping[str, Any] | None = field(default=None, repr=False)
 
     @property
     def made_from(self) -> MadeFrom:
@@ -185,14 +187,20 @@ def info(path: str | Path) -> FileInfo:
                 f"{name}: a folder without result.json; name one of its {len(list(folder.iterdir()))} files"
             )
         name = str(folder / "result.json")
+    stored = None
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", LunarSciWarning)
-        kind, sha256, contents, trouble = _long_telemetry(name) or _read(read_input(name))
+        if not (found := _long_telemetry(name)):
+            file = read_input(name)
+            found = _read(file)
+            stored = read_json(file, "a result", dict) if found[0] == "result" else None
+    kind, sha256, contents, trouble = found
     remarks = [str(one.message) for one in heard if issubclass(one.category, LunarSciWarning)]
     further = TAKEN_BY.get(str(contents.get("schema", "")).split("/")[0], ()) if kind == "result" else ()
     return FileInfo(
-        file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further
-    )
+        file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further,
+        stored=stored,
+    )  # fmt: skip
 
 
 def _read(file: InputFile) -> _Found:

@@ -109,7 +109,8 @@ def _in_memory(result: Result, number: int, drawn: bool) -> Document:
     made = result.to_json()
     found = json.loads(made)
     schema = found["schema"].removeprefix("lunarsci/")
-    kind = schema.rpartition("/")[0]
+    command = found["provenance"]["command"].rpartition(".")[2]
+    kind = "spectra-unmix" if command == "unmix" else schema.rpartition("/")[0]
     pictures = _picture_of(result, f"{kind}.png") if drawn else {}
     return Document(
         f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, sha256(made.encode())

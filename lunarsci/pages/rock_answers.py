@@ -107,8 +107,8 @@ def standing_of(choice: Mapping[str, Any]) -> str:
 def _one_fit(one: Result) -> str:
     """What its command says below its tables, then which assemblages cannot be told apart, and the pyroxenes."""
     verdict = shares_verdict(one) if "kind" in one else fit_verdict(one)
-    status = (one.get("choice") or {}).get("status")
-    chosen = f" Taken to fit: {status}." if status else ""
+    family = (one.get("choice") or {}).get("family")
+    chosen = f" Assemblages that cannot be told apart: {', '.join(family)}." if family and len(family) > 1 else ""
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."

@@ -63,7 +63,7 @@ class Places(NamedTuple):
     Attributes
     ----------
     bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
-    limits_nm, bias : where its centre may lie, (2, 2); see `Band`, (2,). [nm, -]
+    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
     wanted : place of the wanted continuum in `CONTINUA`.
     missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
     order : continua in the order in which they are tried, (3,), -1 for none.
@@ -73,6 +73,7 @@ class Places(NamedTuple):
     bands: IntArray
     limits_nm: FloatArray
     bias: FloatArray
+    least: FloatArray
     wanted: int
     missing: IntArray
     order: IntArray

@@ -127,10 +127,10 @@ def places_of(grid: BandGrid, wanted: int) -> Places:
     order = [c for c in dict.fromkeys((wanted, HULL, LINEAR)) if grid.ties.available[c]]
     order += [-1] * (len(CONTINUA) - len(order))
     limits = np.array([band.centre_nm for band in BANDS])
-    bias = np.array([band.bias for band in BANDS])
+    bias, least = np.array([(band.bias, band.least) for band in BANDS]).T.copy()
     codes = np.array(missing, np.int64), np.array(order, np.int64)
     low, high = min(band[0] for band in bands), max(band[1] for band in bands)
-    return Places(np.array(bands, np.int64), limits, bias, wanted, *codes, low, high)
+    return Places(np.array(bands, np.int64), limits, bias, least, wanted, *codes, low, high)
 
 
 def _range(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[int, int]:
@@ -315,7 +315,7 @@ def _measure_band(
     while waiting:
         waiting = False
         own_continuum(g, places, work)
-        shape(g, work, places.bands[b], places.bias[b])
+        shape(g, work, places.bands[b], places.bias[b], places.least[b])
         for lane in range(len(found)):
             tried = int(k[TRIED, lane])
             if tried >= 0:

@@ -57,12 +57,6 @@ from lunarsci.spectra.band_window import HALF, LEAST_DEPTH, NARROW, WIDE, has_an
 from lunarsci.spectra.lane_rows import uncounted
 
 TINY = float(np.finfo(float).tiny)
-LEAST_CENTER = 1.5
-"""Least standard error of a centre, times the relative error of the depth and the standard width (area over depth of a
-Gaussian): a dip that noise makes is sharp, and its curvature alone promises too much. Chosen on the smoothed spectra
-of 17 targets of Chang'E-4 with their own noise, 100 draws each; measured on the other 71: at 2 um 68 % intervals hold
-73 % of the centres (64 without), 95 % ones 93 (86), those of the smallest tenth of the errors 62 and 88 (29 and 51):
-`tests/benchmarks/bench_bands.py --rover`."""
 
 
 (
@@ -150,7 +144,7 @@ def _add_rival(g: BandGrid, work: BandWork, first: int, behind: int) -> None:
 
 
 @uncounted
-def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float) -> None:
+def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float, least: float) -> None:
     """Measure a band under each spectrum's own continuum.
 
     The derivatives of centre, depth, area and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
@@ -167,7 +161,7 @@ def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float) -> None:
     hidden = _areas(g, work, band)
     unsaid = load(k, UNSAID)
     of_depth = _variance(t, WIDE_DEPTH, count)
-    store(k, CENTER_VARIANCE, highest(_variance(t, WIDE_NM, count) + unsaid, _least_variance(k, of_depth)))
+    store(k, CENTER_VARIANCE, highest(_variance(t, WIDE_NM, count) + unsaid, _least_variance(k, of_depth, least)))
     store(k, DEPTH_VARIANCE, of_depth)
     store(k, ASYMMETRY_VARIANCE, load(k, ASYMMETRY_VARIANCE) + hidden * hidden * unsaid)
     store(k, GAUSSIAN_NM, _gaussian_centre(g, work, band))
@@ -193,12 +187,12 @@ def _variance(t: Any, row: int, count: int) -> Any:
 
 
 @formula
-def _least_variance(k: Any, of_depth: Any) -> Any:
-    """Of a centre: see `LEAST_CENTER`. [nm2]"""
+def _least_variance(k: Any, of_depth: Any, factor: float) -> Any:
+    """Of a centre: see `Band.least`. [nm2]"""
     depth = load(k, SHAPE_DEPTH)
-    width = load(k, SHAPE_AREA) * (LEAST_CENTER / math.sqrt(2.0 * math.pi))
-    least = width * width * of_depth / highest(depth * depth * depth * depth, TINY)
-    return choose(depth > 0.0, least, 0.0)
+    width = load(k, SHAPE_AREA) * (factor / math.sqrt(2.0 * math.pi))
+    variance = width * width * of_depth / highest(depth * depth * depth * depth, TINY)
+    return choose(depth > 0.0, variance, 0.0)
 
 
 @formula

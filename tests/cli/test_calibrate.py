@@ -196,7 +196,7 @@ def test_a_folder_is_all_its_observations(run: Run, tmp_path: Path, one: Files, 
     assert (done.code, done.err) == (0, [])
     assert [spectrum["id"] for spectrum in result(done)] == ["SYNTHETIC-CE4-0001", "SYNTHETIC-CE4-0002"]
     table = run(*COMMAND, folder).out
-    assert "(2 of 2 observations)" in table
+    assert "(2 of 2 observations: SYNTHETIC-CE4-0001, SYNTHETIC-CE4-0002)" in table
     assert sum(line.startswith("SYNTHETIC-CE4-") for line in table.splitlines()) == 2
 
 
@@ -204,6 +204,13 @@ def broken(content: Files) -> Files:
     """With half a cube."""
     cube = named(content, "VD", label=False)
     return content | {cube: content[cube][: 13 * 2**20]}
+
+
+def test_a_note_names_the_observations_that_it_is_of(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
+    """The second observation alone comes with labels of version 1."""
+    done = run(*COMMAND, write(tmp_path / "both", one | early(two)))
+    [note] = [line for line in done.out.splitlines() if "version 1" in line]
+    assert note.endswith("(1 of 2 observations: SYNTHETIC-CE4-0002)")
 
 
 def test_a_broken_one_is_one_line_and_the_others_are_printed(run: Run, tmp_path: Path, one: Files, two: Files) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from lunarsci.cli.shared.emit import field_of
@@ -513,3 +514,24 @@ def test_a_field_that_lies_deeper_is_named(run: Run, rock: Path) -> None:
     for asked in ("bc1000_nm", "spectra.bc1000_nm"):
         done = run("spectra", "bands", rock, "--field", asked)
         assert done.code == 2 and "did you mean 'spectra.0.bc1000_nm'?" in done.err[0]
+
+
+def test_a_value_of_a_kept_result_is_read_without_computing_it_again(tmp_path: Path, run: Callable[..., Any]) -> None:
+    """With the exit codes of the command that made it: no value, one of a shaky result, and wrong usage."""
+    kept = {"spectra": [{"id": "a", "bc1000_nm": 931.5, "bc2000_nm": None}, {"id": "b"}]}
+    files = {name: tmp_path / f"{name}.json" for name in ("good", "shaky")}
+    for path, doubt in zip(files.values(), ("", "not to be trusted: no convergence for a"), strict=True):
+        document = {"schema": "lunarsci/spectra-bands/1", "result": kept, "provenance": {"untrusted": doubt}}
+        path.write_text(json.dumps(document), encoding="utf-8")
+    asked = ("info", files["good"], "--field")
+    found = run(*asked, "result.spectra.0.bc1000_nm")
+    assert (found.code, found.out, found.err) == (0, "931.5\n", [])
+    assert run(*asked, "kind").out == "result\n", "keys of the file itself"
+    missing = run(*asked, "result.spectra.0.bc2000_nm")
+    assert (missing.code, missing.out) == (3, "null\n") and "no value" in missing.err[0]
+    other = run(*asked, "result.spectra.1.bc1000_nm")
+    assert (other.code, other.out) == (3, "null\n") and "no 'bc1000_nm' here" in other.err[0]
+    wrong = run(*asked, "result.spectra.0.bc1001_nm")
+    assert (wrong.code, wrong.out) == (2, "") and "bc1000_nm" in " ".join(wrong.err)
+    shaky = run("info", files["shaky"], "--field", "result.spectra.0.bc1000_nm")
+    assert (shaky.code, shaky.out, shaky.err) == (3, "931.5\n", ["not to be trusted: no convergence for a"])

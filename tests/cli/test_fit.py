@@ -262,7 +262,7 @@ def test_a_composition_beyond_its_trend_is_not_sold_as_one(run: Run, tmp_path: P
     rows = [f"{nm},{0.3 * math.exp(-0.5 * math.exp(-((nm - 840) ** 2) / 2e4)):.6f}" for nm in range(450, 2400, 5)]
     path.write_text("wavelength_nm,odd\n" + "\n".join(rows) + "\n")
     done = run("spectra", "fit", path, "--assemblage", "OPX")
-    assert "of the trend: do not use" in done.out
+    assert "where the trend was measured: do not use" in done.out
 
 
 @pytest.mark.parametrize(("law", "method"), [("both", "unmix"), ("hapke", "hapke"), ("absorbance", "absorbance")])

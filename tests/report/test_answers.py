@@ -76,7 +76,6 @@ def test_a_go_of_a_soil_that_is_not_trusted_does_not_begin_with_go() -> None:
 def test_verdicts_are_told_in_the_words_of_the_command() -> None:
     """Of each kind of open question: which minerals, which crater, shares out of the domain, a soil that is assumed."""
     for name, keys in {
-        "fit auto": ("spectra", 0, "choice", "status"),
         "match modes": ("rocks", 0, "status"),
         "match bands": ("rocks", 0, "status"),
         "compare drives": ("reasons", 0),
@@ -135,7 +134,7 @@ def test_what_a_command_refuses_is_neither_in_the_budget_nor_in_the_tables() -> 
     beyond = fitted["spectra"][0]["compositions"]["fs"] | {"mean": 104.8, "in_range": False}
     spoiled = of("fit", spectra=[fitted["spectra"][0] | {"compositions": {"fs": beyond}}])
     [line] = [text for text in unknown(spoiled) if "of orthopyroxene" in text]
-    assert line.endswith("of the trend: do not use")
+    assert line.endswith("not to be used: beyond 0-100, where the trend was measured")
     assert not any("104.8" in cell for row in budget(spoiled).rows for cell in row)
     assert budget(of("fit damping")) is None
     assert any("share of orthopyroxene in the strength" in row[0] for row in budget(of("fit")).rows)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -263,23 +264,28 @@ def test_stated_errors_hold_on_laboratory_spectra(
 def test_small_errors_of_weak_bands_hold_on_rover_spectra(reference_data: Path) -> None:
     """Smoothed spectra of 88 targets of Chang'E-4 with their own noise, 30 draws each: SYNTHETIC, with bands 2 % deep.
 
-    Of the smallest quarter of the errors at 2 um, 68 % intervals hold 61 %; by curvature alone 37 %.
+    Of the smallest quarter of the errors at 2 um, 68 % intervals hold 61 %; by curvature alone 37 %. Of the smallest
+    tenth at 1 um 95 % intervals hold 90 %, by curvature alone 86 %, with the least error of the 2 um band 88 %.
     """
     table = np.loadtxt(reference_data / "spectra/ce4/reflectance_factor.csv", delimiter=",", skiprows=1)
-    wavelength, rng, found = table[:, 0], np.random.default_rng(4), []
+    wavelength, rng = table[:, 0], np.random.default_rng(4)
+    found: dict[str, list[Any]] = {"1000": [], "2000": []}
     for values in table[:, 1:89].T:
         smooth = smoothing_operator(wavelength, 205.0, 3) @ values
         noise = scatter_noise_rows(values[None])[0]
         exact = band_arrays(wavelength, smooth[None], np.full(wavelength.size, 1e-6), continuum_name="hull")
         draws = band_arrays(
             wavelength, smooth + noise * rng.normal(size=(30, wavelength.size)), continuum_name="hull"
-        ).bands["2000"]
-        found.append([draws.center_nm - exact.bands["2000"].center_nm, draws.center_sigma_nm])
-    off, sigma = np.concatenate(found, axis=1)
-    off, sigma = off[np.isfinite(off)], sigma[np.isfinite(off)]
-    small = sigma < np.nanpercentile(sigma, 25)
-    assert small.sum() > 300
-    assert 0.56 < np.mean(np.abs(off[small]) < sigma[small]) < 0.78
+        ).bands
+        for key, own in found.items():
+            own.append([draws[key].center_nm - exact.bands[key].center_nm, draws[key].center_sigma_nm])
+    for key, share, width, low, high in (("2000", 25, 1.0, 0.56, 0.78), ("1000", 10, 1.96, 0.89, 0.97)):
+        off, sigma = np.concatenate(found[key], axis=1)
+        off, sigma = off[np.isfinite(off)], sigma[np.isfinite(off)]
+        small = sigma < np.nanpercentile(sigma, share)
+        assert small.sum() > 200
+        held = np.mean(np.abs(off[small]) < width * sigma[small])
+        assert low < held < high, (key, held)
 
 
 def test_a_short_spectrum_measures_what_it_holds() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lunarsci
-from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
+from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_verdict
 from lunarsci.spectra.mgm.assemblages import standing
 from lunarsci.spectra.mgm.batch import batch_of
 from lunarsci.spectra.mgm.columns import rows_one_by_one
@@ -42,15 +42,39 @@ def chosen(**probabilities: float) -> dict[str, Any]:
 def test_only_what_is_sure_is_called_so(fitted: dict[str, Any]) -> None:
     said = fit_verdict(fitted | {"choice": chosen(CPX=0.61, OL_CPX=0.26, CPX_PLG=0.11, OL_OPX=0.02)})
     assert said.startswith("a pyroxene is sure: the fit needs clinopyroxene, but orthopyroxene is not excluded (2 %): ")
-    assert (
-        "up to 73 % in mixtures that clinopyroxene fitted alone; also open: olivine (28 %), plagioclase (11 %);" in said
-    )
+    assert "up to 73 % in mixtures that clinopyroxene fitted alone, and the only pyroxene in 4 of 120 such fits" in said
+    assert "; also open: olivine (28 %), plagioclase (11 %);" in said
     assert "not needed" not in said
     olivine = fit_verdict(fitted | {"choice": chosen(OL_OPX_CPX=0.98, OPX_CPX=0.02)})
     assert olivine.startswith("sure: olivine, orthopyroxene, clinopyroxene; not needed to fit, but not ruled out: plag")
     none = fit_verdict(fitted | {"choice": chosen(CPX=0.72, OL=0.28)})
     assert none.startswith("no mineral is sure; open: olivine (28 %), clinopyroxene (72 %); not needed")
     assert "if so, " in none or "no composition" in none
+
+
+def test_of_many_fits_is_counted_what_is_sure() -> None:
+    good = {"bands": [1], "status": "converged"}
+    sure = {"sure": ["olivine"], "open": ["orthopyroxene"], "not_needed": ["plagioclase"]}
+    records = [good | {"id": f"s{k}", "choice": sure} for k in range(5)]
+    records.append(good | {"id": "x", "choice": sure | {"sure": []}, "status": "converged; strained: R"})
+    records += [good | {"id": "y", "choice": None}, {"id": "z", "bands": [], "choice": None, "status": "no result"}]
+    assert fits_counted(records) == [
+        "sure, of 6 spectra: olivine in 5",
+        "open, of 6 spectra: orthopyroxene in 6",
+        "not needed to fit, but not ruled out, of 6 spectra: plagioclase in 6",
+        "no mineral is sure: 1 of 6 spectra",
+        "the assemblage was assumed: 1 of 8 spectra",
+        "no fit: 1 of 8 spectra",
+        "in doubt: 1 of 8 spectra (x), see `status`",
+    ]
+
+
+def test_a_table_has_a_row_of_each_spectrum_where_bands_are_left_out() -> None:
+    found = lunarsci.fit([made_up(seed) for seed in range(7)], assemblage="OPX")
+    each, bands = found.to_table(parts=False), found.to_table()
+    assert len(each) == 7 < len(bands) and "fs_in_range" in each.colnames
+    assert "center_nm" in bands.colnames and "center_nm" not in each.colnames
+    assert "the assemblage was assumed: 7 of 7 spectra" in str(found)
 
 
 def test_one_of_two_pyroxenes_is_sure_where_neither_is(fitted: dict[str, Any]) -> None:

@@ -3,11 +3,14 @@
 Made of the keys of `--json`, so that it says no more than they do.
 """
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lunarsci.names import some_of
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
+MOST_NAMED = 4
 SEEN = 2.0
 """A band is seen where its strength is this many standard errors off 0; assumed."""
 MISSED = 0.1
@@ -69,6 +72,32 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
+def fits_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of many fits, in how many each mineral is sure, open or not needed, and how many are in doubt."""
+    total, none, unsure, doubtful = len(records), 0, 0, list[str]()
+    minerals: dict[str, Counter[str]] = {"sure": Counter(), "open": Counter(), "not_needed": Counter()}
+    compared = 0
+    for record in records:
+        none += not record["bands"]
+        doubtful += [record["id"]] if record["bands"] and _strained(record) else []
+        if choice := record["choice"]:
+            compared, unsure = compared + 1, unsure + (not choice["sure"])
+            for key, counts in minerals.items():
+                counts.update(choice[key])
+    words = {"sure": "sure", "open": "open", "not_needed": "not needed to fit, but not ruled out"}
+    parts = [
+        f"{words[key]}, of {compared} spectra: {', '.join(f'{name} in {n}' for name, n in counts.most_common())}"
+        for key, counts in minerals.items()
+        if counts
+    ]
+    parts += [f"no mineral is sure: {unsure} of {compared} spectra"] if unsure else []
+    if total - none > compared:
+        parts.append(f"the assemblage was assumed: {total - none - compared} of {total} spectra")
+    parts += [f"no fit: {none} of {total} spectra"] if none else []
+    named = some_of(doubtful, MOST_NAMED)
+    return parts + ([f"in doubt: {len(doubtful)} of {total} spectra ({named}), see `status`"] if doubtful else [])
+
+
 def _condition(item: Mapping[str, Any]) -> str:
     return f" (if {item['domain']})" if item.get("domain") else ""
 
@@ -97,31 +126,9 @@ def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
 
 def minerals_said(choice: Mapping[str, Any]) -> str:
     """Which minerals are sure, which are open, and which a fit does without."""
-    from lunarsci.spectra.mgm.assemblages import GROUPS, HIDDEN, MINERALS, chances, others_of, standing
+    from lunarsci.spectra.mgm.assemblages import told
 
-    probabilities = {one["assemblage"]: one["probability"] for one in choice["candidates"]}
-    found, known = chances(probabilities), standing(probabilities)
-    left, parts = list(known["open"]), []
-    pairs = [(one, other) for one in known["sure"] for other in others_of(one) & set(left)]
-    alone = [one for one, _ in pairs]
-    if sure := [name for name in known["sure"] if name not in (*GROUPS, *alone)]:
-        parts.append(f"sure: {', '.join(sure)}")
-    for one, other in pairs:
-        left.remove(other)
-        parts.append(
-            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * found[other]:.0f} %): it "
-            f"was up to {100 * HIDDEN[other]:.0f} % in mixtures that {one} fitted alone"
-        )
-    for group in GROUPS.keys() & set(known["sure"]):
-        members = [MINERALS[key] for key in GROUPS[group]]
-        left = [name for name in left if name not in members]
-        shown = ", ".join(f"{name} {100 * found[name]:.0f} %" for name in members)
-        parts.append(f"a {group} is sure, which one is open ({shown})")
-    more = "also open" if len(left) < len(known["open"]) else "open"
-    parts = parts or ["no mineral is sure"]
-    parts += [f"{more}: {', '.join(f'{name} ({100 * found[name]:.0f} %)' for name in left)}"] if left else []
-    absent = ", ".join(known["not_needed"])
-    return "; ".join([*parts, *([f"not needed to fit, but not ruled out: {absent}"] if absent else [])])
+    return told({one["assemblage"]: one["probability"] for one in choice["candidates"]})
 
 
 def _assumed(record: Mapping[str, Any]) -> str:

@@ -22,6 +22,9 @@ HIDDEN = {"orthopyroxene": 0.73, "clinopyroxene": 0.26}
 Measured: of 32 mixtures with 5 vol % or more of both, 12 were so fitted by clinopyroxene (MIX230: 73 vol %
 orthopyroxene; five others 39 or more), 9 by orthopyroxene (XP-CMP-004 and -013: 26 vol % clinopyroxene), by
 `tests/benchmarks/compositions.py`."""
+WRONG_ONE = (4, 120)
+"""In how many samples with one pyroxene, of which one alone was sure, that was the other one. By the same benchmark:
+one clinopyroxene with the bands of an enstatite, and three orthopyroxenes fitted as clinopyroxenes of Wo 6 to 13."""
 BIC_OF_CHOICE = (
     "BIC of all assemblages is of channels joined to 20 nm and of the comparison's own errors: it compares them and is "
     "another than that of the fit"
@@ -216,3 +219,34 @@ def standing(probabilities: Mapping[str, float]) -> dict[str, list[str]]:
             sure += [group] if members.isdisjoint(sure) else []
     left = [name for name in MINERALS.values() if name not in (*sure, *absent)]
     return {"sure": sure, "open": left, "not_needed": absent}
+
+
+def told(probabilities: Mapping[str, float]) -> str:
+    """The verdict on minerals, by words: `standing`, and what is known of a pyroxene that is sure alone.
+
+    >>> told({"OL": 0.97, "OL-OPX": 0.03}).partition(";")[0]
+    'sure: olivine'
+    """
+    found, known = chances(probabilities), standing(probabilities)
+    left, parts = list(known["open"]), []
+    pairs = [(one, other) for one in known["sure"] for other in others_of(one) & set(left)]
+    alone = [one for one, _ in pairs]
+    if sure := [name for name in known["sure"] if name not in (*GROUPS, *alone)]:
+        parts.append(f"sure: {', '.join(sure)}")
+    for one, other in pairs:
+        left.remove(other)
+        parts.append(
+            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * found[other]:.0f} %): it "
+            f"was up to {100 * HIDDEN[other]:.0f} % in mixtures that {one} fitted alone, and the only pyroxene in "
+            f"{WRONG_ONE[0]} of {WRONG_ONE[1]} such fits of one"
+        )
+    for group in GROUPS.keys() & set(known["sure"]):
+        members = [MINERALS[key] for key in GROUPS[group]]
+        left = [name for name in left if name not in members]
+        shown = ", ".join(f"{name} {100 * found[name]:.0f} %" for name in members)
+        parts.append(f"a {group} is sure, which one is open ({shown})")
+    more = "also open" if len(left) < len(known["open"]) else "open"
+    parts = parts or ["no mineral is sure"]
+    parts += [f"{more}: {', '.join(f'{name} ({100 * found[name]:.0f} %)' for name in left)}"] if left else []
+    absent = ", ".join(known["not_needed"])
+    return "; ".join([*parts, *([f"not needed to fit, but not ruled out: {absent}"] if absent else [])])

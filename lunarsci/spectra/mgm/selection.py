@@ -13,7 +13,7 @@ from lunarsci.blocks import arrays_in_blocks, kept_rows
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, MINERALS, SURE, chances, standing
+from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, chances, standing, told
 from lunarsci.spectra.mgm.data import MgmData, deepest_absorption, prepare
 from lunarsci.spectra.mgm.evidence import EvidencePlace
 from lunarsci.spectra.mgm.fit import fit_data, model_digest
@@ -76,7 +76,7 @@ class Choice:
     margin_ln_evidence, margin_bic : ln evidence of the best less that of the next; BIC of the next less that of the
         best. Negative where simplicity, not evidence, decides. [-]
     strong : whether the family has four members or fewer, and a mineral that is in all of them.
-    status : a sentence; it names what is certain and what is open.
+    status : the verdict, which minerals are sure and which are open: what the result says of the spectrum.
     """
 
     id: str
@@ -235,7 +235,7 @@ def _choice(name: str, families: Sequence[str], numbers: FloatArray) -> Choice:
         best.ln_evidence - second.ln_evidence,
         second.bic - best.bic,
         strong,
-        _status(family, shared, strong),
+        told({c.assemblage: c.probability for c in ranked}),
     )
 
 
@@ -274,15 +274,6 @@ def _score(data: MgmData, model: MgmModel, whiten: FloatArray, starts: int) -> t
     [fit] = fit_data([data], model, starts)
     value = EvidencePlace.at(fit.parameters, model, data, whiten).lower(data, whiten).ln_evidence()
     return fit.bic, value, TEMPER * value - PENALTY * len(model.assemblage.minerals)
-
-
-def _status(family: Sequence[str], shared: set[str], strong: bool) -> str:
-    if len(family) == 1:
-        return f"{family[0]}, by strong evidence"
-    if strong:
-        sure = " and ".join(MINERALS[key] for key in MINERALS if key in shared)
-        return f"{sure}, by strong evidence; {' or '.join(family)} cannot be told apart"
-    return f"{family[0]}, by weak evidence: {', '.join(family[1:])} cannot be excluded"
 
 
 def _deepened(model: MgmModel, depth: float) -> MgmModel:
