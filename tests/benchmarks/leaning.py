@@ -253,7 +253,8 @@ def report_halves(rows: list[dict[str, Any]]) -> str:
     errors = [by / np.hypot(one["spread"], one["sigma"]) for by, one in zip(far, leans, strict=True)]
     return (
         f"{len(every)} halves of {len(rows)} right drives, {len(leans)} judged: "
-        f"largest lean {max(far, default=0.0):.3f}, {max(errors, default=0.0):.1f} errors; called leaning: {sum(one['off'] for one in leans)}"
+        f"largest lean {max(far, default=0.0):.3f}, {max(errors, default=0.0):.1f} errors; "
+        f"called leaning: {sum(one['off'] for one in leans)}"
     )
 
 
