@@ -99,11 +99,11 @@ def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], 
     done = run(*command, "-o", target)
     assert (done.code, done.out) == (0, "")
     assert done.err[0] == f"written: {target}"
-    if command[1] in ("bands", "fit"):  # and what it says, for those who wait for the answer
-        assert len(done.err) == 2 and done.err[1].startswith("synthetic_rock: ")
-        assert len(run(*command, "-o", target, "--force", "-q").err) == 0
-    else:
-        assert len(done.err) == 1
+    # And what it says, for those who wait for the answer, and whether it is trusted.
+    assert len(done.err) == 3 and done.err[2].startswith("The command found nothing")
+    if command[1] in ("bands", "fit"):
+        assert done.err[1].startswith("synthetic_rock: ")
+    assert len(run(*command, "-o", target, "--force", "-q").err) == 0
     before = target.read_bytes()
     again = run(*command, "-o", target)
     assert (again.code, again.out) == (2, "")
