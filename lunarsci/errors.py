@@ -2,6 +2,7 @@
 
     LunarSciError
     ├── DataError         an input file or table cannot be used as it is
+    │   └── BatchError    none of several inputs can; it has the reason of each
     ├── ParameterError    a value lies outside what the formula or the command accepts
     │   └── RequestError  options of a job that are impossible, alone or together
     ├── OutputError       a result cannot be written where it was asked for
@@ -10,6 +11,8 @@
 
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
+
+from collections.abc import Sequence
 
 
 class LunarSciError(Exception):
@@ -21,6 +24,45 @@ class LunarSciError(Exception):
 
 class DataError(LunarSciError, ValueError):
     """An input file or table cannot be used as it is."""
+
+
+class Failure(str):
+    """A sentence on an input that gave no result, which begins with its name.
+
+    Attributes
+    ----------
+    input : its name, as it was given or found.
+    reason : the sentence without the name.
+    spectrum : the one of the input that gave none; empty where the whole input did not.
+    """
+
+    input: str
+    reason: str
+    spectrum: str
+
+    @classmethod
+    def of(cls, name: str, why: object, spectrum: str = "") -> "Failure":
+        """The failure of an input by an error, or by a reason in words, whether these name the input or not."""
+        told = str(why)
+        place = f"{name}: {spectrum}: " if spectrum else f"{name}: "
+        made = cls(told if name in told and not spectrum else f"{place}{told}")
+        made.input, made.spectrum = name, spectrum
+        made.reason = told.removeprefix(name).lstrip(":, ") or told
+        return made
+
+
+class BatchError(DataError):
+    """None of several inputs gave a result: the first reason, and how many more inputs there are without one."""
+
+    def __init__(self, message: str, failures: Sequence[Failure] = ()) -> None:
+        super().__init__(message)
+        self.failures = failures
+
+    @classmethod
+    def of(cls, failures: Sequence[Failure]) -> "BatchError":
+        """The error of some failures, one at least."""
+        more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
+        return cls(failures[0] + more, failures)
 
 
 class ParameterError(LunarSciError, ValueError):

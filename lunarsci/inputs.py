@@ -14,7 +14,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
@@ -39,6 +39,8 @@ _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0
 _UNPRINTABLE_SHARE = 0.1
 """Share of characters that are no text, beyond which a file is taken for a binary one; assumed."""
 _BEGINNING = 65536
+_ENDING = 200
+_SCHEMA = re.compile(rb'"schema": ?"lunarsci/[a-z0-9-]+/\d+"\s*\}\s*\Z')
 _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
@@ -57,6 +59,7 @@ NO_DATA = (
     ".py",
     ".sh",
     ".log",
+    ".failed",
 )
 """Ends of names in a folder of inputs that are left out."""
 ABOUT_OTHERS = ("readme", "license", "licence", "changelog", "makefile")
@@ -328,12 +331,6 @@ def unheard() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
-def together(failures: Sequence[str]) -> str:
-    """The first of some failures, and how many more inputs there are without a result."""
-    more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
-    return failures[0] + more
-
-
 def expand_inputs(paths: Iterable[str], *, all_files: bool = False) -> list[str]:
     """Expand folders and glob patterns (`**` included) into sorted file names; each file is listed once.
 
@@ -379,6 +376,16 @@ def no_data(name: str) -> bool:
     """
     path = Path(name)
     return path.suffix.lower() in NO_DATA or path.stem.casefold() in ABOUT_OTHERS
+
+
+def is_result(name: str) -> bool:
+    """Whether a file is a JSON document of lunarsci, by its end: keys are sorted, the schema is last."""
+    try:
+        with Path(name).open("rb") as stream:
+            stream.seek(max(0, Path(name).stat().st_size - _ENDING))
+            return _SCHEMA.search(stream.read()) is not None
+    except OSError:
+        return False
 
 
 def _is_folder(path: str) -> bool:

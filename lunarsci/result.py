@@ -20,7 +20,7 @@ from textwrap import fill
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
-from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import Failure, LunarSciWarning, ParameterError, RequestError
 from lunarsci.names import one_of
 from lunarsci.provenance import Provenance, document, plain, to_json
 
@@ -207,7 +207,7 @@ class Result(ABC):
         return ""
 
     @property
-    def failures(self) -> Sequence[str]:
+    def failures(self) -> Sequence[Failure]:
         return ()
 
     def to_dict(self) -> dict[str, Any]:

@@ -18,10 +18,10 @@ from typing import Any
 import typer
 
 from lunarsci.atomic import written
-from lunarsci.errors import LunarSciError, LunarSciWarning, RequestError
+from lunarsci.errors import BatchError, LunarSciError, LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
-from .emit import emit
+from .emit import emit, emit_failed
 from .examples import epilog
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
@@ -37,6 +37,7 @@ def command(
     request: type | None = None,
     options: Mapping[str, RequestOption] | None = None,
     blocks: Sequence[str] = (),
+    batch: bool = False,
 ) -> Callable[[Callable[..., Report]], Callable[..., None]]:
     """Register a function that returns a `Report` as a command with the shared output options.
 
@@ -47,9 +48,9 @@ def command(
     With `request`, a frozen dataclass of a job, and `options`, what the command line says of its fields, the function
     is handed a `request` made of them; names, types and defaults are those of the dataclass. What it refuses is wrong
     usage. `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
-    `BLOCKS`.
+    `BLOCKS`. A command of a `batch` of inputs, which goes on past a bad one, can list these in a file.
     """
-    shared = shared_options(folder, default_path) | computing_options(blocks)
+    shared = shared_options(folder, default_path, batch) | computing_options(blocks)
     asked = [] if request is None else request_parameters(request, options or {})
 
     def register(function: Callable[..., Report]) -> Callable[..., None]:
@@ -77,6 +78,9 @@ def command(
                     code = emit(report, output, _provenance(context, report, options, heard))
             except RequestError as error:
                 raise typer.BadParameter(_with_flags(_noted(error), context)) from error
+            except BatchError as error:
+                emit_failed(error.failures, output)
+                raise BatchError(_with_flags(_noted(error), context)) from error
             except LunarSciError as error:
                 raise type(error)(_with_flags(_noted(error), context)) from error
             except KeyboardInterrupt as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.atomic import write_files
-from lunarsci.errors import OutputError, RequestError
+from lunarsci.errors import DataError, Failure, OutputError, RequestError
 from lunarsci.names import meant, some_of
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
@@ -44,6 +44,8 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     except Exception as error:
         failed = error
     contents |= {target: make() for target, make in report.extras.items()}
+    if output.failed:
+        contents[output.failed] = _listed(report.failures)
     record = provenance.to_dict(time=not output.no_time)
     whole = {"provenance": record, "schema": f"lunarsci/{report.schema}"}
     value, doubt = ("", "") if output.field_path is None else field_of(report, output.field_path, whole)
@@ -62,7 +64,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     if output.folder or not output.path or report.written:
         _print(text)
     else:
-        for remark in _verdicts(report):
+        for remark in _verdicts(report, record):
             say(remark, quiet=output.quiet)
     for failure in report.failures:
         say(f"error: {failure}")
@@ -71,6 +73,22 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     for remark in filter(None, (report.untrusted, doubt)):
         say(remark)
     return report.exit_code or (UNTRUSTED if doubt else 0)
+
+
+def emit_failed(failures: Sequence[Failure], output: Output) -> None:
+    """Write the list of failed inputs where these are all, and nothing else is written."""
+    if output.failed:
+        write_files({output.failed: _listed(failures)}, force=output.force)
+        say(f"written: {output.failed}", quiet=output.quiet)
+
+
+def _listed(failures: Sequence[Failure]) -> bytes:
+    """A line for each failed input: its name, the reason, and the spectrum, if only that one; tabs between."""
+    lines = (
+        "\t".join(printable(part).replace("\t", r"\x09") for part in (one.input, one.reason, one.spectrum))
+        for one in failures
+    )
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def _print(text: Iterable[bytes]) -> None:
@@ -87,21 +105,36 @@ def _print(text: Iterable[bytes]) -> None:
         raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
 
 
-def _verdicts(report: Report) -> list[str]:
-    """What the result says in a sentence each, for those who had it written to a file; of few spectra."""
-    if not 0 < len(report.result.get("spectra", ())) <= MOST_VERDICTS:
+def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
+    """What a result that was written to a file says in a sentence each, of few spectra; else its answer on a page.
+
+    Then, where nothing else is said of it, whether its command trusts it.
+    """
+    from lunarsci.pages.answers import ANSWERS, answer
+    from lunarsci.pages.documents import Document
+
+    found = Document("", report.schema, report.result, record)
+    if found.kind not in ANSWERS:
         return []
-    tables = report.tables() if callable(report.tables) else report.tables
-    return [note for table in tables if table.title == SAYS for note in table.notes]
+    said: list[str] = []
+    if 0 < len(report.result.get("spectra", ())) <= MOST_VERDICTS:
+        tables = report.tables() if callable(report.tables) else report.tables
+        said = [note for table in tables if table.title == SAYS for note in table.notes]
+    try:
+        told = answer(found)
+    except DataError:  # the result is written: a sentence that cannot be made is no failure
+        return said
+    trusted = [] if report.untrusted or report.failures else [told.trust]
+    return [*(said or [told.text]), *trusted]
 
 
 def _counted(report: Report) -> str:
     """How many inputs of a batch failed, and the first of them."""
-    names = list(dict.fromkeys(failure.split(": ")[0] for failure in report.failures))
+    names = list(dict.fromkeys(failure.input for failure in report.failures))
     found = next(
         (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
     )
-    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: --field provenance.failures"
+    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: --failed FILE"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:

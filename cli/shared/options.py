@@ -24,6 +24,10 @@ FORM_OF = {".txt": "text", ".md": "md", ".tsv": "tsv", ".tex": "latex", ".csv": 
 """The form of a file of --output whose name ends so, where none is asked for."""
 OF_FOLDERS = (".npz", ".tif", ".tiff", ".asc", ".toml", ".ecsv", ".html", ".geojson", *PLOT_SUFFIXES)
 """Ends of names that files in a folder of --output have, and no folder."""
+FAILED_TEXT = (
+    "File for the inputs that gave no result, a line each: name, reason, and the spectrum where only one gave none, "
+    "with tabs between; empty where there are none."
+)
 WIDEST = 24
 """Characters of choices in the help's column of types; more would leave no room for what an option means."""
 
@@ -44,6 +48,7 @@ class Output:
     form: str = "text"
     columns: str | None = None
     folder: bool = False
+    failed: Path | None = None
 
     @property
     def asked(self) -> str:
@@ -81,6 +86,7 @@ class Output:
             check_target(self.path, force=self.force)
         if self.plot:
             check_target(self.plot, force=self.force)
+        self.check_extra("--failed", self.failed, ())
 
     def _check_form(self) -> None:
         given = {
@@ -101,7 +107,8 @@ class Output:
         """The same for a further file of the option `name`, beside those of --output and --plot."""
         if path is None:
             return
-        _check_suffix(name, path, suffixes)
+        if suffixes:
+            _check_suffix(name, path, suffixes)
         for other, taken in (("--output", self.path), ("--plot", self.plot)):
             if taken and taken.resolve() == path.resolve():
                 raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
@@ -117,7 +124,7 @@ def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> An
     return Annotated[kind, typer.Option(*names, help=text, metavar=metavar, rich_help_panel=PANEL)]
 
 
-def shared_options(folder: bool, default_path: str | None) -> dict[str, tuple[Any, Any]]:
+def shared_options(folder: bool, default_path: str | None, batch: bool) -> dict[str, tuple[Any, Any]]:
     """Name of the parameter to its annotation and default."""
     file_text, metavar = (
         "File for the result, instead of stdout; .json, .csv, .md, .tsv or .tex at its end gives the form.",
@@ -159,6 +166,7 @@ def shared_options(folder: bool, default_path: str | None) -> dict[str, tuple[An
             _option(Path | None, "--plot", text="Draw the result: .png, .svg or .pdf.", metavar="FILE"),
             None,
         ),
+        **({"failed": (_option(Path | None, "--failed", text=FAILED_TEXT, metavar="FILE"), None)} if batch else {}),
         "quiet": (_option(bool, "--quiet", "-q", text="No progress, no warnings."), False),
         "verbose": (_option(bool, "--verbose", "-v", text="Say more; a failure shows its traceback."), False),
     }

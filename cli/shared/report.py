@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.errors import Failure
+
 from .printing import names_of
 from .table import TextTable
 from .talk import FAILED, UNTRUSTED
@@ -58,7 +60,7 @@ class Report:
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     written: Sequence[Path] = ()
     untrusted: str = ""
-    failures: Sequence[str] = ()
+    failures: Sequence[Failure] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     raw: Callable[[], str] | None = None
     stored: Mapping[str, Any] | None = None

@@ -38,7 +38,7 @@ AT_A_GLANCE = ("fs_gaffey", "wo_gaffey", "en_gaffey", "fs_trend_bc2000", "fo_bc1
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "bands", request=BandsRequest, options=OPTIONS, blocks=BLOCKS)(bands)
+    command(app, "bands", batch=True, request=BandsRequest, options=OPTIONS, blocks=BLOCKS)(bands)
 
 
 def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = None) -> Report:

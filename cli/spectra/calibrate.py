@@ -58,7 +58,7 @@ OPTIONS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "calibrate", request=CalibrateRequest, options=OPTIONS)(calibrate)
+    command(app, "calibrate", batch=True, request=CalibrateRequest, options=OPTIONS)(calibrate)
 
 
 def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Report:

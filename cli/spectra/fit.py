@@ -88,7 +88,7 @@ WAVELENGTHS_NM, STRENGTHS = (0.0, 3000.0), (-5.0, 5.0)
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "fit", request=FitRequest, options=OPTIONS, blocks=BLOCKS)(fit_spectra)
+    command(app, "fit", batch=True, request=FitRequest, options=OPTIONS, blocks=BLOCKS)(fit_spectra)
 
 
 def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:

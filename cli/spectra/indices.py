@@ -30,7 +30,7 @@ WHY_NOT = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "indices", request=IndicesRequest, options=OPTIONS)(indices)
+    command(app, "indices", batch=True, request=IndicesRequest, options=OPTIONS)(indices)
 
 
 def indices(files: Files, request: IndicesRequest) -> Report:

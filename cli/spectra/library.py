@@ -47,7 +47,7 @@ def add_to(group: typer.Typer) -> None:
     group.add_typer(app, name="library")
 
 
-@command(app, "import", request=ImportRequest, options=OPTIONS)
+@command(app, "import", batch=True, request=ImportRequest, options=OPTIONS)
 def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     """Make a library from RELAB, USGS splib07, ENVI .sli, CSV, ECSV or FITS files: -o LIBRARY.ecsv writes it.
 
@@ -61,13 +61,13 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     return Report.of(library, [_listing(library)], formats={".ecsv": library.to_ecsv})
 
 
-@command(app, "list")
+@command(app, "list", batch=True)
 def list_(files: Libraries) -> Report:
     """What a library holds."""
     return _list(files)
 
 
-@command(app, "check")
+@command(app, "check", batch=True)
 def check(files: Libraries) -> Report:
     """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
     from lunarsci.spectra.jobs.library import check_library
@@ -76,7 +76,7 @@ def check(files: Libraries) -> Report:
     return Report.of(checked, [_findings(checked)])
 
 
-@command(app, "plot")
+@command(app, "plot", batch=True)
 def plot(files: Libraries, output: Output) -> Report:
     """Draw a library, one panel for each mineral: -o FILE.png, .svg or .pdf."""
     if output.plot is None and (output.path is None or output.path.suffix.lower() not in PICTURES):

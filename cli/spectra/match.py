@@ -94,7 +94,7 @@ OPTIONS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "match", request=MatchRequest, options=OPTIONS, blocks=SPREAD)(match)
+    command(app, "match", batch=True, request=MatchRequest, options=OPTIONS, blocks=SPREAD)(match)
 
 
 def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:

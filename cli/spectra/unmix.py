@@ -72,7 +72,7 @@ OPTIONS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "unmix", request=UnmixRequest, options=OPTIONS)(unmix_spectra)
+    command(app, "unmix", batch=True, request=UnmixRequest, options=OPTIONS)(unmix_spectra)
 
 
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:

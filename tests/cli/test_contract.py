@@ -100,11 +100,11 @@ def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], 
     done = run(*command, "-o", target)
     assert (done.code, done.out) == (0, "")
     assert done.err[0] == f"written: {target}"
-    if command[1] in ("bands", "fit"):  # and what it says, for those who wait for the answer
-        assert len(done.err) == 2 and done.err[1].startswith("synthetic_rock: ")
-        assert len(run(*command, "-o", target, "--force", "-q").err) == 0
-    else:
-        assert len(done.err) == 1
+    # And what it says, for those who wait for the answer, and whether it is trusted.
+    assert len(done.err) == 3 and done.err[2].startswith(("The command found nothing", "Composition decides"))
+    if command[1] in ("bands", "fit"):
+        assert done.err[1].startswith("synthetic_rock: ")
+    assert len(run(*command, "-o", target, "--force", "-q").err) == 0
     before = target.read_bytes()
     again = run(*command, "-o", target)
     assert (again.code, again.out) == (2, "")
@@ -332,6 +332,67 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
     listed = run("spectra", "bands", empty, rock, missing, "--field", "provenance.failures")
     assert listed.code == 1
     assert [why.split(": ")[0] for why in json.loads(listed.out)] == [empty, missing]
+
+
+def test_a_batch_lists_what_failed_in_a_file(run: Run, rock: Path, bad_spectra: dict[str, Path]) -> None:
+    listed = rock.parent / "bands.failed"
+    empty, missing = bad_spectra["empty.csv"], bad_spectra["missing.csv"]
+    assert run("spectra", "bands", rock, "--failed", listed).code == 0
+    assert listed.read_bytes() == b""
+    kept = run("spectra", "bands", empty, rock, "--failed", listed)
+    assert kept.code == 2 and "--force" in kept.err[0] and listed.read_bytes() == b""
+    short = rock.parent / "two: and, a\ttab.csv"
+    short.write_text("wavelength_nm,none\n1000,0.1\n2000,0.2\n")
+    for given, code in (((empty, rock, missing, short), 1), ((empty, missing), 1)):
+        assert run("spectra", "bands", *given, "--failed", listed, "--force").code == code
+        lines = [line.split("\t") for line in listed.read_text("utf-8").splitlines()]
+        whole = [line for line in lines if not line[2]]
+        assert [name for name, _, _ in whole] == [str(empty), str(missing)]
+        assert all(reason and not reason.startswith(str(empty.parent)) for _, reason, _ in lines)
+        assert [(name, spectrum) for name, _, spectrum in lines if spectrum] == (
+            [(str(short).replace("\t", r"\x09"), "none")] if short in given else []
+        )
+    assert run("spectra", "bands", rock, "--failed", listed, "-o", listed, "--force").code == 2
+
+
+def test_every_command_of_many_inputs_can_list_what_failed(run: Run, bad_spectra: dict[str, Path]) -> None:
+    missing = bad_spectra["missing.csv"]
+    commands = ["bands", "fit", "unmix", "indices", "match", "calibrate", "library check"]
+    for name in commands:
+        listed = missing.parent / f"{name}.failed"
+        done = run("spectra", *name.split(), missing, "--failed", listed)
+        assert (done.code, done.out) == (1, ""), name
+        assert listed.read_text("utf-8").split("\t")[0] == str(missing), name
+
+
+def test_results_in_a_folder_of_inputs_are_left_out_and_said(run: Run, rock: Path) -> None:
+    folder = rock.parent / "in"
+    folder.mkdir()
+    (folder / "rock.csv").write_bytes(rock.read_bytes())
+    assert run("spectra", "bands", rock, "-o", folder / "bands.json").code == 0
+    (folder / "own.json").write_text('{"schema": "mine/1"}')
+    (folder / "night.failed").write_text("")
+    done = run("spectra", "bands", folder, "--failed", rock.parent / "now.failed", "--json")
+    assert [one["id"] for one in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
+    assert any(f"{folder}: left out, 1 result of lunarsci: bands.json" in line for line in done.err)
+    assert (rock.parent / "now.failed").read_text("utf-8").startswith(f"{folder / 'own.json'}\t")
+    (folder / "rock.csv").unlink()
+    (folder / "own.json").unlink()
+    alone = run("spectra", "bands", folder)
+    assert alone.code == 1 and "nothing but results of lunarsci" in alone.err[-1]
+
+
+def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run: Run, tmp_path: Path) -> None:
+    one, two = tmp_path / "one.json", tmp_path / "two.json"
+    done = run("regolith", "forces", "--load", "36.5", "--slip", "0.1", "-o", one)
+    assert done.err[1].startswith("At 12.4 mm sinkage and a slip of 0.1 a wheel carries 36.5 N, pulls with 4.93 N ")
+    assert done.err[2:] == ["The command found nothing against this result."]
+    weak = ("twin", "predict", "--sweep", "friction_angle_deg=8:10:2")
+    done = run(*weak, "-o", two)
+    assert (done.code, done.out) == (3, "") and done.err[-2].startswith("No-go for the drive")
+    assert not any("nothing against" in line for line in done.err)
+    quiet = run(*weak, "-q", "-o", two, "--force")
+    assert not any(line.startswith("No-go for the drive") for line in quiet.err)
 
 
 def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run: Run, rock: Path) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import RequestError
+from lunarsci.errors import Failure, RequestError
 from lunarsci.kept_blocks import spans
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -97,7 +97,7 @@ class MeasuredBands(Result):
 
     batch: "SpectraBatch"
     measured: "BandsOfSpectra"
-    failures: Sequence[str] = ()
+    failures: Sequence[Failure] = ()
     schema = "spectra-bands/1"
 
     @cached_property

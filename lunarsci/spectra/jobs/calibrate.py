@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, expand_inputs, read_input, together
+from lunarsci.errors import BatchError, DataError, Failure, ParameterError
+from lunarsci.inputs import InputFile, expand_inputs, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
@@ -110,8 +110,8 @@ class Calibrations(Result):
         return f"{doubtful[0].id}: {doubtful[0].doubts[0]}{more}"
 
     @property
-    def failures(self) -> Sequence[str]:
-        return [item.status for item in self.failed]
+    def failures(self) -> Sequence[Failure]:
+        return [Failure.of(item.id, item.status) for item in self.failed]
 
     def to_dict(self) -> dict[str, Any]:
         return {"spectra": [item.to_dict() for item in self.observations]}
@@ -162,7 +162,7 @@ def calibrate(
         *(item for item in results if isinstance(item, CalibrationFailure)),
     ]
     if not good:
-        raise DataError(together([item.status for item in failed]))
+        raise BatchError.of([Failure.of(item.id, item.status) for item in failed])
     return Calibrations(good, failed, settings)
 
 

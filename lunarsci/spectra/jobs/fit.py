@@ -7,7 +7,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import Failure, ParameterError, RequestError
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
@@ -161,7 +161,7 @@ class MgmFits(Result):
     choices: "Mapping[int, Choice]" = field(default_factory=dict)
     intervals: "Mapping[int, Intervals]" = field(default_factory=dict)
     abundances: "Mapping[int, Sequence[Abundance]]" = field(default_factory=dict)
-    failures: Sequence[str] = ()
+    failures: Sequence[Failure] = ()
     files: "Sequence[InputFile]" = ()
 
     @property

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError, Failure, RequestError
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class FoundIndices(Result):
         return MadeFrom(inputs=self.batch.inputs, tables=self.batch.tables, sources=[*sources, SMOOTHING])
 
     @property
-    def failures(self) -> Sequence[str]:
+    def failures(self) -> Sequence[Failure]:
         return self.batch.failures
 
     def content(self) -> dict[str, Any]:

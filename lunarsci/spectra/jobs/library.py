@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
-from lunarsci.inputs import read_input, together
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
+from lunarsci.inputs import read_input
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Library(Result):
     members: "Sequence[EndMember]"
     origins: Sequence[str]
     inputs: Mapping[str, str] = field(default_factory=dict)
-    failures: Sequence[str] = ()
+    failures: Sequence[Failure] = ()
     schema = "spectra-library/1"
 
     @property
@@ -104,7 +104,7 @@ class CheckedLibrary(Result):
         return MadeFrom(inputs=self.library.inputs)
 
     @property
-    def failures(self) -> Sequence[str]:
+    def failures(self) -> Sequence[Failure]:
         return self.library.failures
 
     @property
@@ -146,7 +146,7 @@ def open_library(
     members: list[EndMember] = []
     origins: list[str] = []
     inputs: dict[str, str] = {}
-    failures: list[str] = []
+    failures: list[Failure] = []
     for name in expanded(files, failures):
         if but is not None and Path(name).resolve() == Path(but).resolve():
             continue
@@ -157,9 +157,11 @@ def open_library(
             origins += [source.name] * len(found)
             inputs[source.name] = source.sha256
         except LunarSciError as error:
-            failures.append(str(error) if name in str(error) else f"{name}: {error}")
+            failures.append(Failure.of(name, error))
     if not members:
-        raise DataError(together(failures) if failures else f"{files[0]}: holds no files of spectra")
+        if failures:
+            raise BatchError.of(failures)
+        raise DataError(f"{files[0]}: holds no files of spectra")
     return Library(members=members, origins=origins, inputs=inputs, failures=failures)
 
 

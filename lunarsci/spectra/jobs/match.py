@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import DataError, LunarSciError, ParameterError, RequestError
-from lunarsci.inputs import InputFile, expand_inputs, read_input, together
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, ParameterError, RequestError
+from lunarsci.inputs import InputFile, expand_inputs, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Matches(Result):
     maps: "Sequence[MapReport]"
     inputs: Mapping[str, str]
     tables: Mapping[str, str]
-    unread: Sequence[str]
+    unread: Sequence[Failure]
     schema = "spectra-match/1"
 
     @property
@@ -127,7 +127,7 @@ class Matches(Result):
         return MadeFrom(inputs=self.inputs, tables=self.tables, sources=sources, seed=prior.seed)
 
     @property
-    def failures(self) -> Sequence[str]:
+    def failures(self) -> Sequence[Failure]:
         return self.unread
 
     def content(self) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class MatchInputs:
 
     rocks: "list[Rock]"
     inputs: dict[str, str] = field(default_factory=dict)
-    failures: list[str] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +266,7 @@ def _read(sources: Sequence[Any]) -> MatchInputs:
 
     rocks: list[Rock] = []
     hashes: dict[str, str] = {}
-    failures: list[str] = []
+    failures: list[Failure] = []
     for item in sources:
         try:
             for source in _opened(item):
@@ -274,9 +274,9 @@ def _read(sources: Sequence[Any]) -> MatchInputs:
                 hashes[source.name] = source.sha256
         except LunarSciError as error:
             name = str(item) if isinstance(item, str | Path) else f"<{type(item).__name__}>"
-            failures.append(str(error) if name in str(error) else f"{name}: {error}")
+            failures.append(Failure.of(name, error))
     if not rocks:
-        raise DataError(together(failures))
+        raise BatchError.of(failures)
     return MatchInputs(joined(rocks), hashes, failures)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, together
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, ParameterError
+from lunarsci.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
@@ -55,7 +55,7 @@ class SpectraBatch:
     spectra: SpectrumCollection = field(default_factory=lambda: SpectrumCollection([]))
     origins: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
-    failures: list[str] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
 
     @property
     def tables(self) -> dict[str, str]:
@@ -63,16 +63,16 @@ class SpectraBatch:
         calibrated = any("footprint" in about for about in self.spectra.firsts())
         return table_hashes(*default_settings().tables) if calibrated else {}
 
-    def failures_among(self, reasons: Mapping[int, str]) -> list[str]:
+    def failures_among(self, reasons: Mapping[int, str]) -> list[Failure]:
         """What could not be read, and the reason of each spectrum, by position, that has no result.
 
         Raises DataError when none has one.
         """
         spectra = self.spectra
-        told = (f"{self.origins[k]}: {spectra[k].id}: {reasons[k]}" for k in sorted(reasons))
+        told = (Failure.of(self.origins[k], reasons[k], spectra[k].id) for k in sorted(reasons))
         failures = [*self.failures, *told]
         if len(reasons) == len(spectra):
-            raise DataError(together(failures))
+            raise BatchError.of(failures)
         return failures
 
 
@@ -98,7 +98,9 @@ def read_batch(
         else:
             parts += _from_file(batch, item, wavelength_unit, reflectance_unit)
     if not parts:
-        raise DataError(together(batch.failures) if batch.failures else "no spectra were given; name files or tables")
+        if batch.failures:
+            raise BatchError.of(batch.failures)
+        raise DataError("no spectra were given; name files or tables")
     found = replace(batch, spectra=SpectrumCollection(parts))
     return _those(found, only) if only else found
 
@@ -133,7 +135,7 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
         found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
         told = unlikely(found, source.name)
     except LunarSciError as error:
-        batch.failures.append(str(error) if name in str(error) else f"{name}: {error}")
+        batch.failures.append(Failure.of(name, error))
         return
     for line in told:
         warnings.warn(line, LunarSciWarning, stacklevel=2)
@@ -163,7 +165,7 @@ def _from_memory(
         units = (wavelength_unit, reflectance_unit)
         spectra = [item] if isinstance(item, Spectrum) else _of_arrays(len(batch.origins), item, *units)
     except (DataError, ParameterError) as error:
-        batch.failures.append(str(error))
+        batch.failures.append(Failure.of(f"spectrum {len(batch.origins) + 1}", error))
         return
     for spectrum in spectra:
         content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
@@ -224,7 +226,7 @@ def _rows_of(name: str, given: Any, channels: int) -> FloatArray:
     return np.atleast_2d(values)
 
 
-def expanded(files: Iterable[str], failures: list[str]) -> list[str]:
+def expanded(files: Iterable[str], failures: list[Failure]) -> list[str]:
     """The inputs with folders and patterns expanded, each once; one that matches nothing is remembered."""
     names: list[str] = []
     for file in files:
@@ -232,7 +234,22 @@ def expanded(files: Iterable[str], failures: list[str]) -> list[str]:
             found = expand_inputs([file])
             if found != [file] and any(product_name(name) for name in found):
                 found = [name for name in found if not name.endswith(".json")]
+            elif Path(file).is_dir():
+                found = _without_results(file, found)
             names += without_wavelength_files(found)
         except DataError as error:
-            failures.append(str(error))
+            failures.append(Failure.of(file, error))
     return without_headers(list(dict.fromkeys(names)))
+
+
+def _without_results(folder: str, names: Sequence[str]) -> list[str]:
+    """The files of a folder but lunarsci's own results, with a warning. Raises DataError for none else."""
+    left = [name for name in names if name.lower().endswith(".json") and is_result(name)]
+    if not left:
+        return list(names)
+    told = some_of([Path(name).name for name in left], NAMED_LEFT)
+    count = f"{len(left)} result{'s' if len(left) > 1 else ''}"
+    warnings.warn(f"{folder}: left out, {count} of lunarsci: {told}", LunarSciWarning, 3)
+    if len(left) == len(names):
+        raise DataError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
+    return [name for name in names if name not in left]
