@@ -1,13 +1,15 @@
 """The answer of a result in a sentence or two that can be read aloud, by the kind of the result."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import product
 from typing import Any
 
 from lunarsci.errors import DataError
+from lunarsci.names import some_of
 from lunarsci.pages import drive_answers, image_answers, rock_answers
 from lunarsci.pages.documents import Document
-from lunarsci.pages.sentences import DOUBT, GO, STOP, Result, ResultAnswer, trust
+from lunarsci.pages.sentences import DOUBT, GO, MOST, STOP, Result, ResultAnswer, trust
 from lunarsci.pages.words import counted, measured, number, quantity, unit
 
 
@@ -27,6 +29,24 @@ def answer(document: Document) -> ResultAnswer:
     tone = found.tone if trusted or found.tone == STOP else DOUBT
     text = f"{said} Otherwise: {found.text}" if tone == DOUBT and found.tone == GO else found.text
     return ResultAnswer(text, tone, said)
+
+
+def contradictions(documents: Sequence[Document]) -> dict[str, str]:
+    """What fits and shares of one spectrum say that cannot both be true, by the names of their documents."""
+    spectra: dict[Any, list[tuple[Document, Result]]] = {}
+    for document in (one for one in documents if one.kind == "spectra-fit"):
+        with as_written(document):
+            for given in document.provenance.get("inputs") or ():
+                for record in document.result["spectra"]:
+                    spectra.setdefault((given.get("sha256"), record["id"]), []).append((document, record))
+    found: dict[str, dict[str, None]] = {}
+    for own in spectra.values():
+        for (fit, fitted), (mix, mixed) in product(own, own):
+            with as_written(fit), as_written(mix):
+                told = rock_answers.against(fitted, mixed)
+            for name in (fit.name, mix.name) if told else ():
+                found.setdefault(name, {})[told] = None
+    return {name: some_of(list(told), MOST, " ") for name, told in found.items()}
 
 
 def _unknown(document: Document) -> ResultAnswer:

@@ -3,14 +3,14 @@
 import base64
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import resources
 from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.pages import parts
-from lunarsci.pages.answers import answer, as_written
+from lunarsci.pages.answers import answer, as_written, contradictions
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
@@ -134,7 +134,10 @@ class Page:
     answers: Sequence[ResultAnswer] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "answers", [answer(one) for one in self.documents])
+        against = contradictions(self.documents)
+        said = [(answer(one), against.get(one.name, "")) for one in self.documents]
+        answers = [replace(one, trust=f"{one.trust} {but}") if but else one for one, but in said]
+        object.__setattr__(self, "answers", answers)
 
     def section_title(self, document: Document) -> str:
         """What a section is called: its kind, and its file where several are alike."""

@@ -22,6 +22,8 @@ MOST_LAYERS = 3
 """Layers of a map that a sentence names, centres of bands first."""
 MOST_NAMED = 4
 """Quantities that a sentence names."""
+HARDLY, CLEARLY = 0.05, 0.10
+"""Share of a mineral below which a mixture has hardly any, and above which it clearly has some; assumed."""
 
 
 def calibrated(result: Result) -> ResultAnswer:
@@ -124,6 +126,22 @@ def _mineral_shares(one: Result) -> list[str]:
         for mineral, item in (one.get("abundance") or {}).items()
         if isinstance(item, Mapping) and item.get("fraction") is not None and mineral != "calibration"
     ]
+
+
+def against(fitted: Result, mixed: Result) -> str:
+    """What the fit of a spectrum and its shares say of a mineral that cannot both be true; '' where nothing is.
+
+    `fitted` is of `spectra fit --assemblage auto`; of `mixed`, of `spectra unmix`, count shares that may be quoted.
+    """
+    chosen, told = fitted.get("choice") or {}, []
+    for shares in (one for one in (mixed.get("abundances") or {}).values() if one["in_domain"]):
+        for mineral in chosen.get("sure", ()):
+            if mineral in shares and (most := shares[mineral]["high95"]) < HARDLY:
+                told.append(f"of {mineral}, which the fit is sure of, the shares have {percent(most)} at most")
+        for mineral in chosen.get("not_needed", ()):
+            if mineral in shares and (least := shares[mineral]["low95"]) > CLEARLY:
+                told.append(f"of {mineral}, which the fit does without, the shares have {percent(least)} at least")
+    return f"{fitted['id']}: the fit and the shares contradict each other: {'; '.join(told)} (95 %)." if told else ""
 
 
 def match(result: Result) -> ResultAnswer:
