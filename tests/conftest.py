@@ -23,6 +23,13 @@ os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to
 
 LONGEST = (
     "test_readme.py",
+    "test_atomic.py",
+    "test_examples.py",
+    "test_help.py",
+    "test_fuzz.py",
+    "test_pictures.py",
+    "test_pictures_page.py",
+    "test_cluster.py",
     "test_calibrate.py",
     "test_coverage.py",
     "test_laboratory.py",
@@ -35,7 +42,7 @@ LONGEST = (
     "test_fit.py",
     "test_spoiled.py",
     "test_bands.py",
-    "test_examples.py",
+    "test_orbital_grids.py",
     "test_force_soil.py",
     "test_former_results.py",
     "test_compiled.py",

@@ -1,8 +1,8 @@
-"""`lunarsci` for tests that run many commands: each is forked from a process that has imported everything already.
+"""`lunarsci` for tests that run many commands: each is forked from a process that has begun already.
 
 As a program it serves: `python forked_program.py SOCKET`. Each command has the arguments, folder, environment and open
-files of its caller, and a process of its own; only the second that imports take is saved. That the program starts from
-nothing is shown by test_wheel.py and cli/test_startup.py.
+files of its caller, and a process of its own; only the second is saved that it takes to import everything and to read
+compiled code and fonts. That the program starts from nothing is shown by test_wheel.py and cli/test_startup.py.
 """
 
 import contextlib
@@ -12,6 +12,7 @@ import os
 import pkgutil
 import socket
 import sys
+import tempfile
 from pathlib import Path
 
 CALL = """#!{python} -SE
@@ -24,6 +25,17 @@ with socket.socket(socket.AF_UNIX) as line:
     code = line.recv(1)
 sys.exit(code[0] if code else 1)
 """
+WARM_UP = (
+    "template plan -o plan.toml",
+    "twin predict plan.toml --plot drive.png",
+    "twin simulate plan.toml --seed 1 -o drive",
+    "twin states drive/telemetry.csv plan.toml --track drive/track.csv -o states",
+    "spectra simulate --rock ol=0.1,opx=0.4,cpx=0.2,plg=0.3 --seed 1 -o scene",
+    "spectra calibrate scene -o rock.ecsv",
+    "spectra fit rock.ecsv --assemblage OPX-CPX",
+    "spectra unmix rock.ecsv --kind solid-rock",
+)
+"""What reads most of the compiled code, and the fonts."""
 
 
 def write_program(path: Path, address: Path) -> None:
@@ -42,6 +54,19 @@ def import_everything() -> None:
     for name in ("astropy.io.ascii", "astropy.io.fits", "astropy.table", "matplotlib.figure", "pandas", "rich.table",
                  "matplotlib.backends.backend_agg", "scipy.optimize", "scipy.spatial", "scipy.stats"):  # fmt: skip
         importlib.import_module(name)
+
+
+def warm_up() -> None:
+    """Run some commands, silently; each succeeds or is not to be trusted."""
+    from lunarsci.cli import main
+
+    home = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder, Path(os.devnull).open("w") as nowhere:
+        os.chdir(folder)
+        with contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+            codes = [main(line.split()) for line in WARM_UP]
+        os.chdir(home)
+    assert set(codes) <= {0, 3}, codes
 
 
 def answer(line: socket.socket) -> None:
@@ -74,6 +99,7 @@ def serve(address: str) -> None:
     import signal
 
     import_everything()
+    warm_up()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(address)

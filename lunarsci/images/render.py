@@ -201,13 +201,13 @@ def _truth(world: World, landscape: Landscape, rig: StereoRig, poses: tuple[Pose
     seen = seen_by(world, center, ways, np.broadcast_to(landscape.sun, ways.shape), False)
     kind, far = seen.kind, np.where(np.isfinite(seen.far), seen.far, np.nan)
     points = center + ways * far[:, None]
-    lit = seen.lit / 5
+    lit, sunny = seen.lit / 5, points[seen.facing]
     for turn in np.arange(4) / 4:
-        suns = np.broadcast_to(_disk(landscape.sun, np.array([[turn], [0.64]])), ways.shape)
-        lit += (seen.facing & clear(world, np.nan_to_num(points), suns, np.full(len(ways), np.inf))) / 5
+        suns = np.broadcast_to(_disk(landscape.sun, np.array([[turn], [0.64]])), sunny.shape)
+        lit[seen.facing] += clear(world, sunny, suns, np.full(len(sunny), np.inf)) / 5
     back = np.nan_to_num(poses[1].center_m - points, nan=1.0)
-    reach = np.linalg.norm(back, axis=1)
-    clear_to_right = clear(world, np.nan_to_num(points), back / reach[:, None], reach)
     inside = rig.right.sees(np.nan_to_num(rig.right.project(poses[1].to_camera(points)), nan=-1e9))
-    shown = clear_to_right & inside & (kind > 0)
+    shown = inside & (kind > 0)
+    reach = np.linalg.norm(back[shown], axis=1)
+    shown[shown] = clear(world, points[shown], back[shown] / reach[:, None], reach)
     return PixelTruth(*(layer.reshape(height, width, *layer.shape[1:]) for layer in (points, kind, lit, shown)))  # type: ignore[arg-type]
