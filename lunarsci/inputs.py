@@ -342,9 +342,9 @@ def expand_inputs(paths: Iterable[str], *, all_files: bool = False) -> list[str]
 
 
 def _expanded(path: str, *, all_files: bool) -> Iterator[str]:
-    if path == "-" or not (glob.has_magic(path) or _is_folder(path)) or _is_file(path):
+    if path == "-" or not (glob.has_magic(path) or _is(Path.is_dir, path)) or _is(Path.is_file, path):
         return iter((path,))
-    if _is_folder(path):
+    if _is(Path.is_dir, path):
         return iter(_files_of_folder(path, all_files=all_files))
     # Path.glob takes no absolute patterns.
     found = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
@@ -388,15 +388,8 @@ def is_result(name: str) -> bool:
         return False
 
 
-def _is_folder(path: str) -> bool:
+def _is(kind: Callable[[Path], bool], path: str) -> bool:
     try:
-        return Path(path).is_dir()
-    except (OSError, ValueError):
-        return False
-
-
-def _is_file(path: str) -> bool:
-    try:
-        return Path(path).is_file()
-    except (OSError, ValueError):
+        return kind(Path(path))
+    except (OSError, ValueError):  # a name that no path can have
         return False

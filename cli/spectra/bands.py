@@ -84,13 +84,12 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
 
 def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
     """The centre with the error of its noise, and what methods differ by, to the same place."""
-    from lunarsci.spectra.band_status import spread_of, with_errors
+    from lunarsci.spectra.band_status import with_errors
 
     center, sigma = record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]
-    spread = spread_of(record[f"bc{key}_systematic_nm"], record[f"bc{key}_method_nm"])
     if center is None:
         return ["-", "-"]
-    value, noise, *method = with_errors(center, sigma, spread)
+    value, noise, *method = with_errors(center, sigma, record[f"bc{key}_method_nm"])
     return [f"{value} ± {noise}", *(method or ["-"])]
 
 

@@ -109,13 +109,16 @@ QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
 
 def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
+    from lunarsci.regolith.written_rover import short_name
     from lunarsci.twin.judgement.load_check import check_loads, load_notes
 
     verdict, prediction = found.verdict, found.prediction
     rows = [_limit_row(limit) for limit in verdict.limits]
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
     said = f"{verdict.verdict.upper()}{', doubtful' if found.soils.doubt else ''}"
-    title = f"{said}: {prediction.plan.name}; {drives} on {prediction.terrain.name}"
+    title = (
+        f"{said}: {prediction.plan.name}; {drives} of {short_name(prediction.rover.name)} on {prediction.terrain.name}"
+    )
     notes = [
         *([found.soils.doubt] if found.soils.doubt else []),
         *found.inputs.soil_notes(prediction.members, len(prediction.parameters)),

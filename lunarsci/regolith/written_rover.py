@@ -29,10 +29,10 @@ def written_for(name: str, wheel: Wheel) -> str:
     >>> written_for("My rover, the second", Wheel(radius_m=0.11, width_m=0.09))
     'My rover the second; wheels 110 x 90 mm'
     """
-    return f"{_short(name)}; {size_of(wheel)}"
+    return f"{short_name(name)}; {size_of(wheel)}"
 
 
-def _short(name: str) -> str:
+def short_name(name: str) -> str:
     """The name by which lunarsci knows a rover, else its own without what CSV has to quote."""
     return _asked_for().get(name) or " ".join(re.sub(r'[,;"]', " ", name).split())
 
@@ -91,6 +91,6 @@ def check_written_for(file: str, table: "pd.DataFrame", wheel: Wheel, rover: str
             f"{file}: was written for '{written}', and is read for {size_of(wheel)}{f' of {rover}' if rover else ''}: "
             "name its rover with `rover`, or drop the column rover if that is wrong"
         )
-    if written and rover and name != _short(rover):
-        text = f"{file}: was written for '{name}', and is read for {_short(rover)}; name its rover with `rover`"
+    if written and rover and name != short_name(rover):
+        text = f"{file}: was written for '{name}', and is read for {short_name(rover)}; name its rover with `rover`"
         warnings.warn(text, LunarSciWarning, stacklevel=3)

@@ -65,6 +65,7 @@ from lunarsci.spectra.band_status import (
     DEPTH,
     DEPTH_CALIBRATION,
     DEPTH_SIGMA,
+    GAUSSIAN,
     METHOD,
     NO_TIES,
     NOT_COVERED,
@@ -163,7 +164,7 @@ def measure_rows(
 
     Returns
     -------
-    `QUANTITIES`, (m, 2, 15), NaN where there is none, and `CODES`, (m, 2, 3).
+    `QUANTITIES`, (m, 2, 16), NaN where there is none, and `CODES`, (m, 2, 3).
     """
     count, places = len(reflectance), places_of(grid, wanted)
     numbers, codes = nothing_of(count)
@@ -350,7 +351,8 @@ def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, fo
             least, most = min(least, there), max(most, there)
     if most - least > SAME_NM:
         found[SYSTEMATIC] = (most - least) / 2.0
-    found[METHOD] = abs(k[GAUSSIAN_NM, lane] - k[SHAPE_NM, lane]) / 2.0
+    found[GAUSSIAN] = abs(k[GAUSSIAN_NM, lane] - k[SHAPE_NM, lane]) / 2.0
+    found[METHOD] = np.fmax(found[SYSTEMATIC], found[GAUSSIAN])
 
 
 @uncounted

@@ -88,12 +88,12 @@ STATUSES = (
 ) = range(len(STATUSES))  # fmt: skip
 
 QUANTITIES = (
-    "center_nm", "center_sigma_nm", "center_systematic_nm", "center_method_nm", "depth", "depth_sigma", "area_nm",
-    "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm", "depth_calibration",
-    "area_calibration_nm", "deepest_nm", "note_deepest_nm",
+    "center_nm", "center_sigma_nm", "center_systematic_nm", "center_gaussian_nm", "center_method_nm", "depth",
+    "depth_sigma", "area_nm", "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm",
+    "depth_calibration", "area_calibration_nm", "deepest_nm", "note_deepest_nm",
 )  # fmt: skip
 (
-    CENTER, CENTER_SIGMA, SYSTEMATIC, METHOD, DEPTH, DEPTH_SIGMA, AREA_NM, AREA_SIGMA, ASYMMETRY_SHARE,
+    CENTER, CENTER_SIGMA, SYSTEMATIC, GAUSSIAN, METHOD, DEPTH, DEPTH_SIGMA, AREA_NM, AREA_SIGMA, ASYMMETRY_SHARE,
     ASYMMETRY_SIGMA, CENTER_CALIBRATION, DEPTH_CALIBRATION, AREA_CALIBRATION, DEEPEST, NOTE_DEEPEST
 ) = range(len(QUANTITIES))  # fmt: skip
 Codes = npt.NDArray[np.int8]
@@ -105,6 +105,7 @@ JSON_KEYS = {
     "center_nm": "bc{}_nm",
     "center_sigma_nm": "bc{}_sigma_nm",
     "center_systematic_nm": "bc{}_systematic_nm",
+    "center_gaussian_nm": "bc{}_gaussian_nm",
     "center_method_nm": "bc{}_method_nm",
     "depth": "bd{}",
     "depth_sigma": "bd{}_sigma",
@@ -148,11 +149,6 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     )
 
 
-def spread_of(*spreads: float | None) -> float | None:
-    """What methods differ by: continua, or minimum and Gaussian, whichever is more; None where neither is known."""
-    return max((spread for spread in spreads if spread is not None), default=None)
-
-
 def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]:
     """A value and its errors, to the second digit of the largest or so many places; no error is written as 0.
 
@@ -192,7 +188,8 @@ class BandResult:
         the bias of the window it is found from. [nm]
     center_systematic_nm : half the range of the centre over all continua under which there is one, also those not fit
         for use; None where there is one only, or where all of them rest on the same tie points. [nm]
-    center_method_nm : half the difference from the centre of a Gaussian through the deeper half of the band. [nm]
+    center_gaussian_nm : half the difference from the centre of a Gaussian through the deeper half of the band. [nm]
+    center_method_nm : what methods differ by: the larger of these two. [nm]
     depth, depth_sigma : 1 - R/continuum at the centre. [-]
     area_nm, area_sigma_nm : integral of 1 - R/continuum over the window. [nm]
     asymmetry, asymmetry_sigma : area beyond the centre less that before it, over both; -1 to 1. [-]
@@ -207,6 +204,7 @@ class BandResult:
     center_nm: float | None = None
     center_sigma_nm: float | None = None
     center_systematic_nm: float | None = None
+    center_gaussian_nm: float | None = None
     center_method_nm: float | None = None
     depth: float | None = None
     depth_sigma: float | None = None
@@ -226,5 +224,4 @@ class BandResult:
         """The centre with both of its errors; '' where there is none."""
         if self.center_nm is None or self.center_sigma_nm is None:
             return ""
-        spread = spread_of(self.center_systematic_nm, self.center_method_nm)
-        return centre_said(self.center_nm, self.center_sigma_nm, spread, named=False)
+        return centre_said(self.center_nm, self.center_sigma_nm, self.center_method_nm, named=False)

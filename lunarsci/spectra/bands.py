@@ -33,7 +33,6 @@ from lunarsci.spectra.band_status import (
     QUANTITIES,
     SPARSE,
     STATUS,
-    SYSTEMATIC,
     BandResult,
     Codes,
     depends_on_method,
@@ -120,6 +119,7 @@ class BandColumns:
     center_nm: FloatArray
     center_sigma_nm: FloatArray
     center_systematic_nm: FloatArray
+    center_gaussian_nm: FloatArray
     center_method_nm: FloatArray
     depth: FloatArray
     depth_sigma: FloatArray
@@ -139,7 +139,7 @@ class BandColumns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandArrays:
-    """Both bands of m spectra: numbers (m, 2, 15) and codes (m, 2, 3), which `bands` has by name."""
+    """Both bands of m spectra: numbers (m, 2, 16) and codes (m, 2, 3), which `bands` has by name."""
 
     numbers: FloatArray
     codes: Codes
@@ -147,8 +147,7 @@ class BandArrays:
     @property
     def depends(self) -> BoolArray:
         """(m, 2) whether methods differ by much more than the noise does."""
-        spread = np.fmax(self.numbers[..., SYSTEMATIC], self.numbers[..., METHOD])
-        return depends_on_method(self.numbers[..., CENTER_SIGMA], spread)
+        return depends_on_method(self.numbers[..., CENTER_SIGMA], self.numbers[..., METHOD])
 
     @property
     def bands(self) -> dict[str, BandColumns]:

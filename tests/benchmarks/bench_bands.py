@@ -91,7 +91,7 @@ def compare(folder: Path) -> None:
         for key, centres in other_centres(wavelength, spectra).items():
             bands = [item.bands[key] for item in found if isinstance(item, SpectrumBands)]
             off = np.abs([(band.center_nm or np.nan) for band in bands] - centres)
-            spread = np.array([max(band.center_systematic_nm or 0.0, band.center_method_nm or 0.0) for band in bands])
+            spread = np.array([band.center_method_nm or 0.0 for band in bands])
             seen = np.isfinite(off)
             print(
                 f"{kind:11} {key}: minimum of the smoothed curve off by {np.median(off[seen]):.1f} nm (median), "

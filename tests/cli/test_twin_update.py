@@ -171,7 +171,7 @@ def test_bad_states_are_one_line_that_says_what_is_wrong(
 ) -> None:
     path = tmp_path / "states.csv"
     path.write_text(text)
-    done = run("twin", "update", path, "--plan", short_plan)
+    done = run("twin", "update", path, "--plan", short_plan, "--rover", "yutu2")
     assert done.code == 1 and says in done.err[0] and done.out == ""
 
 
@@ -182,3 +182,25 @@ def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path)
     assert done.code == 1 and "add sigma_m" in done.err[0]
     done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--soil", short_plan)
     assert done.code == 1 and "not valid JSON" in done.err[0]
+
+
+def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan: Path, tmp_path: Path) -> None:
+    """Four wheels of six, and nobody says whose they are; and a belief that another rover learned."""
+    four = "".join(f"{t},{name},0.01\n" for t in range(1, 9) for name in ("FL", "FR", "RL", "RR"))
+    path, belief = tmp_path / "states.csv", tmp_path / "b.json"
+    path.write_text(f"time_s,wheel,sinkage_m\n{four}")
+    update = ("twin", "update", path, "--plan", short_plan)
+    refused = run(*update)
+    assert refused.code == 1
+    assert "no rover is named, so yutu2 is taken, and there are no states of its ML, MR" in refused.err[0]
+    assert run(*update, "--rover", "small-four", "--save", belief).code in (0, 3)
+    predict = ("twin", "predict", short_plan, "--soil", belief, "--members", "4")
+    all_six = four + "".join(f"{t},{name},0.01\n" for t in range(1, 9) for name in ("ML", "MR"))
+    (tmp_path / "six.csv").write_text(f"time_s,wheel,sinkage_m\n{all_six}")
+    for command in (predict, ("twin", "update", tmp_path / "six.csv", "--plan", short_plan, "--soil", belief)):
+        refused = run(*command)
+        assert refused.code == 2, refused.err
+        assert "was learned with 'small-four; wheels" in refused.err[0] and "--rover yutu2 to drive" in refused.err[0]
+    same, other = (run(*predict, "--rover", name) for name in ("small-four", "yutu2"))
+    assert not any("was learned with" in line for line in same.err) and "4 drives of small-four on" in same.out
+    assert any("was learned with 'small-four; wheels" in line for line in other.err)

@@ -21,14 +21,10 @@ MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 def centres_said(record: Mapping[str, Any]) -> dict[str, str]:
     """By key of each band that is there, its centre with the errors of noise and of method."""
-    from lunarsci.spectra.band_status import centre_said, spread_of
+    from lunarsci.spectra.band_status import centre_said
 
     return {
-        key: centre_said(
-            record[f"bc{key}_nm"],
-            record[f"bc{key}_sigma_nm"],
-            spread_of(record[f"bc{key}_systematic_nm"], record[f"bc{key}_method_nm"]),
-        )
+        key: centre_said(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"], record[f"bc{key}_method_nm"])
         for key in ("1000", "2000")
         if record[f"bc{key}_nm"] is not None
     }

@@ -277,6 +277,7 @@ def update(
     from lunarsci.twin.assimilation.slip_lean import SlipLean
     from lunarsci.twin.assimilation.update import assimilate
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.plans.rover_check import RoverCheck, check_rover_known
 
     asked = request_of(UpdateRequest, request, options)
     if asked.correlation is not None and asked.soil is None and not asked.by_place:
@@ -285,9 +286,13 @@ def update(
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     record = read_record(source, known.rover, positions=fixes)
     before = Before.read(asked, known)
+    check = RoverCheck(known.description, known.rover, asked=asked.rover is not None)
+    check.belief(before.file.name if before.file else "", before.belief)
     before.refuse_known(source)
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
     along = record if fixes is None else read_record(source, known.rover)
+    if asked.rover is None and known.made_for["plan"] is None:
+        check_rover_known(source, known.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
     teach = not before.belief.discrepancy.has_scored(source.sha256)
     drive = (known.rover, known.terrain, known.plan)
@@ -334,6 +339,8 @@ class _DrivenLine:
 
     def of(self, found: "SoilUpdate") -> Mapping[str, Any]:
         """The line of history of what was found."""
+        from lunarsci.regolith.written_rover import written_for
+
         doubts = () if found.refused else (*self.doubts, found.doubt)
         caution = "; ".join(self.before.cautions(found))
         return (
@@ -341,6 +348,7 @@ class _DrivenLine:
                 "states": Path(self.states.name).name,
                 "sha256": self.states.sha256,
                 "plan": self.known.plan.name,
+                "rover": written_for(self.known.description.name, self.known.rover.wheel),
                 "values": found.values,
                 "outliers": int(found.outliers.sum()),
                 "chi_square": found.chi_square,

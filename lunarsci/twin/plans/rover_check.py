@@ -6,8 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lunarsci.errors import LunarSciWarning, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, RequestError
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.written_rover import rover_written, short_name, written_for
 from lunarsci.rovers import MadeFor, RoverDescription
+from lunarsci.tables import read_csv_table
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
@@ -56,6 +60,23 @@ def _replaced(limit: Limit, value: float, source: str) -> Limit:
 
 
 EMBEDDED = "the embedded plan"
+
+
+def check_rover_known(states: InputFile, rover: Rover) -> None:
+    """Warn where nothing names the rover of wheel states that are read for the default one.
+
+    Raises DataError where they lack whole wheels of it: another rover's may bear the same names.
+    """
+    table = read_csv_table(states)
+    if rover_written(states.name, table) or "wheel" not in table:
+        return
+    taken = f"no rover is named, so {short_name(rover.name)} is taken"
+    missing = [name for name in rover.wheels if name not in set(table["wheel"].dropna().str.strip())]
+    if missing:
+        raise DataError(
+            f"{states.name}: {taken}, and there are no states of its {', '.join(missing)}; name yours with `rover`"
+        )
+    warnings.warn(f"{states.name}: {taken}: another one's wheels learn another soil; give `rover`", LunarSciWarning, 3)
 
 
 @dataclass(slots=True)
@@ -115,6 +136,22 @@ class RoverCheck:
             return
         what = "" if len(driven.replaced) == len(SOIL_COLUMNS) else f" ({', '.join(driven.replaced)})"
         self.say(f"soil {driven.name} takes the place of the soil that {path} carries{what}; leave it out to keep that")
+
+    def belief(self, name: str, belief: SoilBelief | None) -> None:
+        """Say it where a belief was learned with another rover, as its values are those of that one's wheels.
+
+        Raises RequestError where nobody asked for this rover.
+        """
+        learned = str(belief.history[-1].get("rover", "")) if belief is not None and belief.history else ""
+        own = written_for(self.description.name, self.rover.wheel)
+        if not learned or learned == own:
+            return
+        if not self.asked:
+            raise RequestError(
+                f"{name} was learned with '{learned}'; give that one's file as `rover`, or `rover` "
+                f"{self.description.origin} to drive its soil with '{own}' all the same"
+            )
+        self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
 
     def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
         limits = limits_of_rover(plan.limits, self.description, self.rover)
