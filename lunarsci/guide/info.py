@@ -296,8 +296,8 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     return "spectra" if len(columns) < 2 or _is_wavelength(columns[0], name, lines) else "table"
 
 
-def _cells(name: str, lines: Sequence[str]) -> list[str]:
-    separator = separator_of(lines[0]) if lines else ","
+def _cells(name: str, lines: Sequence[str], separator: str = "") -> list[str]:
+    separator = separator or (separator_of(lines[0]) if lines else ",")
     return [cell.strip() for cell in next(csv_rows(name, lines, delimiter=separator), [])]
 
 
@@ -310,7 +310,8 @@ def _is_wavelength(column: str, name: str, lines: Sequence[str]) -> bool:
         if WAVELENGTH.search(column):
             return True
     try:
-        values = [float(_cells(name, [line])[0]) for line in lines[1:MOST_LINES]]
+        separator = separator_of(lines[0])
+        values = [float(_cells(name, [line], separator)[0].replace(",", ".")) for line in lines[1:MOST_LINES]]
     except (ValueError, IndexError):
         return False
     steps = {one < other for one, other in pairwise(values) if one != other}

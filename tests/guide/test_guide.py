@@ -154,6 +154,7 @@ def test_commands_that_info_names_exist() -> None:
         ("a.csv", "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n0.008,0.05,32.03,-1.3\n", "states"),
         ("a.csv", "time_s,wheel,sinkage_m,slip_ratio\n0,FL,0.008,0.05\n", "slips"),
         ("a.csv", "x,rock\n" + "".join(f"{n},0.1\n" for n in range(450, 2400, 50)), "spectra"),
+        ("a.csv", "x;rock\n" + "".join(f"0,{n};0,1\n" for n in range(450, 950, 50)), "spectra"),
         ("a.csv", "450,0.1\n500,0.2\n", "spectra"),
         ("a.toml", "[spectra.bands]\nsmooth = 3\n", "config"),
         ("a.toml", "position_m = [0.0, 0.0, 1.5]\nheading_deg = 0.0\ndown_deg = 20.0\nroll_deg = 0.0\n", "pose"),
