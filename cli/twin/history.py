@@ -112,6 +112,8 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
     notes = [f"drive {d['drive']} taught nothing: {d['refused']}" for d in drives if d["refused"]]
     notes += [f"drive {d['drive']} is doubtful: {d['doubt']}" for d in drives if d["doubt"]]
     notes += [f"drive {d['drive']} was learned with a warning: {d['caution']}" for d in drives if d["caution"]]
+    rovers = list(dict.fromkeys(drive["rover"] for drive in drives if drive["rover"]))
+    notes += [f"driven by {'; '.join(rovers)}"] if rovers else []
     notes.append("surprise: how far the soil found lies from what was believed before; about 1 or less as expected")
     return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
 

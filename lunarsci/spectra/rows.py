@@ -146,7 +146,8 @@ def _plain_numbers(lines: Sequence[str], separator: str) -> FloatArray | None:
 def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool) -> str:
     cell = row.fields[column]
     comma = "," in cell and not decimal_comma
-    hint = "; a decimal comma needs ';' between the columns" if comma else "; correct it, leave it blank if unknown, or take out a column that is no spectrum"
+    mend = "; correct it, leave it blank if unknown, or take out a column that is no spectrum"
+    hint = "; a decimal comma needs ';' between the columns" if comma else mend
     wrong = (
         "; or is the file no table of spectra?" if column == 0 and sum(map(str.isalpha, cell)) > MOST_LETTERS else ""
     )
