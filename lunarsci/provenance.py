@@ -64,7 +64,7 @@ class Provenance:
             "versions": {"python": platform.python_version(), **{name: installed_version(name) for name in _PACKAGES}},
             "warnings": list(self.warnings),
             "untrusted": self.untrusted,
-            "failures": list(self.failures),
+            "failures": list(map(str, self.failures)),
         }
         if time:
             record["time_utc"] = datetime.now(UTC).isoformat(timespec="seconds")
