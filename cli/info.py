@@ -25,8 +25,8 @@ def info(file: File) -> Report:
     Spectra, image cubes, pictures, terrains, plans, missions, rovers, soils, beliefs, telemetry, wheel states,
     catalogues and results are known. Exit code 3: it is one of these, but commands would refuse it, and why.
 
-    --field result.KEY… of a stored result prints a value of it, without computing anything again; exit code 3 where
-    there is no value, or one that is not to be used.
+    --field result.KEY… or provenance.KEY… of a stored result prints a value of it, without computing anything again;
+    exit code 3 where there is no value, or one of the result that is not to be used.
     """
     from lunarsci.guide.info import info
 

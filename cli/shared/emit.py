@@ -69,7 +69,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     for failure in report.failures:
         say(f"error: {failure}")
     if report.failures:
-        say(_counted(report))
+        say(_counted(report, output.failed))
     for remark in filter(None, (report.untrusted, doubt)):
         say(remark)
     return report.exit_code or (UNTRUSTED if doubt else 0)
@@ -128,13 +128,13 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
     return [*(said or [told.text]), *trusted]
 
 
-def _counted(report: Report) -> str:
+def _counted(report: Report, failed: str | Path | None) -> str:
     """How many inputs of a batch failed, and the first of them."""
     names = list(dict.fromkeys(failure.input for failure in report.failures))
     found = next(
         (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
     )
-    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: --failed FILE"
+    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
@@ -172,11 +172,11 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
     result have, or could have, is a value that is missing here; any other is wrong usage.
     """
     steps = path.split(".")
-    stored = report.stored if report.stored and steps[0] == "result" and len(steps) > 1 else None
+    stored = report.stored if report.stored and steps[0] in ("result", "provenance") and len(steps) > 1 else None
     own = stored["result"] if stored else report.result
     value, doubt = _opened(own), ""
     if steps[0] in whole and steps[0] not in value:
-        value = whole
+        value = stored or whole
     steps = steps[1:] if steps[0] == "result" else steps
     top = value
     for depth, step in enumerate(steps):
@@ -201,7 +201,7 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
     elif doubt:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
-    kept = (stored.get("provenance") or {}).get("untrusted") if stored else ""
+    kept = (stored.get("provenance") or {}).get("untrusted") if stored and path.startswith("result") else ""
     return f"{text}\n", doubt or kept or ""
 
 

@@ -25,7 +25,8 @@ def answer(document: Document) -> ResultAnswer:
         told = (document.result, document.result.get("soil"))
         caution = next((str(one["caution"]) for one in told if isinstance(one, Mapping) and one.get("caution")), "")
         trusted, said = trust(document.provenance, caution)
-        said = found.trust if trusted and found.trust else said
+        if trusted and found.trust:
+            said = f"{found.trust} {said}" if document.provenance.get("failures") else found.trust
     tone = found.tone if trusted or found.tone == STOP else DOUBT
     text = f"{said} Otherwise: {found.text}" if tone == DOUBT and found.tone == GO else found.text
     return ResultAnswer(text, tone, said)

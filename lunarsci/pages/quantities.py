@@ -18,6 +18,7 @@ PARTS = {
     "systematic": "systematic part",
     "calibration": "calibration, shared",
     "method": "choice of method",
+    "gaussian": "minimum or Gaussian",
     "continuum": "choice of continuum",
     "common_sigma": "common to all",
     "model": "of the model",

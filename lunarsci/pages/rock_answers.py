@@ -10,7 +10,7 @@ from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
 
-ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
+ERRORS = ("sigma", "systematic", "gaussian", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
 UNDECIDED = ("composition decides nothing", "composition hardly decides")
 """What `match` says where its posterior is the prior, or nearly."""
@@ -82,7 +82,9 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def fit(result: Result) -> ResultAnswer:
-    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short))
+    strained = [str(one["id"]) for one in result["spectra"] if "strained" in (one.get("status") or "")]
+    doubt = f"In doubt, as they are strained: {some_of(strained, MOST_NAMED)}." if strained else ""
+    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short), trust=doubt)
 
 
 def _fit_in_short(one: Result) -> str:
@@ -110,7 +112,9 @@ def _one_fit(one: Result) -> str:
     """What its command says below its tables, then which assemblages cannot be told apart, and the pyroxenes."""
     verdict = shares_verdict(one) if "kind" in one else fit_verdict(one)
     family = (one.get("choice") or {}).get("family")
-    chosen = f" Assemblages that cannot be told apart: {', '.join(family)}." if family and len(family) > 1 else ""
+    weak = "" if (one.get("choice") or {}).get("strong", True) else "By weak evidence; "
+    apart = "assemblages that cannot be told apart" if weak else "Assemblages that cannot be told apart"
+    chosen = f" {weak}{apart}: {', '.join(family)}." if family and len(family) > 1 else ""
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."

@@ -67,14 +67,17 @@ def heard_of(record: Mapping[str, Any]) -> list[str]:
 
 
 def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:
-    """Whether the command that made a result trusts it, and what it says, from its provenance and a `caution`."""
+    """Whether the command that made a result trusts it, and what it says, from its provenance and a `caution`.
+
+    Inputs that gave no result are said, and are nothing against the results of the others.
+    """
     lines = [sentence(str(record["untrusted"]))] if record.get("untrusted") else []
     failed = record.get("failures") or []
     if failed:
         more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         lines.append(f"{counted(len(failed), 'input')} gave no result: {str(failed[0]).rstrip('.')}{more}.")
     if lines:
-        return False, " ".join(lines)
+        return not record.get("untrusted"), " ".join(lines)
     if "untrusted" not in record:
         return True, "The file does not say whether its command trusts it, as it is of an older version; make it anew."
     heard = heard_of(record)

@@ -15,6 +15,8 @@ from lunarsci.inputs import csv_rows
 
 MOST_LETTERS = 3
 """Letters of a number that is misspelt, at most; a first cell with more is a name."""
+UNITS = ("nm", "um", "µm", "μm", "micron", "microns", "%", "percent", "nanometer", "micrometer")
+"""Cells of a row of units below the header."""
 _LONGEST_SHOWN = 40
 
 
@@ -147,6 +149,8 @@ def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool)
     cell = row.fields[column]
     comma = "," in cell and not decimal_comma
     mend = "; correct it, leave it blank if unknown, or take out a column that is no spectrum"
+    if cell.strip().casefold() in UNITS:
+        mend = "; write units into the header, as in 'wavelength [nm]' and 'rock [%]', and take their row out"
     hint = "; a decimal comma needs ';' between the columns" if comma else mend
     wrong = (
         "; or is the file no table of spectra?" if column == 0 and sum(map(str.isalpha, cell)) > MOST_LETTERS else ""

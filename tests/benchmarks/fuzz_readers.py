@@ -528,6 +528,7 @@ def soil_readers() -> dict[str, Reader]:
     def wheel_states(path: Path) -> Any:
         from lunarsci.regolith.wheel import read_wheel
 
+        of_file("regolith.written_rover:rover_of_states", None, "yutu2")(path)
         return of_file("regolith.states:read_states", read_wheel("yutu2"))(path)
 
     def to_predict(path: Path) -> Any:
@@ -594,6 +595,15 @@ def drive_readers() -> dict[str, Reader]:
             path
         )
 
+    def record(path: Path) -> Any:
+        from lunarsci.errors import DataError
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with contextlib.suppress(DataError):
+                with_rover("twin.plans.rover_check:check_rover_known")(path)
+        return with_rover("twin.assimilation.drive_record:read_record")(path)
+
     def sent(path: Path) -> Any:
         from lunarsci.twin.telemetry.checks import Findings
 
@@ -610,9 +620,11 @@ def drive_readers() -> dict[str, Reader]:
                             [table("time_s,x_m,y_m,sigma_m")]),
         "motion": Reader(with_rover("twin.plans.motion:read_motion"), ["spoilt.csv"],
                          [table(f"time_s,x_m,y_m,yaw_deg,{commands}")]),
+        "start of a plan": Reader(lambda path: _function("twin.jobs.plan:last_pose")(str(path)), ["spoilt.csv"],
+                                  [b"time_s,member,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,0,0.1,0,2\n"]),
         "states of poses": Reader(with_rover("twin.loads.prescribed_motion:read_pose_states"), ["spoilt.csv"],
                                   [states]),
-        "record": Reader(with_rover("twin.assimilation.drive_record:read_record"), ["spoilt.csv"], [states]),
+        "record": Reader(record, ["spoilt.csv"], [states]),
         "prediction": Reader(lambda path: _function("twin.comparison.forecast:read_forecast")(path.parent),
                              ["prediction.json"], [forecast()[0]], forecast()[1]),
     }  # fmt: skip
@@ -686,6 +698,7 @@ def document_readers() -> dict[str, Reader]:
         given = [str(path), *([str(other)] if (other := path.with_name("given.png")).exists() else [])]
         return _function("pages.job:report")(given).html(time=False)
 
+    drawn = [*every, belief(), soil_map()]
     folder = BETWEEN.join([json.dumps(former("predict")).encode(), table("time_s,x_m,y_m"), picture])
     ground_m = b"x_m,y_m,height_m\n" + b"".join(b"%d,%d,0.1\n" % (x, y) for y in range(3) for x in range(3))
     tables = [spectrum_files()[".csv"], telemetry()[".csv"], table("sinkage_m,slip_ratio,normal_force_n"), ground_m,
@@ -700,7 +713,7 @@ def document_readers() -> dict[str, Reader]:
         "any table": Reader(_told, ["spoilt.csv"], tables),
         "any settings": Reader(_told, ["spoilt.toml"], settings),
         "sources": Reader(lambda path: of_path("guide.cite:cite")(path).bibtex(), ["spoilt.json"], every),
-        "results": Reader(page, ["spoilt.json", "given.png"], [one + BETWEEN + picture for one in [*every, belief()]]),
+        "results": Reader(page, ["spoilt.json", "given.png"], [one + BETWEEN + picture for one in drawn]),
         "folder of results": Reader(lambda path: _function("pages.job:report")([str(path.parent)]).html(time=False),
                                     ["result.json", "paths.csv", "map.png"], [folder]),
         "TOML": Reader(_toml, ["spoilt.toml"],
@@ -815,17 +828,18 @@ READ_BY_COMMAND = {
     "spectra library plot files": f"library, {SPECTRA}",
     "spectra match rocks": "fitted rocks",
     "twin loads states": "states of poses",
+    "twin plan start": "start of a plan",
     "twin states track": f"track, {GROUND}",
 }
 """The same where a parameter of that name is another file in one command."""
 NO_FILE = {
-    *("path", "plot", "plane", "posterior", "save", "save_map", "save_terrain", "animate"),  # are written
+    *("path", "plot", "plane", "posterior", "save", "save_map", "save_terrain", "animate", "failed"),  # are written
     *("field_path", "form", "columns", "memory", "scheduler"),  # the file of a scheduler is read by dask
     *("assemblage", "band_minerals", "bands", "board", "bound", "composition", "dictionary", "fix", "fixes", "index",
       "interpolation", "kind", "lateral_modulus", "mast", "modes", "name", "products", "sizes", "source", "spectrum",
       "id", "sweep", "target", "tie", "time", "title", "vary"),
     *("annulus", "classes", "gardening", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
-    *("images dem terrain", "spectra simulate soil", "twin plan start"),
+    *("images dem terrain", "spectra simulate soil"),
 }  # fmt: skip
 """Parameters with a text that names no file to read; with the command where others of that name do."""
 

@@ -68,7 +68,7 @@ def test_a_go_of_a_soil_that_is_not_trusted_does_not_begin_with_go() -> None:
     assert said.tone == DOUBT
     assert said.text.startswith("The soil of belief.json is not to be trusted. ")
     failed = answer(replace(drive, provenance={"untrusted": "", "failures": ["a.csv: no spectrum", "b.csv: none"]}))
-    assert (failed.tone, failed.trust) == (DOUBT, "2 inputs gave no result: a.csv: no spectrum (and 1 more).")
+    assert (failed.tone, failed.trust) == (GO, "2 inputs gave no result: a.csv: no spectrum (and 1 more).")
     older = answer(replace(drive, provenance={}))
     assert (older.tone, "older version" in older.trust) == (GO, True)
 

@@ -31,7 +31,7 @@ LONG = 3.0
 NO_VALUE = "#c8c8c8"
 FLAG_COLORS = ("#f5f5f5", "#000000", NO_VALUE, "#E69F00", "#D55E00", "#56B4E9")
 PLACES = ("longitude", "latitude")
-_ERRORS = ("_sigma", "_systematic", "_method", "_low", "_high", "_interpolation")
+_ERRORS = ("_sigma", "_systematic", "_gaussian", "_method", "_low", "_high", "_interpolation")
 
 
 @dataclass(frozen=True, slots=True)
