@@ -74,6 +74,8 @@ Posterior = Annotated[
     ),
 ]
 
+OTHERS = "values are those of this wheel with this law: a plate or a shear box finds others, N above all"
+
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
@@ -109,7 +111,7 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
         known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} %"
         ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
         rows.append([label, significant(median), *ranges, unit, known])
-    notes = [*_fit(found), *_combinations(found)]
+    notes = [*_fit(found), *_combinations(found), OTHERS]
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
     title = f"The soil of all {wheel_text(soil)}, intervals {HOW[found.how]}"

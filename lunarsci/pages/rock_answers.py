@@ -83,8 +83,16 @@ def _times(value: Any, factor: float) -> Any:
 
 def fit(result: Result) -> ResultAnswer:
     strained = [str(one["id"]) for one in result["spectra"] if "strained" in (one.get("status") or "")]
-    doubt = f"In doubt, as they are strained: {some_of(strained, MOST_NAMED)}." if strained else ""
-    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short), trust=doubt)
+    told = [f"In doubt, as strained: {some_of(strained, MOST_NAMED)}."] if strained else []
+    without = [str(one["id"]) for one in result["spectra"] if _no_share(one)]
+    told += [f"No share of minerals is to be quoted of {some_of(without, MOST_NAMED)}."] if without else []
+    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short), trust=" ".join(told))
+
+
+def _no_share(one: Result) -> bool:
+    """Whether shares were asked for, of a known kind that can have them, and none may be quoted."""
+    asked = one.get("kind") and not one.get("normative")
+    return bool(asked) and not any(found["in_domain"] for found in (one.get("abundances") or {}).values())
 
 
 def _fit_in_short(one: Result) -> str:

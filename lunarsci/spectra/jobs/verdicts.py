@@ -51,8 +51,8 @@ def bands_meaning(record: Mapping[str, Any]) -> str:
         return "a 2 µm band alone: pyroxene is there, no more is said"
     if alone:
         return (
-            "pyroxene; its centres are those of pyroxenes without olivine, but some olivine is not ruled out; quote "
-            "only regressions whose condition you know to hold"
+            "pyroxene; its centres are those of pyroxenes without olivine, but olivine, even much, is not ruled out; "
+            "quote only regressions whose condition you know to hold"
         )
     return "pyroxene; the centres are not those of one pyroxene alone: olivine or several pyroxenes; `spectra fit` next"
 
@@ -148,7 +148,7 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     if not kind:
         return f"no shares: {record['status']}"
     parts = [minerals_said(record["choice"])] if record.get("choice") else []
-    parts += _strained(record) + _undecided(kind)
+    parts += [f"the fit of bands is {text}" for text in _strained(record)] + _undecided(kind)
     if record["normative"]:
         parts.append("no shares of minerals: a weathered soil has a composition by regression instead")
     elif not shares:
