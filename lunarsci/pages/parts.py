@@ -297,15 +297,16 @@ def _line(names: Sequence[str], text: str) -> str:
     return f"{some_of(names, MOST_NAMED, '; ')}: {text}" if names else text
 
 
-def _said(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+def _said(value: Any, name: str = "", one_of_many: bool = False) -> Iterator[tuple[str, str]]:
     """Texts of a result, and of a caveat or a reason what it is of; what is refused is told with its value."""
     if isinstance(value, list):
         for item in value[:MOST_ROWS]:
-            yield from _said(item, name)
+            yield from _said(item, name, len(value) > 1)
     elif isinstance(value, Mapping) and value.get("in_range") is not False:
         for key, item in value.items():
             if key in SAID or key.endswith("_note"):
                 of = NOTED.get(key, _what(value, name) if key in OF_ONE else "")
+                of += f" of {value['id']}" if key in NOTED and one_of_many else ""
                 yield from ((of, text) for text in _texts(item))
             elif key == "findings":
                 yield from (("", f"{one.get('what', one.get('quantity'))}") for one in item if "what" in one)

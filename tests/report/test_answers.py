@@ -333,3 +333,10 @@ def test_a_fit_and_shares_that_contradict_each_other_are_told_on_both_sections()
     )
     other = replace(mixed(), provenance={"inputs": [one | {"sha256": "1" * 64}]})
     assert not contradictions([fitted, other])
+
+
+def test_notes_of_bands_of_many_spectra_name_them() -> None:
+    one = KNOWN["bands"]["result"]["spectra"][0] | {"band2000_note": "conic not used"}
+    two = [one | {"id": name} for name in ("rock", "stone")]
+    assert "2 µm band of rock; 2 µm band of stone: conic not used" in unknown(of("bands", spectra=two))
+    assert "2 µm band: conic not used" in unknown(of("bands", spectra=two[:1]))
