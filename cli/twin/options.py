@@ -17,7 +17,8 @@ INTERPOLATION = option(
 )
 SOILS = option(
     "Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with a "
-    "row each, a belief of `twin update` or its map (JSON), from which 64 are drawn unless --members is given. "
+    "row each, a belief of `twin update` or its map (JSON), from which 64 are drawn unless --members is given; or "
+    "`priors`, or a file of `template prior`: what is believed before any drive. "
     "Repeatable: a name beside a CSV that lacks parameters.",
     show_default="the terrain's, or longji",
     panel=SOIL,

@@ -123,10 +123,12 @@ def update(
 
 def result_tables(found: "LearnedSoil") -> list[TextTable]:
     from lunarsci.regolith.belief_history import parameter_rows
+    from lunarsci.regolith.written_rover import short_name
 
     from .belief_tables import discrepancy_table, parameter_table
 
-    title = f"Soil after {found.states.name}: {found.known.plan.name}"
+    known = found.known
+    title = f"Soil after {found.states.name}: {known.plan.name}; {short_name(known.rover.name)} on {known.terrain.name}"
     tables = [
         parameter_table(parameter_rows(found.belief), title, _notes(found)),
         discrepancy_table(found.belief.discrepancy),

@@ -139,6 +139,10 @@ def _soil(table: dict[str, Any], origin: str) -> Soil:
     known = [field.name for field in dataclasses.fields(Soil)]
     if unknown := [name for name in values if name not in known]:
         raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; {one_of(unknown[0], known)}")
+    if tables := [name for name, value in values.items() if isinstance(value, dict)]:
+        raise DataError(
+            f"{origin}: {tables[0]} is a law, as of a prior, and a soil has numbers; see `lunarsci template soil`"
+        )
     try:
         return Soil(**{name: float(value) for name, value in values.items()})
     except (TypeError, ValueError) as error:

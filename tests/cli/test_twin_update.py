@@ -204,3 +204,17 @@ def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan
     same, other = (run(*predict, "--rover", name) for name in ("small-four", "yutu2"))
     assert not any("was learned with" in line for line in same.err) and "4 drives of small-four on" in same.out
     assert any("was learned with 'small-four; wheels" in line for line in other.err)
+
+
+def test_a_first_drive_is_predicted_on_the_priors(run: Run, short_plan: Path, tmp_path: Path) -> None:
+    """By name, and from a file of them; a path alone is looked for on one soil."""
+    prior = tmp_path / "prior.toml"
+    assert run("template", "prior", "-o", prior).code == 0
+    predict = ("twin", "predict", short_plan, "--rover", "small-four", "--members", "4", "--soil")
+    named, of_file = (run(*predict, soil) for soil in ("priors", prior))
+    assert named.code in (0, 3) and "on the priors" in " ".join(named.out.split())
+    shown = [done.out[: done.out.index("soil: 4 drawn")] for done in (named, of_file)]
+    assert shown[0] == shown[1]
+    where = ("--start", "0,0,0", "--target", "3,0", "-o", tmp_path / "way")
+    alone = run("twin", "plan", "synthetic-longji", "--soil", "priors", *where)
+    assert alone.code == 2 and "priors has many soils" in alone.err[0] and "give --risk" in alone.err[0]

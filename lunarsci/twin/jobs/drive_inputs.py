@@ -1,14 +1,17 @@
 """What drives where: plan, rover, terrain and soil of a drive, read and checked against each other."""
 
-from collections.abc import Iterable, Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from lunarsci.documents import toml_document
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import SoilBelief, read_belief
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, prior_hash, read_prior
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
@@ -28,6 +31,8 @@ SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
     "Janosi & Hanamoto (1961), Proc. 1st Int. Conf. Mechanics of Soil-Vehicle Systems, Turin, 707",
 ]
+PRIORS = "priors"
+"""Name of what is believed of the soil before any drive."""
 DEFAULT_ROVER, DEFAULT_SOIL = "yutu2", "longji"
 """Where none is given; the soil also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
@@ -62,6 +67,12 @@ class GivenSoil:
             raise RequestError(no_use(found.named, found.name))
         return found
 
+    def _of_laws(self, file: InputFile, laws: Mapping[str, Law]) -> "GivenSoil":
+        """With the belief before any drive by these laws."""
+        if self.file is not None:
+            raise RequestError(f"{self.name} and {file.name} as `soil` are two ways to name the soils; give one")
+        return replace(self, file=file, of="belief", belief=first_belief(laws))
+
     @property
     def name(self) -> str:
         """Of the file with soils for the drives; '' where there is none."""
@@ -73,7 +84,12 @@ class GivenSoil:
         return self.file is None
 
     def _with(self, name: str) -> "GivenSoil":
+        if name == PRIORS:
+            name_only = InputFile(PRIORS, first_belief().to_json().encode())
+            return self._of_laws(name_only, default_prior())
         file = None if _is_name(name) else read_input(name)
+        if file is not None and _is_prior(file):
+            return self._of_laws(file, read_prior(file))
         is_json = file is not None and (file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"))
         if file is None or (not is_json and _is_toml(file)):
             if self.named is not None:
@@ -114,6 +130,15 @@ def _is_name(name: str) -> bool:
     return name in known_soils() or not (
         name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
     )
+
+
+def _is_prior(file: InputFile) -> bool:
+    """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
+    try:
+        found = toml_document(file.data.decode("utf-8")) if _is_toml(file) else {}
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+    return any(isinstance(found.get(name), dict) for name in PARAMETERS)
 
 
 def _is_toml(file: InputFile) -> bool:
@@ -309,7 +334,9 @@ def _read_ground(terrain: str, given: GivenSoil) -> tuple[TerrainFile, Terrain, 
 def _soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
     """Hashes of the user's files and of own tables; of the latter only that of the soil that is `driven` on."""
     inputs, tables = ({}, {}) if given.named is None else soil_hash(given.named)
-    if given.file is not None:
+    if given.name == PRIORS:
+        tables = tables | prior_hash()
+    elif given.file is not None:
         inputs = inputs | {given.name: given.file.sha256}
     if driven is not None and (driven.rest or driven.name) in known_soils():
         tables = tables | soil_hash(driven.rest or driven.name)[1]

@@ -208,6 +208,13 @@ def plan(
         from lunarsci.twin.jobs.chosen_drive import chosen_drive
 
         return chosen_drive(terrain, asked, progress)
+    from lunarsci.twin.jobs.drive_inputs import GivenSoil
+
+    if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
+        raise RequestError(
+            f"`soil` {several.name} has many soils, and a path alone is looked for on one; give `risk`, which drives "
+            "it on all of them, or leave `soil` out"
+        )
     site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
     from lunarsci.twin.jobs.local_ground import LocalGround
 

@@ -177,7 +177,10 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
     if members is not None and members < 1:
         raise ParameterError(f"members is {members}; give 1 or more")
     if members is not None and not sweep:
-        raise ParameterError(f"{members} members but no soil parameter to sample; give `sweep` NAME=LOW:HIGH:N")
+        raise ParameterError(
+            f"{members} members but no soil parameter to sample; give `sweep` NAME=LOW:HIGH:N, or soils to draw from "
+            "as `soil`: a belief, or priors for what is believed before any drive"
+        )
     count = math.prod(entry.count for entry in sweep) if members is None else members
     if count > MOST_MEMBERS:
         raise ParameterError(f"{count} members are more than {MOST_MEMBERS}; sweep fewer values")

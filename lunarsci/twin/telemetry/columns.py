@@ -98,5 +98,6 @@ def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
                 hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
                 raise DataError(
                     f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
-                    "turn and a steering (0 if it stays straight): `lunarsci template telemetry` has all columns"
+                    "turn and a steering (0 if it stays straight), as in `lunarsci template telemetry`; or give the "
+                    "`rover` that has these wheels"
                 )
