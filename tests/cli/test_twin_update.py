@@ -204,6 +204,12 @@ def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan
     same, other = (run(*predict, "--rover", name) for name in ("small-four", "yutu2"))
     assert not any("was learned with" in line for line in same.err) and "4 drives of small-four on" in same.out
     assert any("was learned with 'small-four; wheels" in line for line in other.err)
+    assert any("this is on the synthetic stand-in" in line for line in same.err)
+    real = json.loads(belief.read_text("utf-8"))
+    del real["history"][-1]["synthetic"]
+    belief.write_text(json.dumps(real), "utf-8")
+    elsewhere = run(*predict, "--rover", "small-four")
+    assert elsewhere.code == 2 and "was learned on measured ground" in elsewhere.err[-1]
 
 
 def test_a_first_drive_is_predicted_on_the_priors(run: Run, short_plan: Path, tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1
 """Of the ground that rocks may cover; assumed, some fifty times that of the site."""
+STAND_IN = "synthetic stand-in for the Longji site"
+"""Name of the terrain that is driven where none is named."""
 
 
 def rocks_per_m2(share: float, diameter_m: npt.ArrayLike) -> FloatArray:
@@ -158,8 +160,7 @@ def synthetic_longji(
         height += crater_height(np.hypot(x - center_x, y - center_y), diameter)
     if rock_share:
         height = scatter_rocks(x[0], y[:, 0], height, rock_share, seed)
-    name = "synthetic stand-in for the Longji site"
-    return build_terrain(name, -3.0, -7.0, spacing_m, height, soil or read_soil("longji"), synthetic=True)
+    return build_terrain(STAND_IN, -3.0, -7.0, spacing_m, height, soil or read_soil("longji"), synthetic=True)
 
 
 MOST_NODES = 4_000_000

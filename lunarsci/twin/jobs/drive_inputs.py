@@ -275,6 +275,7 @@ def read_drive_inputs(
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
     check.terrain(file.made_for, terrain)
     check.belief(given.name, given.belief)
+    check.stand_in(surface, given.name, given.belief)
     if soil_counts:
         check.soil(driven, terrain)
     return DriveInputs(

@@ -14,7 +14,8 @@ from lunarsci.rovers import MadeFor, RoverDescription
 from lunarsci.tables import read_csv_table
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
-from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+from lunarsci.twin.ground.synthetic import STAND_IN
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.rover import Rover
 
@@ -59,7 +60,7 @@ def _replaced(limit: Limit, value: float, source: str) -> Limit:
     return replace(limit, limit=value, source=source, assumed=True)
 
 
-EMBEDDED = "the embedded plan"
+EMBEDDED, EMBEDDED_ROVER = "the embedded plan", "yutu2"
 
 
 def check_rover_known(states: InputFile, rover: Rover) -> None:
@@ -152,6 +153,19 @@ class RoverCheck:
                 f"{self.description.origin} to drive its soil with '{own}' all the same"
             )
         self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
+
+    def stand_in(self, terrain: Terrain, name: str, belief: SoilBelief | None) -> None:
+        """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named.
+
+        Raises RequestError where a belief that was learned on other ground is driven there.
+        """
+        if terrain.name != STAND_IN:
+            return
+        learned = belief.history[-1] if belief is not None and belief.history else {}
+        if learned.get("rover") and not learned.get("synthetic"):
+            raise RequestError(f"{name} was learned on measured ground, and this is the {STAND_IN}; give `terrain`")
+        if short_name(self.rover.name) != EMBEDDED_ROVER:
+            self.say(f"this is on the {STAND_IN}, as no terrain is named; give `terrain` for the ground of your rover")
 
     def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
         limits = limits_of_rover(plan.limits, self.description, self.rover)

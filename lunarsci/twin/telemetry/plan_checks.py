@@ -220,6 +220,8 @@ def _check_commands(beside: _Beside, findings: Findings) -> None:
         what = f"{text}; they fit if the clock is {abs(shifts[best]):.3g} s {way}"
         findings.add("clock offset", what, f"times are kept as they are: give {start}", doubt=True)
     elif now > MOST:
-        raise DataError(f"{beside.file}: {text}, at no shift of the clock; give the plan that was driven")
+        raise DataError(
+            f"{beside.file}: {text}, at no shift of the clock; give the plan that was driven, and its `rover`"
+        )
     else:
         findings.add("other commands", text, "the telemetry's are taken", count=round(now * len(times)), doubt=True)
