@@ -64,8 +64,8 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     if output.folder or not output.path or report.written:
         _print(text)
     else:
-        for remark in _verdicts(report, record):
-            say(remark, quiet=output.quiet)
+        for remark in () if output.quiet else _verdicts(report, record):
+            say(remark)
     for failure in report.failures:
         say(f"error: {failure}")
     if report.failures:
@@ -114,7 +114,8 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
     from lunarsci.pages.documents import Document
 
     found = Document("", report.schema, report.result, record)
-    if found.kind not in ANSWERS:
+    many = max(len(report.result.get(name, ())) for name in ("spectra", "rocks"))
+    if found.kind not in ANSWERS or many > MOST_ANSWERED:
         return []
     said: list[str] = []
     if 0 < len(report.result.get("spectra", ())) <= MOST_VERDICTS:
@@ -126,6 +127,10 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
         return said
     trusted = [] if report.untrusted or report.failures else [told.trust]
     return [*(said or [told.text]), *trusted]
+
+
+MOST_ANSWERED = 1000
+"""Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:

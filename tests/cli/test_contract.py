@@ -544,8 +544,8 @@ def test_a_signal_leaves_nothing_behind_and_names_itself(name: str, tmp_path: Pa
         [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0002", "-o", str(target)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in the background
-    )
+        preexec_fn=lambda: [signal.signal(one, signal.SIG_DFL) for one in (signal.SIGINT, signal.SIGHUP)] and None,
+    )  # The first is ignored in the background, the second under nohup.
     # Wherever it falls, in a destructor or while machine code is made, where Python loses it, once is enough.
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=4)
