@@ -4,10 +4,7 @@ Soil and errors are layers beside the heights, under their own names.
 """
 
 import math
-import tokenize
 import warnings
-import zipfile
-import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,11 +29,6 @@ MOST_NODES = 40_000_000
 """More are refused: maps of these take 1.8 GB."""
 MOST_BLOCK_BYTES = 8 * MOST_NODES
 """Of a raster's blocks, each of which is unpacked whole."""
-ARCHIVE_ERRORS = (
-    AttributeError, EOFError, MemoryError, NotImplementedError, OSError, OverflowError, SyntaxError, TypeError,
-    ValueError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What reading a NumPy archive (.npy, .npz) raises where the file is damaged: each part of it has its own."""
 STEEPEST_DEG = 45.0
 """Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. Assumed. [deg]"""
 LONE_STEP = 10.0
@@ -371,7 +363,7 @@ def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any
         raise
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or 'not a NumPy archive; write it with numpy.savez'}") from error
-    except ARCHIVE_ERRORS as error:
+    except Exception as error:  # whatever NumPy raises of a damaged archive: each part of it has its own
         raise DataError(f"{path}: not a NumPy archive that can be read; write it with numpy.savez") from error
 
 

@@ -74,7 +74,7 @@ Posterior = Annotated[
     ),
 ]
 
-OTHERS = "values are those of this wheel with this law: a plate or a shear box finds others, N above all"
+OTHERS = "values are those of this wheel with this law: a plate or a shear box may find others"
 
 
 def add_to(app: typer.Typer) -> None:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 NAMED = 5
 """Failed inputs that are named at the end."""
+MOST_ANSWERED = 1000
+"""Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
@@ -127,10 +129,6 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
         return said
     trusted = [] if report.untrusted or report.failures else [told.trust]
     return [*(said or [told.text]), *trusted]
-
-
-MOST_ANSWERED = 1000
-"""Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:

@@ -37,9 +37,10 @@ def contradictions(documents: Sequence[Document]) -> dict[str, str]:
     spectra: dict[Any, list[tuple[Document, Result]]] = {}
     for document in (one for one in documents if one.kind == "spectra-fit"):
         with as_written(document):
-            for given in document.provenance.get("inputs") or ():
-                for record in document.result["spectra"]:
-                    spectra.setdefault((given.get("sha256"), record["id"]), []).append((document, record))
+            hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
+            for record in document.result["spectra"]:
+                if known := hashes.get(record.get("source")):
+                    spectra.setdefault((known, record["id"]), []).append((document, record))
     found: dict[str, dict[str, None]] = {}
     for own in spectra.values():
         for (fit, fitted), (mix, mixed) in product(own, own):

@@ -281,9 +281,17 @@ def parameter_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
 
     Keys `median`, `low`, `high`, `left_of_prior`, and `ground_` with those of `GroundInterval`.
     """
-    left, ground = belief.sd_ratio, ground_intervals(belief)
+    ground = ground_intervals(belief)
+    return {
+        name: row | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
+        for name, row in effective_rows(belief).items()
+    }
+
+
+def effective_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
+    """By parameter: effective median and 68 % interval, and posterior over prior standard deviation."""
+    left = belief.sd_ratio
     return {
         name: {"median": median, "low": low, "high": high, "left_of_prior": left[name]}
-        | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
         for name, (median, low, high) in belief.intervals().items()
     }

@@ -18,6 +18,8 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import meant
 
 WHEELS = "wheels.toml"
+DEFAULT_ROVER = "yutu2"
+"""Which is taken where none is named."""
 
 
 @dataclass(frozen=True, slots=True)

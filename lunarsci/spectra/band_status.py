@@ -45,11 +45,10 @@ margin: pyroxenes 900-1060 and 1800-2380 nm (Adams 1974, 10.1029/JB079i032p04829
 (Adams & Goullaud 1978, Proc. Lunar Planet. Sci. Conf. 9, 2901). Biases are those measured on every second of 409
 laboratory spectra of minerals, mixtures and meteorites: 68 and 90 % of the minima are off by less than 0.016 and 0.038
 at 1 um, 0.037 and 0.069 at 2 um. Least errors were chosen on the smoothed spectra of every second target of Chang'E-4
-with their own noise, 100 draws each, and measured on the other 44 (seen before the
-choice at 2 um): at 1 um 68 % intervals hold 72 % of the centres (66
-without), 95 % ones 94 (91), those of the smallest tenth of the errors 66 and 93 (57 and 83); at 2 um 72 and 92 (63 and
-86), of the smallest tenth 58 and 80 (32 and 59): `tests/benchmarks/bench_bands.py --rover`. At 2 um 2 would be twice
-the scatter of clean bands, so it stays 1.5.
+with their own noise, 100 draws each, and measured on the other 44 (seen before the choice at 2 um): at 1 um 68 %
+intervals hold 72 % of the centres (66 without), 95 % ones 94 (91), those of the smallest tenth of the errors 66 and 93
+(57 and 83); at 2 um 72 and 92 (63 and 86), of the smallest tenth 58 and 80 (32 and 59):
+`tests/benchmarks/bench_bands.py --rover`. At 2 um 2 would be twice the scatter of clean bands, so it stays 1.5.
 """
 MIN_SIGNIFICANCE = 4.5
 """Depth over its standard error below which there is no band. Measured: the deepest of many channels of pure noise

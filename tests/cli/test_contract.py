@@ -541,7 +541,7 @@ def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(
 def test_a_signal_leaves_nothing_behind_and_names_itself(name: str, tmp_path: Path) -> None:
     target = tmp_path / "drive"
     process = subprocess.Popen(
-        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0002", "-o", str(target)],
+        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0005", "-o", str(target)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         preexec_fn=lambda: [signal.signal(one, signal.SIG_DFL) for one in (signal.SIGINT, signal.SIGHUP)] and None,

@@ -317,10 +317,13 @@ def test_a_fit_and_shares_that_contradict_each_other_are_told_on_both_sections()
     share = {"olivine": {"low95": 0.0, "high95": 0.02}, "orthopyroxene": {"low95": 0.2, "high95": 0.5}}
     chosen = {"sure": ["olivine"], "open": [], "not_needed": ["orthopyroxene"]}
     fitted = replace(of("fit"), name="fit.json", provenance={"inputs": [one]})
-    fitted = replace(fitted, result={"spectra": [fitted.result["spectra"][0] | {"id": "rock", "choice": chosen}]})
+    fitted = replace(
+        fitted,
+        result={"spectra": [fitted.result["spectra"][0] | {"id": "rock", "source": "rock.csv", "choice": chosen}]},
+    )
 
     def mixed(**changes: Any) -> Document:
-        record = {"id": "rock", "abundances": {"unmix": share | {"in_domain": True} | changes}}
+        record = {"id": "rock", "source": "rock.csv", "abundances": {"unmix": share | {"in_domain": True} | changes}}
         return replace(fitted, name="shares.json", result={"spectra": [record]})
 
     told = contradictions([fitted, mixed()])

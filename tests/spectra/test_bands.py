@@ -6,8 +6,10 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import lunarsci
 from lunarsci.errors import DataError
 from lunarsci.spectra.band_status import STATUSES
 from lunarsci.spectra.bands import BandFailure, SpectrumBands, band_arrays, measure_bands, measure_batch
@@ -326,3 +328,20 @@ def test_the_drawn_curve_goes_through_the_mark_of_a_band() -> None:
             band = found.bands[key]
             assert float(np.interp(band.center_nm, nm, curve)) == pytest.approx(1 - band.depth, abs=2e-4)
             assert nm[curve.argmin()] == pytest.approx(band.center_nm, abs=5.0)
+
+
+def test_a_band_cut_by_the_last_channel_is_centred_short_and_fitted_where_it_is() -> None:
+    """As docs/limits.md says; a clinopyroxene made of bands at 1010 and 2280 nm, 250 and 600 nm wide."""
+    wavelength = np.arange(450.0, 2501.0, 5.0)
+    bands = [
+        strength * np.exp(-4.0 * np.log(2.0) * ((wavelength - centre) / width) ** 2)
+        for strength, centre, width in ((0.4, 1010.0, 250.0), (0.3, 2280.0, 600.0))
+    ]
+    table = pd.DataFrame({"wavelength_nm": wavelength, "rock": 0.3 * np.exp(-sum(bands))})
+    found = lunarsci.bands(table, continuum="hull").to_dict()["spectra"][0]
+    short = 2280.0 - found["bc2000_nm"]
+    assert 40.0 < short < 60.0
+    assert found["bc2000_sigma_nm"] < found["bc2000_method_nm"] < short / 2
+    fitted = lunarsci.fit(table, assemblage="CPX").to_dict()["spectra"][0]["bands"]
+    centre = next(band["center_nm"] for band in fitted if band["center_nm"] > 1800)
+    assert abs(centre - 2280.0) < short / 2

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import Source, read_input, text
-from lunarsci.regolith.jobs.identify import DEFAULT_ROVER, IdentifiedSoil
+from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.rovers import DEFAULT_ROVER
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

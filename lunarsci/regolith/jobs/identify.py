@@ -10,6 +10,7 @@ from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.wheel import PAPER, ShearSign
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,11 +21,10 @@ if TYPE_CHECKING:
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
     from lunarsci.regolith.written_rover import NamedBy
-    from lunarsci.rovers import RoverDescription
 
 
-DEFAULT_ROVER, ITS_WHEELS = "yutu2", 6
-"""Whose wheel is taken where none is named, and how many it has."""
+ITS_WHEELS = 6
+"""Of the rover whose wheel is taken where none is named."""
 LABELS = {
     "stiffness_kpa_m_n": "stiffness K_s",
     "exponent": "sinkage exponent N",
@@ -207,7 +207,6 @@ def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErr
     from lunarsci.regolith.states import read_states
     from lunarsci.regolith.wheel import left_to_defaults, read_wheel
     from lunarsci.regolith.written_rover import rover_of_states
-    from lunarsci.rovers import read_rover
 
     source = read_input(states)
     named, by = rover_of_states(source, rover, DEFAULT_ROVER)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.grids import ARCHIVE_ERRORS, MOST_BLOCK_BYTES, check_blocks
+from lunarsci.grids import MOST_BLOCK_BYTES, check_blocks
 from lunarsci.inputs import read_input, text, unheard
 from lunarsci.spectra.cubes.cube import Backplane, Cube, Layout, PixelFrame, Source, Stated, cube_of, sha256_of
 from lunarsci.spectra.cubes.flat import envi_plane, has_header, open_envi, open_vnis
@@ -328,7 +328,7 @@ def _plane_array(path: str) -> npt.NDArray[Any]:
     """Numbers of a NumPy file, left on disk. Raises DataError for what holds none."""
     try:
         found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except ARCHIVE_ERRORS as error:
+    except Exception as error:  # whatever NumPy raises of a damaged file
         raise DataError(f"{path}: not a NumPy array that can be read; write it with numpy.save") from error
     if found.dtype.kind not in "biuf":
         raise DataError(f"{path}: holds no numbers but {found.dtype}; write them with numpy.save")

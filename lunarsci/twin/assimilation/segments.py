@@ -13,6 +13,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.belief_history import effective_rows
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.assimilation.change_point import (
     FEWEST_BINS,
@@ -220,7 +221,6 @@ class Segment:
 
     def to_dict(self) -> dict[str, Any]:
         """For a result."""
-        left = self.belief.sd_ratio
         return {
             "from_m": self.from_m,
             "to_m": self.to_m,
@@ -229,10 +229,7 @@ class Segment:
             "surprise": self.found.prior_shift if self.found else None,
             "slips": self.slips,
             "slip_ratio": self.slip.to_dict() if self.slip else None,
-            "parameters": {
-                name: {"median": middle, "low": low, "high": high, "left_of_prior": left[name]}
-                for name, (middle, low, high) in self.belief.intervals().items()
-            },
+            "parameters": effective_rows(self.belief),
         }
 
     @property

@@ -21,6 +21,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_json
 from lunarsci.regolith.belief import SoilBelief, belief_of
+from lunarsci.regolith.belief_history import effective_rows
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
 from lunarsci.regolith.soil import read_soil
@@ -272,7 +273,6 @@ def map_record(soil_map: SoilMap) -> dict[str, Any]:
 
 
 def _zone_record(zone: Zone) -> dict[str, Any]:
-    left = zone.belief.sd_ratio
     x, y = zone.place_m[len(zone.place_m) // 2]
     return {
         "stretch": zone.name,
@@ -280,10 +280,7 @@ def _zone_record(zone: Zone) -> dict[str, Any]:
         "y_m": round(float(y), 2),
         "doubt": zone.belief.doubt,
         "caution": zone.belief.caution,
-        "parameters": {
-            name: {"median": middle, "low": low, "high": high, "left_of_prior": left[name]}
-            for name, (middle, low, high) in zone.belief.intervals().items()
-        },
+        "parameters": effective_rows(zone.belief),
     }
 
 

@@ -189,7 +189,7 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     check_asked(asked)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits())
-    site.check.belief(given.name, given.belief)
+    site.check.belief(given.name, given.belief, site.terrain)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
     asked, site = asked.on(site.terrain), local.site
     ends = np.array([place[:2] for place in asked.places])

@@ -13,7 +13,7 @@ from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, prior_hash, read_prior
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
-from lunarsci.rovers import RoverDescription, read_rover
+from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
@@ -33,8 +33,8 @@ SOURCES = [
 ]
 PRIORS = "priors"
 """Name of what is believed of the soil before any drive."""
-DEFAULT_ROVER, DEFAULT_SOIL = "yutu2", "longji"
-"""Where none is given; the soil also lies under a belief, where it is nowhere used: this replaces every parameter."""
+DEFAULT_SOIL = "longji"
+"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,8 +274,8 @@ def read_drive_inputs(
     check = RoverCheck(description, built, asked=rover is not None)
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
     check.terrain(file.made_for, terrain)
-    check.belief(given.name, given.belief)
-    check.stand_in(surface, given.name, given.belief)
+    check.belief(given.name, given.belief, surface)
+    check.stand_in(surface)
     if soil_counts:
         check.soil(driven, terrain)
     return DriveInputs(

@@ -147,6 +147,9 @@ class PlanRequest(GroundRequest):
             )
         return (str(folder / found),)
 
+    def input_files(self) -> tuple[str, ...]:
+        return (*GroundRequest.input_files(self), *self.start_files)
+
     @property
     def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Start and target as numbers. [m, m, deg]"""

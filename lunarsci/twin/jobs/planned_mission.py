@@ -215,7 +215,7 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     mission, given = read_mission(source), GivenSoil.read(asked.soil)
     check_soils(asked, given)
     site = read_site(terrain, asked, given.named, asked.limits())
-    site.check.belief(given.name, given.belief)
+    site.check.belief(given.name, given.belief, site.terrain)
     far = WIDER * mission.fixes.position_sigma_m
     wider = tuple(ExclusionZone(zone.name, zone.x_m, zone.y_m, zone.radius_m + far) for zone in mission.keep_outs)
     site = replace(site, keep_outs=site.keep_outs + wider)

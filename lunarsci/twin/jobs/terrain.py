@@ -125,6 +125,10 @@ class GroundRequest:
         except ParameterError as error:
             raise RequestError(f"classes of a `layer`: {error}") from error
 
+    def input_files(self) -> tuple[str, ...]:
+        """Files of the user beside the terrain and the keep-outs."""
+        return tuple(self.layer)
+
     def limits(self) -> dict[str, float | None]:
         """Limits that were given in place of the rover's, by name."""
         return {"max_slope_deg": self.max_slope, "max_step_m": self.max_step, "max_roughness_m": self.max_roughness}
@@ -371,10 +375,9 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
     fenced = {path: read_input(path) for path in asked.keep_out}
     inputs |= {path: given.sha256 for path, given in fenced.items()}
-    sun, shadow_cost = asked.light()
-    costs = asked.costs()
+    (sun, shadow_cost), costs = asked.light(), asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
-    inputs |= {path: read_input(path).sha256 for path in (*asked.layer, *getattr(asked, "start_files", ()))}
+    inputs |= {path: read_input(path).sha256 for path in asked.input_files()}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = RoverCheck(description, built, asked=True)
     check.terrain(file.made_for, terrain)

@@ -287,7 +287,7 @@ def update(
     record = read_record(source, known.rover, positions=fixes)
     before = Before.read(asked, known)
     check = RoverCheck(known.description, known.rover, asked=asked.rover is not None)
-    check.belief(before.file.name if before.file else "", before.belief)
+    check.belief(before.file.name if before.file else "", before.belief, known.terrain)
     before.refuse_known(source)
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
     along = record if fixes is None else read_record(source, known.rover)
@@ -339,8 +339,6 @@ class _DrivenLine:
 
     def of(self, found: "SoilUpdate") -> Mapping[str, Any]:
         """The line of history of what was found."""
-        from lunarsci.regolith.written_rover import written_for
-
         doubts = () if found.refused else (*self.doubts, found.doubt)
         caution = "; ".join(self.before.cautions(found))
         return (
@@ -348,7 +346,7 @@ class _DrivenLine:
                 "states": Path(self.states.name).name,
                 "sha256": self.states.sha256,
                 "plan": self.known.plan.name,
-                "rover": written_for(self.known.description.name, self.known.rover.wheel),
+                "rover": self.known.rover.written,
                 "values": found.values,
                 "outliers": int(found.outliers.sum()),
                 "chi_square": found.chi_square,

@@ -9,8 +9,8 @@ from typing import Any
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.written_rover import rover_written, short_name, written_for
-from lunarsci.rovers import MadeFor, RoverDescription
+from lunarsci.regolith.written_rover import rover_written, short_name
+from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription
 from lunarsci.tables import read_csv_table
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
@@ -60,7 +60,7 @@ def _replaced(limit: Limit, value: float, source: str) -> Limit:
     return replace(limit, limit=value, source=source, assumed=True)
 
 
-EMBEDDED, EMBEDDED_ROVER = "the embedded plan", "yutu2"
+EMBEDDED = "the embedded plan"
 
 
 def check_rover_known(states: InputFile, rover: Rover) -> None:
@@ -138,13 +138,15 @@ class RoverCheck:
         what = "" if len(driven.replaced) == len(SOIL_COLUMNS) else f" ({', '.join(driven.replaced)})"
         self.say(f"soil {driven.name} takes the place of the soil that {path} carries{what}; leave it out to keep that")
 
-    def belief(self, name: str, belief: SoilBelief | None) -> None:
+    def belief(self, name: str, belief: SoilBelief | None, terrain: Terrain) -> None:
         """Say it where a belief was learned with another rover, as its values are those of that one's wheels.
 
-        Raises RequestError where nobody asked for this rover.
+        Raises RequestError where nobody asked for this rover, and on the stand-in if it was learned on measured ground.
         """
-        learned = str(belief.history[-1].get("rover", "")) if belief is not None and belief.history else ""
-        own = written_for(self.description.name, self.rover.wheel)
+        last = belief.history[-1] if belief is not None and belief.history else {}
+        learned, own = str(last.get("rover", "")), self.rover.written
+        if learned and terrain.name == STAND_IN and not last.get("synthetic"):
+            raise RequestError(f"{name} was learned on measured ground, and this is the {STAND_IN}; give `terrain`")
         if not learned or learned == own:
             return
         if not self.asked:
@@ -154,17 +156,9 @@ class RoverCheck:
             )
         self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
 
-    def stand_in(self, terrain: Terrain, name: str, belief: SoilBelief | None) -> None:
-        """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named.
-
-        Raises RequestError where a belief that was learned on other ground is driven there.
-        """
-        if terrain.name != STAND_IN:
-            return
-        learned = belief.history[-1] if belief is not None and belief.history else {}
-        if learned.get("rover") and not learned.get("synthetic"):
-            raise RequestError(f"{name} was learned on measured ground, and this is the {STAND_IN}; give `terrain`")
-        if short_name(self.rover.name) != EMBEDDED_ROVER:
+    def stand_in(self, terrain: Terrain) -> None:
+        """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""
+        if terrain.name == STAND_IN and short_name(self.rover.name) != DEFAULT_ROVER:
             self.say(f"this is on the {STAND_IN}, as no terrain is named; give `terrain` for the ground of your rover")
 
     def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
