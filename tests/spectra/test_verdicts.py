@@ -9,7 +9,7 @@ import pytest
 
 import lunarsci
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_verdict
-from lunarsci.spectra.mgm.assemblages import standing
+from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.mgm.batch import batch_of
 from lunarsci.spectra.mgm.columns import rows_one_by_one
 
@@ -33,10 +33,22 @@ def test_an_assumed_assemblage_is_said_to_be_one(fitted: dict[str, Any]) -> None
     assert "OPX-CPX was assumed" in said and "--assemblage auto" in said and "bands of orthopyroxene" in said
 
 
+def test_an_assumed_mineral_without_one_of_its_bands_may_be_absent() -> None:
+    """A pyroxene has two bands: where one is not there, no composition is told of it."""
+    [record] = lunarsci.fit(made_up(), assemblage="OL-OPX-CPX", starts=2).to_dict()["spectra"]
+    said = fit_verdict(record)
+    assert "all bands of orthopyroxene; none of olivine, clinopyroxene" in said and "Fs of orthopyroxene" in said
+    for band in record["bands"]:
+        band["strength"] *= band["name"] != "OPX 1"
+    said = fit_verdict(record)
+    assert "some bands, not all, of orthopyroxene: may be absent" in said and "no composition is told" in said
+
+
 def chosen(**probabilities: float) -> dict[str, Any]:
     """What was made of assemblages of these probabilities, `_` for `-`."""
-    rows = [{"assemblage": key.replace("_", "-"), "probability": chance} for key, chance in probabilities.items()]
-    return {"candidates": rows, "strong": False}
+    found = {key.replace("_", "-"): chance for key, chance in probabilities.items()}
+    rows = [{"assemblage": key, "probability": chance} for key, chance in found.items()]
+    return {"candidates": rows, "strong": False, "status": told(found)}
 
 
 def test_only_what_is_sure_is_called_so(fitted: dict[str, Any]) -> None:
@@ -186,6 +198,17 @@ def test_centres_that_no_such_mineral_has_strain_a_fit() -> None:
     assert "centres beyond those of any orthopyroxene" in record["status"]
     usual = lunarsci.fit(made_up(), assemblage="OPX", starts=2).to_dict()["spectra"][0]
     assert usual["compositions"]["fs"]["in_range"] and "centres beyond" not in usual["status"]
+
+
+def test_a_mineral_whose_centres_no_such_mineral_has_is_not_sure() -> None:
+    """As of the powder JA-CMP-007, a pyroxene that three bands of an olivine of Fo 142 fit best."""
+    alone = standing({"OL": 0.8, "OL-CPX": 0.2}), standing({"OL": 0.8, "OL-CPX": 0.2}, ["olivine"])
+    assert [found["sure"] for found in alone] == [["olivine"], []] and "olivine" in alone[1]["open"]
+    assert "its centres are those of no olivine: open" in told({"OL": 0.8, "OL-CPX": 0.2}, ["olivine"])
+    found = lunarsci.fit(made_up(one=860.0, two=1760.0), assemblage="auto", starts=2)
+    [record] = found.to_dict()["spectra"]
+    beyond = [m for m in ("olivine", "orthopyroxene", "clinopyroxene") if f"any {m}" in record["status"]]
+    assert beyond and not set(beyond) & set(record["choice"]["sure"])
 
 
 @pytest.mark.parametrize(("second", "told"), [(0.60, False), (0.43, True)])

@@ -292,7 +292,8 @@ def _unlike(batch: FitBatch, ratio: FloatArray, line: Mapping[str, str]) -> list
             texts.append("")
         else:
             name = NAMES[laws[how]["feature"]]
-            texts.append(f"other pyroxenes: {name} is {far:.0f} times the powders' scatter away")
+            away = f"is {far:.0f} times the powders' scatter away" if np.isfinite(far) else "could not be measured"
+            texts.append(f"other pyroxenes: {name} {away}")
     return texts
 
 

@@ -1,7 +1,7 @@
 """`lunarsci.fit`: the Modified Gaussian Model of spectra, with errors and ratios of band strengths."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
@@ -377,7 +377,9 @@ def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: P
 
 def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
+    from lunarsci.spectra.mgm.compositions import beyond_any
     from lunarsci.spectra.mgm.constraints import parse_compositions
+    from lunarsci.spectra.mgm.result import MgmFit
     from lunarsci.spectra.mgm.selection import Choice, choose
 
     stated = parse_compositions(request.composition) if request.composition else None
@@ -389,4 +391,6 @@ def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Prog
         model = request.model(name, request.continuum)
         for index, item in zip(own, _by_prior([spectra[k] for k in own], model, request, None), strict=True):
             fits[index] = item
+            if isinstance(item, MgmFit) and item.converged:
+                choices[index] = replace(choices[index], beyond=beyond_any(item))
     return {"fits": fits, "choices": choices}

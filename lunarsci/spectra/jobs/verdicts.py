@@ -13,6 +13,8 @@ from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 MOST_NAMED = 4
 SEEN = 2.0
 """A band is seen where its strength is this many standard errors off 0; assumed."""
+WEAK = ("OL M1-1", "OPX M1", "CPX M1")
+"""Bands that a mineral may lack: its weakest beside others of its own."""
 MISSED = 0.1
 """A mixture that leaves more of ln R than this, root mean square, misses the spectrum: three times the details by which
 rocks differ from powders (`posterior`); assumed. [-]"""
@@ -61,7 +63,7 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     """What a fit, or a choice between assemblages, says."""
     if not record["bands"]:
         return f"no fit: {record['status']}"
-    parts = [minerals_said(record["choice"]) if record["choice"] else _assumed(record), *_strained(record)]
+    parts = [str(record["choice"]["status"]) if record["choice"] else _assumed(record), *_strained(record)]
     known = [f"{PERCENT_OF[key]} {_composition(item)} mol %{_condition(item)}" for key, item in _told(record)]
     sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
     parts += [f"{'' if sure else 'if so, '}{', '.join(known)}"] if known else ["no composition is told"]
@@ -110,36 +112,42 @@ def _strained(record: Mapping[str, Any]) -> list[str]:
 
 
 def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Compositions in range that the spectrum, and not the prior alone, tells."""
+    """Compositions in range that the spectrum, and not the prior alone, tells, of minerals that are not in doubt."""
     from lunarsci.result import from_prior
 
+    doubtful = [] if record["choice"] else [mineral for found in _by_bands(record)[1:] for mineral in found]
     return [
         (key, item)
         for key, item in record["compositions"].items()
         if item["mean"] is not None and item["in_range"] and not from_prior(item["sigma"], item["prior_sigma"])
+        if not any(PERCENT_OF[key].endswith(mineral) for mineral in doubtful)
     ]
 
 
-def minerals_said(choice: Mapping[str, Any]) -> str:
-    """Which minerals are sure, which are open, and which a fit does without."""
-    from lunarsci.spectra.mgm.assemblages import told
-
-    return told({one["assemblage"]: one["probability"] for one in choice["candidates"]})
-
-
 def _assumed(record: Mapping[str, Any]) -> str:
-    """Of the minerals that were assumed, which have a band that is surely there."""
-    found: dict[str, float] = {}
-    for band in record["bands"]:
-        if band["mineral"] in MINERALS and band["strength_sigma"] > 0:
-            depth = -band["strength"] / band["strength_sigma"]
-            found[band["mineral"]] = max(found.get(band["mineral"], 0.0), depth)
-    seen = [mineral for mineral, depth in found.items() if depth >= SEEN]
-    unseen = [mineral for mineral, depth in found.items() if depth < SEEN]
-    parts = [f"bands of {', '.join(seen)}" if seen else "no band of any mineral"]
-    parts += [f"none of {', '.join(unseen)}"] if unseen and seen else []
+    """Of the minerals that were assumed, which have all their bands, which some of them, and which none."""
+    full, some, none = _by_bands(record)
+    parts = [f"all bands of {', '.join(full)}"] if full else []
+    parts += [f"some bands, not all, of {', '.join(some)}: may be absent"] if some else []
+    parts += [f"none of {', '.join(none)}"] if none and parts else []
     which = f"{record['assemblage']} was assumed, others may fit as well (`--assemblage auto` compares them)"
-    return f"{which}: {', '.join(parts)}"
+    return f"{which}: {'; '.join(parts) or 'no band of any mineral'}"
+
+
+def _by_bands(record: Mapping[str, Any]) -> tuple[list[str], list[str], list[str]]:
+    """Minerals of which all bands are there, some, and none.
+
+    Of 389 laboratory spectra of known modes, in 56, 39 and 16 % of those without olivine, orthopyroxene and
+    clinopyroxene some band of it was there, in 6, 16 and 4 % all; of those with more than 10 % of it, all were there in
+    56, 82 and 35 %.
+    """
+    depths: dict[str, list[float]] = {}
+    for band in record["bands"]:
+        if band["mineral"] in MINERALS and band["strength_sigma"] > 0 and band["name"] not in WEAK:
+            depths.setdefault(band["mineral"], []).append(-band["strength"] / band["strength_sigma"])
+    full = [mineral for mineral, found in depths.items() if min(found) >= SEEN]
+    some = [mineral for mineral, found in depths.items() if min(found) < SEEN <= max(found)]
+    return full, some, [mineral for mineral, found in depths.items() if max(found) < SEEN]
 
 
 def shares_verdict(record: Mapping[str, Any]) -> str:
@@ -147,7 +155,7 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     kind, shares = record["kind"], record["abundance"]
     if not kind:
         return f"no shares: {record['status']}"
-    parts = [minerals_said(record["choice"])] if record.get("choice") else []
+    parts = [str(record["choice"]["status"])] if record.get("choice") else []
     parts += [f"the fit of bands is {text}" for text in _strained(record)] + _undecided(kind)
     if record["normative"]:
         parts.append("no shares of minerals: a weathered soil has a composition by regression instead")

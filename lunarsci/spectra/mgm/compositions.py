@@ -99,3 +99,10 @@ def _composition(column: CompositionColumn, domain: str) -> MineralComposition:
         bool(column.in_range[0]),
         domain,
     )
+
+
+def beyond_any(fit: MgmFit) -> tuple[str, ...]:
+    """Minerals of a fit whose centres ask for a composition that there is not."""
+    items = fit.model.assemblage.compositions
+    far = batch_of(fit).beyond_trend[0]
+    return tuple(dict.fromkeys(item.mineral for item, off in zip(items, far, strict=True) if off))

@@ -76,7 +76,7 @@ class Choice:
     margin_ln_evidence, margin_bic : ln evidence of the best less that of the next; BIC of the next less that of the
         best. Negative where simplicity, not evidence, decides. [-]
     strong : whether the family has four members or fewer, and a mineral that is in all of them.
-    status : the verdict, which minerals are sure and which are open: what the result says of the spectrum.
+    beyond : minerals whose centres, in the fit that was chosen, are those of no composition.
     """
 
     id: str
@@ -86,7 +86,12 @@ class Choice:
     margin_ln_evidence: float
     margin_bic: float
     strong: bool
-    status: str
+    beyond: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> str:
+        """The verdict, which minerals are sure and which are open: what the result says of the spectrum."""
+        return told(self.probabilities, self.beyond)
 
     @property
     def assemblage(self) -> str:
@@ -109,7 +114,8 @@ class Choice:
         rows = [{name: getattr(candidate, name) for name in columns} for candidate in self.candidates]
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
         groups = {name: chance for name, chance in chances(self.probabilities).items() if name in GROUPS}
-        more = {"mineral_probability": self.minerals, "group_probability": groups, **standing(self.probabilities)}
+        found = {"mineral_probability": self.minerals, "group_probability": groups}
+        more = found | standing(self.probabilities, self.beyond)
         return {name: getattr(self, name) for name in names} | {"candidates": rows, "family": list(self.family)} | more
 
 
@@ -235,7 +241,6 @@ def _choice(name: str, families: Sequence[str], numbers: FloatArray) -> Choice:
         best.ln_evidence - second.ln_evidence,
         second.bic - best.bic,
         strong,
-        told({c.assemblage: c.probability for c in ranked}),
     )
 
 

@@ -125,13 +125,15 @@ def _check_correlation(correlation: FloatArray, size: int) -> None:
 class Rock:
     """A rock: its name, what is known of its composition, and remarks on how that was read.
 
-    `tables` are those of the package that its errors come from.
+    `tables` are those of the package that its errors come from; `untested` is whether shares of its kind were tested on
+    no rocks of known modes.
     """
 
     id: str
     composition: Composition
     remarks: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()
+    untested: bool = False
 
 
 FIT, BANDS_SCHEMA = "lunarsci/spectra-fit/", "lunarsci/spectra-bands/"
@@ -220,12 +222,13 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
         return None
     if wide := [mineral for mineral in modes if mineral not in told]:
         remarks.append(f"not determined, known by their intervals alone: {', '.join(wide)}")
-    if abundance.get("in_domain") is False:
+    untested = abundance.get("in_domain") is False
+    if untested:
         remarks.append("its abundances are outside the domain of their method")
         if measured_errors(kind):
             modes, text = widened(modes, kind)
             remarks, tables = [*remarks, text], (ERRORS,)
-    return Rock(name, Composition(_scaled(modes)), tuple(remarks), tables)
+    return Rock(name, Composition(_scaled(modes)), tuple(remarks), tables, untested)
 
 
 def _interval(item: Mapping[str, Any]) -> Value:

@@ -323,4 +323,7 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, other_prio
     factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
     spread = max(factors) - min(factors)
     decisive = "composition speaks strongly" if spread >= DECIDES else "composition hardly decides, the prior does"
-    return f"{lead} {first.crater.name} ({first.posterior:.2f}); {decisive} (ln Bayes factors differ by {spread:.1f})"
+    decisive += f" (ln Bayes factors differ by {spread:.1f})"
+    if spread >= DECIDES and rock.untested:
+        decisive += ", if its shares hold, which are not to be quoted: they are outside of what was tested"
+    return f"{lead} {first.crater.name} ({first.posterior:.2f}); {decisive}"

@@ -92,6 +92,16 @@ def test_the_papers_rock_is_not_decided_by_composition() -> None:
     assert "the prior does" in match.status
 
 
+def test_composition_from_shares_that_are_not_to_be_quoted_says_so() -> None:
+    rock = Rock(
+        "rock", Composition({"olivine": (0.6, 0.02), "orthopyroxene": (0.2, 0.02), "clinopyroxene": (0.2, 0.02)})
+    )
+    craters = with_modes("Zhinyu", dict(rock.composition.modes))
+    assert matched(rock, craters).status.partition("; ")[2].startswith("composition speaks strongly")
+    assert "not to be quoted" not in matched(rock, craters).status
+    assert "if its shares hold, which are not to be quoted" in matched(replace(rock, untested=True), craters).status
+
+
 def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> None:
     def first(craters: Any = None, **prior: object) -> str:
         return max(matched(craters=craters, **prior).craters, key=lambda item: item.posterior).crater.name
