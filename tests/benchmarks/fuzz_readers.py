@@ -528,7 +528,7 @@ def soil_readers() -> dict[str, Reader]:
     def wheel_states(path: Path) -> Any:
         from lunarsci.regolith.wheel import read_wheel
 
-        of_file("regolith.written_rover:rover_of_states", None, "yutu2")(path)
+        of_file("regolith.written_names:rover_of_states", None, "yutu2")(path)
         return of_file("regolith.states:read_states", read_wheel("yutu2"))(path)
 
     def to_predict(path: Path) -> Any:
@@ -601,7 +601,7 @@ def drive_readers() -> dict[str, Reader]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with contextlib.suppress(DataError):
-                with_rover("twin.plans.rover_check:check_rover_known")(path)
+                with_rover("twin.plans.made_for_check:check_rover_known")(path)
         return with_rover("twin.assimilation.drive_record:read_record")(path)
 
     def sent(path: Path) -> Any:

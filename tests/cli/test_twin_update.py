@@ -172,7 +172,7 @@ def test_bad_states_are_one_line_that_says_what_is_wrong(
     path = tmp_path / "states.csv"
     path.write_text(text)
     done = run("twin", "update", path, "--plan", short_plan, "--rover", "yutu2")
-    assert done.code == 1 and says in done.err[0] and done.out == ""
+    assert done.code == 1 and says in done.err[-1] and done.out == ""
 
 
 def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path) -> None:

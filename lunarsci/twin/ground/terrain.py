@@ -1,6 +1,7 @@
 """Terrain: a regular grid of heights with soil parameters at every node."""
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.names import one_of
 from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.written_names import ground_written
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
 
@@ -73,6 +75,7 @@ class Terrain:
         as in Ding et al. (2024); the wheels feel each edge.
     errors : what is not known of the heights; None where they are taken as exact.
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
+    ground : how tables name it where its heights are no longer those of its file; else empty, see `written`.
 
     Soil is bilinear in tan phi, moduli and stiffness. On a smooth surface a hole reaches one node further than the
     missing heights. Raises ParameterError for arrays that do not fit together.
@@ -88,6 +91,7 @@ class Terrain:
     interpolation: str = "smooth"
     errors: HeightErrors | None = None
     crs: str = ""
+    ground: str = ""
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape
@@ -107,6 +111,15 @@ class Terrain:
             raise ParameterError("terrain height_m has no known height")
         if not np.isfinite(self.soil).all():
             raise ParameterError("terrain soil has a value that is not finite")
+
+    @property
+    def written(self) -> str:
+        """The ground as tables name it: its name, and a mark of its heights to a millimetre and of where they are."""
+        if self.ground:
+            return self.ground
+        height = np.nan_to_num(np.round(1e3 * self.height_m), nan=-(2.0**31)).astype(np.int64)
+        place = f"{self.height_m.shape} {self.x0_m:.3f} {self.y0_m:.3f} {self.spacing_m:.6f}"
+        return ground_written(self.name, hashlib.sha256(place.encode() + height.tobytes()).hexdigest()[:8])
 
     @property
     def x_m(self) -> FloatArray:

@@ -43,14 +43,14 @@ class CompareRequest:
     positions : measured, as a table of time_s, x_m, y_m and their errors.
     plan : that was driven; refused if another was predicted.
     belief : whose discrepancy of the twin's physics learns from the miss.
-    rover : as it was predicted for; a name or a TOML file.
+    rover : as it was predicted for; a name or a TOML file; Yutu-2 if None.
     seed : of the errors of measurement that are given to the members.
     """
 
     positions: str | Any | None = None
     plan: str | Any | None = None
     belief: str | Any | None = None
-    rover: str | None = "yutu2"
+    rover: str | None = None
     seed: int = 0
 
 
@@ -80,7 +80,8 @@ class ComparedDrive(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed)
+        rover = {"rover": next(iter(self.tables)).removesuffix(" (rover)")}
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed, options=rover)
 
     @property
     def untrusted(self) -> str:
@@ -153,7 +154,7 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
-    from lunarsci.rovers import read_rover
+    from lunarsci.rovers import DEFAULT_ROVER, read_rover
     from lunarsci.twin.assimilation.drive_record import pace_of
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
@@ -161,7 +162,7 @@ def compare(
     from lunarsci.twin.rover import build_rover
 
     asked = request_of(CompareRequest, request, options)
-    rover = asked.rover or "yutu2"
+    rover = asked.rover or DEFAULT_ROVER
     forecast, inputs = read_forecast(predicted)
     description = read_rover(rover)
     digest = sha256(description.text.encode())

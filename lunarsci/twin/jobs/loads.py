@@ -262,6 +262,8 @@ def loads(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
+    from lunarsci.regolith.written_names import GROUND, written_in
+    from lunarsci.tables import read_csv_table
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
     from lunarsci.twin.judgement.load_check import wheel_loads
     from lunarsci.twin.loads.prescribed_motion import prescribed_loads
@@ -276,6 +278,8 @@ def loads(
     given = {"motion": motion, "states": asked.states, "belief": asked.belief}
     files = {name: read_input(source) for name, source in given.items() if source is not None}
     known.inputs.update({file.name: file.sha256 for file in files.values()})
+    for file in (files[name] for name in ("motion", "states") if name in files):
+        known.check.ground(file.name, written_in(file.name, read_csv_table(file), GROUND))
     poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
     if asked.uncertain:
         return _uncertain(known, files, poses, asked, progress)
