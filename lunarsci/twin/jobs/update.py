@@ -285,10 +285,10 @@ def update(
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     table = read_drive_states(source, known.rover)
     record = read_record(table, known.rover, positions=fixes)
-    known.check.states(source.name, table.table, known=known.made_for["plan"] is not None)
     before = Before.read(asked, known)
     known.check.belief(before.file.name if before.file else "", before.belief)
     before.refuse_known(source)
+    known.check.states(source.name, table.table, known=known.made_for["plan"] is not None)
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
     along = record if fixes is None else read_record(table, known.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
