@@ -51,6 +51,11 @@ def ground_written(name: str, mark: str) -> str:
     return f"{_plain(name)}; heights {mark}"
 
 
+def ground_name(written: str) -> str:
+    """Of a ground as it is written, its name; or of the plain name of a terrain, what is written of that."""
+    return _plain(written.rpartition("; heights ")[0] or written)
+
+
 def ground_kinship(written: str, own: str) -> Literal["same", "changed", "other"]:
     """Whether a ground has the heights of another, whatever their names are, or only its name.
 

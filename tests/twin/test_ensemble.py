@@ -166,7 +166,7 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
     states, samples = state_table(prediction), len(prediction.distance_m)
     assert list(states.columns) == [
         *("member", "distance_m", "time_s", "wheel", "x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg"),
-        *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid", "rover"),
+        *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid", "rover", "ground"),
     ]
     assert set(states["rover"]) == {"yutu2; wheels 150 x 150 mm"}
     assert len(states) == 6 * samples * len(prediction.rover.wheels) and states["valid"].dtype == bool

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lunarsci.arrays import BoolArray
     from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.states import StateTable
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.comparison.checks import BandCheck, EndCheck
     from lunarsci.twin.comparison.forecast import Forecast
@@ -154,8 +155,9 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
+    from lunarsci.regolith.written_names import GROUND, ground_name, written_in
     from lunarsci.rovers import DEFAULT_ROVER, read_rover
-    from lunarsci.twin.assimilation.drive_record import pace_of
+    from lunarsci.twin.assimilation.drive_record import pace_of, read_drive_states
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
     from lunarsci.twin.comparison.matched import match_observations
@@ -174,7 +176,12 @@ def compare(
         inputs |= _check_plan(read_input(asked.plan), forecast)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     built = build_rover(description)
-    record, independent = _record(source, fixes, built)
+    table = read_drive_states(source, built)
+    driven = ground_name(written_in(source.name, table.table, GROUND))
+    if driven and driven != ground_name(forecast.terrain):
+        text = f"{source.name}: was made on '{driven}', and predicted on '{forecast.terrain}': is it the same drive?"
+        warnings.warn(text, LunarSciWarning, stacklevel=2)
+    record, independent = _record(table, fixes, built)
     try:
         matched = match_observations(forecast, record, independent)
     except ParameterError as error:
@@ -219,7 +226,9 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     return {file.name: file.sha256}
 
 
-def _record(states: InputFile, positions: InputFile | None, rover: "Rover") -> "tuple[DriveRecord, BoolArray | None]":
+def _record(
+    states: "StateTable", positions: InputFile | None, rover: "Rover"
+) -> "tuple[DriveRecord, BoolArray | None]":
     """The record, and which of its values are no second reading of the positions.
 
     With positions the reader leaves out values that were derived from them. Here these are compared all the same, as

@@ -122,8 +122,8 @@ def held_table(found: PrescribedLoads) -> "pd.DataFrame":
 def path_table(prediction: Prediction) -> "pd.DataFrame":
     """Pose of the rover's origin: one row for each member and distance, as far as the member came.
 
-    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg. With a
-    discrepancy of the physics also offset_x_m and offset_y_m, which x_m and y_m hold; the other columns do not.
+    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg, rover, ground.
+    With a discrepancy of the physics also offset_x_m and offset_y_m, which x_m and y_m hold; the other columns do not.
     """
     import pandas as pd
 
@@ -135,7 +135,7 @@ def path_table(prediction: Prediction) -> "pd.DataFrame":
     table.insert(0, "member", member)
     table.insert(1, "distance_m", prediction.distance_m[sample])
     table.insert(2, "time_s", prediction.time_s[sample])
-    return table
+    return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
 
 
 def endpoint_table(prediction: Prediction) -> "pd.DataFrame":
