@@ -5,11 +5,15 @@ the terrain's name and a mark of its heights, in every row, so that they stay wh
 together. Older tables and those of other programs may lack them.
 """
 
+import hashlib
 import re
 import warnings
 from functools import cache
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -42,13 +46,15 @@ def _plain(name: str) -> str:
     return " ".join(re.sub(r'[,;"]', " ", name).split())
 
 
-def ground_written(name: str, mark: str) -> str:
-    """A terrain as tables and plans name it.
+def ground_written(name: str, height_m: FloatArray, place: tuple[float, float, float]) -> str:
+    """A terrain as tables and plans name it: by heights (ny, nx), and x and y of the first node and the spacing. [m]
 
-    >>> ground_written("synthetic ground, seed 3", "1f2e3d4c")
-    'synthetic ground seed 3; heights 1f2e3d4c'
+    >>> ground_written("site, east", np.zeros((3, 3)), (0.0, 0.0, 0.1))
+    'site east; heights 06387644'
     """
-    return f"{_plain(name)}; heights {mark}"
+    height = np.nan_to_num(np.round(1e3 * height_m), nan=-(2.0**31)).astype(np.int64)
+    where = f"{height_m.shape} " + " ".join(f"{number:.6f}" for number in place)
+    return f"{_plain(name)}; heights {hashlib.sha256(where.encode() + height.tobytes()).hexdigest()[:8]}"
 
 
 def ground_name(written: str) -> str:

@@ -174,7 +174,7 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
     assert row["sinkage_m"] == prediction.states[4, 10, 4, 2]
     assert row["time_s"] == pytest.approx(row["distance_m"] / 0.05)
     paths = path_table(prediction)
-    assert list(paths.columns) == ["member", "distance_m", "time_s", *PATH_COLUMNS]
+    assert list(paths.columns) == ["member", "distance_m", "time_s", *PATH_COLUMNS, "rover", "ground"]
     assert len(paths) == 6 * samples
     ends = endpoint_table(prediction)
     assert list(ends.columns)[:3] == ["member", "friction_angle_deg", "lateral_modulus_mm"]

@@ -1,7 +1,6 @@
 """Terrain: a regular grid of heights with soil parameters at every node."""
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -115,11 +114,7 @@ class Terrain:
     @property
     def written(self) -> str:
         """The ground as tables name it: its name, and a mark of its heights to a millimetre and of where they are."""
-        if self.ground:
-            return self.ground
-        height = np.nan_to_num(np.round(1e3 * self.height_m), nan=-(2.0**31)).astype(np.int64)
-        place = f"{self.height_m.shape} {self.x0_m:.3f} {self.y0_m:.3f} {self.spacing_m:.6f}"
-        return ground_written(self.name, hashlib.sha256(place.encode() + height.tobytes()).hexdigest()[:8])
+        return self.ground or ground_written(self.name, self.height_m, (self.x0_m, self.y0_m, self.spacing_m))
 
     @property
     def x_m(self) -> FloatArray:
@@ -340,13 +335,12 @@ def build_terrain(
     crs: str = "",
 ) -> Terrain:
     """A terrain with the same soil everywhere; arguments as in `Terrain`."""
-    height = np.array(height_m, dtype=np.float64)
     return Terrain(
         name=name,
         x0_m=x0_m,
         y0_m=y0_m,
         spacing_m=spacing_m,
-        height_m=height,
+        height_m=np.array(height_m, dtype=np.float64),
         soil=np.array(soil.vector()).reshape(1, 1, 8),
         synthetic=synthetic,
         crs=crs,

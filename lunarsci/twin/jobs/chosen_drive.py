@@ -21,7 +21,7 @@ from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, GivenSoil, parsed_fixes
 from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
-from lunarsci.twin.jobs.plan import PlanRequest, check_start, limits_at
+from lunarsci.twin.jobs.plan import PlanRequest, check_start, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import least_drives
@@ -276,7 +276,7 @@ def candidates_of(
     return tuple(
         replace(
             plan,
-            made_for=site.plan_made_for,
+            made_for=made_for_on(site),
             exclusion_zones=zones,
             sweep=swept,
             crs=site.terrain.crs,

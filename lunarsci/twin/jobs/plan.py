@@ -9,6 +9,7 @@ from lunarsci.result import job, request_of
 from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, Progress, SurveyedSite, TerrainSurvey, read_site
 
 if TYPE_CHECKING:
+    from lunarsci.rovers import MadeFor
     from lunarsci.twin.ground.hazards import Traversability
     from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.plans.plan import Limit
@@ -249,7 +250,7 @@ def _path(
         finer=finer,
     )
     near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
-    plan = replace(found.plan, made_for=site.plan_made_for, exclusion_zones=near, crs=site.terrain.crs)
+    plan = replace(found.plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
     return replace(found, plan=plan)
 
 
@@ -259,6 +260,11 @@ def limits_at(site: SurveyedSite) -> tuple["Limit", ...]:
     from lunarsci.twin.plans.plan import read_plan
 
     return limits_of_rover(read_plan().limits, site.description, site.rover)
+
+
+def made_for_on(site: SurveyedSite) -> "MadeFor":
+    """The rover, the limits and the ground of a site, for a plan."""
+    return replace(site.made_for, ground=site.terrain.written)
 
 
 def check_start(asked: PlanRequest, site: SurveyedSite) -> None:

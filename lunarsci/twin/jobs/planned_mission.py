@@ -20,7 +20,7 @@ from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditio
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround
-from lunarsci.twin.jobs.plan import PlanRequest, limits_at
+from lunarsci.twin.jobs.plan import PlanRequest, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95
@@ -262,7 +262,7 @@ class _Ways:
             except (ParameterError, IndexError):
                 raise error from None
         near = near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else ()
-        return replace(plan, made_for=site.plan_made_for, exclusion_zones=near, crs=site.terrain.crs)
+        return replace(plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
 
 
 def _conditions_of(plan: Plan, local: LocalGround, soils: Soils, conditions: Conditions) -> Conditions:

@@ -172,11 +172,6 @@ class SurveyedSite:
 
         return made_for(self.description, {name: getattr(self.mobility, name) for name in LIMITS})
 
-    @property
-    def plan_made_for(self) -> "MadeFor":
-        """The same with the ground, for a plan."""
-        return replace(self.made_for, ground=self.terrain.written)
-
     def surface(self, baseline_m: float | None, progress: Progress | None) -> "Traversability":
         """The maps, compared with the limits."""
         from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales
@@ -230,10 +225,9 @@ class TerrainSurvey(Result):
     def _made_from(self) -> MadeFrom:
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
-        options = {"rover": site.description.origin}
-        options |= {"soil": site.driven.name} if site.driven.of == "default" else {}
+        own = {"rover": site.description.origin} | ({"soil": site.driven.name} if site.driven.of == "default" else {})
         seed = site.made.get("seed")
-        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=options)
+        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
 
     def to_dict(self) -> dict[str, Any]:
         surface = self.surface

@@ -10,9 +10,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
+from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.written_names import GROUND, ground_kinship, short_name, written_in
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription
+from lunarsci.tables import read_csv_table
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.synthetic import STAND_IN
@@ -117,6 +119,11 @@ class MadeForCheck:
             self.say(f"{path} was made on {other}, and this is on '{own}'; give its own file as `terrain`")
         else:
             self.say(f"{path} was made on {other} than here; give the same file as `terrain`, or make it anew")
+
+    def tables(self, files: Iterable[InputFile]) -> None:
+        """Whether motions and states are of the ground, see `ground`."""
+        for file in files:
+            self.ground(file.name, written_in(file.name, read_csv_table(file), GROUND))
 
     def states(self, file: str, table: "pd.DataFrame", *, known: bool = False) -> None:
         """Whether wheel states are of the rover and the ground that are taken where nobody names them.
