@@ -109,7 +109,7 @@ QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
 
 def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
-    from lunarsci.regolith.written_rover import short_name
+    from lunarsci.regolith.written_names import short_name
     from lunarsci.twin.judgement.load_check import check_loads, load_notes
 
     verdict, prediction = found.verdict, found.prediction

@@ -16,7 +16,7 @@ from .options import KEEP_OUT
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
 LAYERS = "Layers and light"
 OPTIONS = {
-    "rover": option("Rover: a name (yutu2, small-four) or a TOML file."),
+    "rover": option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2"),
     "soil": option(
         "With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
         show_default="the terrain's, or longji",

@@ -123,7 +123,7 @@ def update(
 
 def result_tables(found: "LearnedSoil") -> list[TextTable]:
     from lunarsci.regolith.belief_history import parameter_rows
-    from lunarsci.regolith.written_rover import short_name
+    from lunarsci.regolith.written_names import short_name
 
     from .belief_tables import discrepancy_table, parameter_table
 

@@ -55,8 +55,8 @@ def _craters(file: InputFile) -> Mapping[str, Any]:
 
 
 def _plan(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.plans.made_for_check import LIMITS_RULE
     from lunarsci.twin.plans.plan import read_plan
-    from lunarsci.twin.plans.rover_check import LIMITS_RULE
 
     plan = read_plan(file)
     return {

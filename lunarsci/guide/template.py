@@ -143,8 +143,8 @@ def _rover(known: str = "yutu2") -> str:
 
 
 def _plan() -> str:
+    from lunarsci.twin.plans.made_for_check import LIMITS_RULE
     from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
-    from lunarsci.twin.plans.rover_check import LIMITS_RULE
 
     told, embedded = described(Plan), read_plan()
     leg = described(Leg)

@@ -14,7 +14,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
-from lunarsci.regolith.written_rover import check_written_for
+from lunarsci.regolith.written_names import check_written_for
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawba
 IDENTIFIERS = (
     *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
     *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
-    *("rim_m_s", "doubt", "rover"),
+    *("rim_m_s", "doubt", "rover", "ground"),
 )
 KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"

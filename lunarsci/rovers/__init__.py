@@ -121,6 +121,7 @@ class MadeFor:
     name : what its description calls it.
     sha256 : of the text of its description.
     limits : of the ground and of the path as they were then, by their names in a rover file.
+    ground : that a plan was made on, as tables name it; empty where that is not known.
 
     Raises ParameterError for what is no text or no finite number.
     """
@@ -129,9 +130,10 @@ class MadeFor:
     name: str
     sha256: str
     limits: Mapping[str, float] = field(default_factory=dict)
+    ground: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("rover", "name", "sha256"):
+        for key in ("rover", "name", "sha256", "ground"):
             if not isinstance(getattr(self, key), str):
                 raise ParameterError(f"made_for {key} is {getattr(self, key)!r}; give a text")
         for key, value in self.limits.items():
@@ -140,16 +142,17 @@ class MadeFor:
 
     @classmethod
     def from_table(cls, table: Any) -> "MadeFor":
-        """From a table with the keys `rover`, `name`, `sha256` and limits. Raises ParameterError."""
+        """From a table with the keys `rover`, `name`, `sha256`, maybe `ground`, and limits. Raises ParameterError."""
         texts = ("rover", "name", "sha256")
         if not isinstance(table, Mapping) or any(key not in table for key in texts):
             raise ParameterError(f"made_for must be a table with {', '.join(texts)}")
-        limits = {str(key): value for key, value in table.items() if key not in texts}
-        return cls(table["rover"], table["name"], table["sha256"], limits)
+        limits = {str(key): value for key, value in table.items() if key not in (*texts, "ground")}
+        return cls(table["rover"], table["name"], table["sha256"], limits, table.get("ground", ""))
 
     def to_table(self) -> dict[str, str | float]:
         """The table that `from_table` reads."""
-        return {"rover": self.rover, "name": self.name, "sha256": self.sha256, **self.limits}
+        ground = {"ground": self.ground} if self.ground else {}
+        return {"rover": self.rover, "name": self.name, "sha256": self.sha256, **ground, **self.limits}
 
     def to_json(self) -> str:
         """The same as one line of JSON."""

@@ -12,7 +12,7 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import one_of
 from lunarsci.regolith.wheel import Wheel, read_wheel
-from lunarsci.regolith.written_rover import written_for
+from lunarsci.regolith.written_names import written_for
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.electrics import Motors, PowerSupply, read_part
 from lunarsci.twin.rover_limits import check_limits, check_speed

@@ -528,7 +528,7 @@ def soil_readers() -> dict[str, Reader]:
     def wheel_states(path: Path) -> Any:
         from lunarsci.regolith.wheel import read_wheel
 
-        of_file("regolith.written_rover:rover_of_states", None, "yutu2")(path)
+        of_file("regolith.written_names:rover_of_states", None, "yutu2")(path)
         return of_file("regolith.states:read_states", read_wheel("yutu2"))(path)
 
     def to_predict(path: Path) -> Any:
@@ -596,12 +596,18 @@ def drive_readers() -> dict[str, Reader]:
         )
 
     def record(path: Path) -> Any:
-        from lunarsci.errors import DataError
+        from lunarsci.errors import DataError, RequestError
+        from lunarsci.rovers import read_rover
+        from lunarsci.tables import read_csv_table
+        from lunarsci.twin.ground.synthetic import synthetic_terrain
+        from lunarsci.twin.plans.made_for_check import MadeForCheck
 
+        ground = synthetic_terrain(extent_m=4.0, spacing_m=1.0, craters=0)
+        check = MadeForCheck(read_rover("yutu2"), rover(), False, ground, False)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with contextlib.suppress(DataError):
-                with_rover("twin.plans.rover_check:check_rover_known")(path)
+            with contextlib.suppress(DataError, RequestError):
+                check.states(str(path), read_csv_table(str(path)))
         return with_rover("twin.assimilation.drive_record:read_record")(path)
 
     def sent(path: Path) -> Any:

@@ -55,7 +55,7 @@ def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Pa
     moved = run("twin", "loads", plan, "--motion", tmp_path / "moved.csv")
     assert moved.code == 3 and "unexplained" in moved.err[-1]
     rows = run(*motion, "--csv").out.splitlines()
-    assert rows[0].endswith("missing_ahead_n,missing_left_n,missing_moment_nm,rover")
+    assert rows[0].endswith("missing_ahead_n,missing_left_n,missing_moment_nm,rover,ground")
 
 
 def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path: Path) -> None:

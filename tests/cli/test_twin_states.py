@@ -89,6 +89,7 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
         "slip_basis",
         "rim_m_s",
         "rover",
+        "ground",
     ]
     assert set(states["rover"]) == {"yutu2; wheels 150 x 150 mm"} == set(pd.read_csv(found / "motion.csv")["rover"])
     assert list(pd.read_csv(found / "positions.csv").columns) == ["time_s", "x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]

@@ -1,6 +1,7 @@
 """`lunarsci twin update`: from a drive to a belief, and from a belief to the next drive."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
+from lunarsci.twin.telemetry.sinkage import read_track
 
 Run = Callable[..., Any]
 
@@ -172,7 +174,7 @@ def test_bad_states_are_one_line_that_says_what_is_wrong(
     path = tmp_path / "states.csv"
     path.write_text(text)
     done = run("twin", "update", path, "--plan", short_plan, "--rover", "yutu2")
-    assert done.code == 1 and says in done.err[0] and done.out == ""
+    assert done.code == 1 and says in done.err[-1] and done.out == ""
 
 
 def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path) -> None:
@@ -210,6 +212,109 @@ def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan
     belief.write_text(json.dumps(real), "utf-8")
     elsewhere = run(*predict, "--rover", "small-four")
     assert elsewhere.code == 2 and "was learned on measured ground" in elsewhere.err[-1]
+
+
+def test_nothing_is_taken_from_the_wrong_ground(run: Run, short_plan: Path, tmp_path: Path) -> None:
+    """States, plan, start and belief of one terrain, and nobody, or somebody, names the ground."""
+    for name, seed in (("here", 1), ("there", 2)):
+        grid = ("--extent", "8", "--spacing", "0.1", "--seed", seed, "--craters", "0")
+        where = ("--target", "1.5,0", "-o", tmp_path / name)
+        assert run("twin", "plan", "synthetic", *grid, *where, "-q").code == 0
+    here, there = (tmp_path / name / "terrain.npz" for name in ("here", "there"))
+    plan, sent, found = tmp_path / "here" / "plan.toml", tmp_path / "sent", tmp_path / "found"
+    on = ("--terrain", here)
+    assert run("twin", "simulate", plan, *on, "--fix-distance", "0.3", "-o", sent, "-q").code == 0
+    assert run("twin", "states", sent / "telemetry.csv", plan, *on, "-o", found, "-q").code in (0, 3)
+    states, motion = found / "states.csv", found / "motion.csv"
+    tables = [pd.read_csv(path) for path in (states, motion)]
+    (ground,) = {name for table in tables for name in table["ground"]}
+    assert ground.startswith("synthetic ground seed 1; heights ") and f'ground = "{ground}"' in plan.read_text()
+
+    # Nobody names the ground: refused. The same terrain is taken without a word, another one is said.
+    update, belief = ("twin", "update", states, "--plan", plan, "--particles", "32"), tmp_path / "b.json"
+    elsewhere = [*update], ["twin", "loads", "--motion", motion], ["twin", "plan", "--target", "3,0", "--start", motion]
+    for command in elsewhere:
+        refused = run(*command)
+        assert refused.code == 2 and "was made on 'synthetic ground seed 1', and no" in refused.err[-1], refused.err
+        assert re.search("give its file as (--)?terrain", refused.err[-1])
+        assert len(refused.err[-1]) < 300 + len(str(tmp_path))
+    same = run(*update, *on, "--save", belief)
+    assert same.code in (0, 3) and not any("made on" in line or "no ground" in line for line in same.err), same.err
+    assert json.loads(belief.read_text())["history"][0]["ground"] == ground
+    loads = run("twin", "loads", "--motion", motion, "--terrain", there)
+    assert loads.code in (0, 3), loads.err
+    assert any("made on 'synthetic ground seed 1', and this is on 'synthetic ground, seed 2'" in s for s in loads.err)
+
+    # A plan and a belief are driven there, and it is said.
+    drive = ("twin", "predict", plan, "--soil", belief, "--members", "4")
+    for more, told in ((("--terrain", there), 2), (on, 0)):
+        done = run(*drive, *more)
+        assert done.code in (0, 3), done.err
+        assert sum("synthetic ground seed 1', and this is" in line for line in done.err) == told, done.err
+    # Made by hand, states name neither rover nor ground; of a map of the same name the heights are other ones.
+    tables[0].drop(columns=["rover", "ground"]).to_csv(tmp_path / "bare.csv", index=False)
+    bare = run("twin", "update", tmp_path / "bare.csv", "--plan", short_plan, "--particles", "32")
+    assert any("no ground is named, so the synthetic stand-in" in line for line in bare.err), bare.err
+    changed = tables[1].assign(ground=tables[1]["ground"].str[:-8] + "0" * 8)
+    changed.to_csv(tmp_path / "m.csv", index=False)
+    done = run("twin", "loads", "--motion", tmp_path / "m.csv", *on)
+    assert any("with other heights than here" in line for line in done.err), done.err
+
+
+def test_a_start_in_doubt_and_a_plan_that_was_not_found(run: Run, tmp_path: Path) -> None:
+    folder, way = tmp_path / "found", tmp_path / "way"
+    folder.mkdir()
+    (folder / "motion.csv").write_text(
+        "time_s,x_m,y_m,yaw_deg,doubt\n0,0,0,0,wheels disagree\n9,0.2,0,0,wheels disagree\n"
+    )
+    plan = ("twin", "plan", "--start", folder, "--target", "2,0")
+    started = run(*plan)
+    said = [line for line in started.err if "the start is of a drive in doubt" in line]
+    assert started.code == 0 and len(said) == 1 and said[0].endswith("wheels disagree"), started.err
+    risky = ("--risk", "0.01", "--members", "500", "--candidates", "1", "--tolerance", "0.0001")
+    assert run(*plan, *risky, "-o", way, "-q").code == 3
+    missing = run("twin", "predict", way / "plan.toml")
+    assert missing.code == 1 and "found no drive that keeps its risk, and wrote none" in missing.err[-1]
+    assert "plan-01.toml" in missing.err[-1] and "--risk" in missing.err[-1]
+    assert "no such file" in run("twin", "predict", way / "other.toml").err[-1]
+
+
+def test_plan_refuses_a_belief_of_another_rover_as_predict_does(run: Run, tmp_path: Path) -> None:
+    first, belief = first_belief(), tmp_path / "b.json"
+    entry = {"states": "a.csv", "rover": "small-four; wheels 75 x 60 mm", "synthetic": True, "refused": ""}
+    belief.write_text(with_drive(first, first, entry).to_json())
+    plan = (
+        "twin",
+        "plan",
+        "--target",
+        "1,0",
+        "--risk",
+        "0.3",
+        "--members",
+        "16",
+        "--candidates",
+        "1",
+        "--soil",
+        belief,
+    )
+    refused = run(*plan)
+    assert refused.code == 2 and "was learned with 'small-four" in refused.err[-1]
+    asked = run(*plan, "--rover", "yutu2")
+    assert asked.code in (0, 3) and any("was learned with 'small-four" in line for line in asked.err)
+
+
+def test_the_track_of_a_narrow_wheel_is_read_back(run: Run, tmp_path: Path) -> None:
+    """Wheels of 60 mm, recorded every 0.2 m: the track has points between, for every state."""
+    plan, sent, found = tmp_path / "plan.toml", tmp_path / "sent", tmp_path / "found"
+    plan.write_text("[drive]\nspeed_m_s = 0.03\n[[leg]]\nlength_m = 2.0\n")
+    assert run("twin", "simulate", plan, "--rover", "small-four", "--sample", "0.2", "-o", sent, "-q").code == 0
+    track = read_track(read_input(str(sent / "track.csv")))
+    assert 0.7 * 0.06 <= track.apart_m <= 0.06
+    read = ("twin", "states", sent / "telemetry.csv", plan, "--rover", "small-four", "--track", sent / "track.csv")
+    done = run(*read, "-o", found)
+    assert not any("the track meets" in line for line in done.err), done.err
+    table = pd.read_csv(found / "states.csv")
+    assert table["sinkage_m"][table["wheel"].isin(["RL", "RR"]) & table["valid"]].notna().all()
 
 
 def test_a_first_drive_is_predicted_on_the_priors(run: Run, short_plan: Path, tmp_path: Path) -> None:

@@ -166,7 +166,7 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
     states, samples = state_table(prediction), len(prediction.distance_m)
     assert list(states.columns) == [
         *("member", "distance_m", "time_s", "wheel", "x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg"),
-        *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid", "rover"),
+        *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid", "rover", "ground"),
     ]
     assert set(states["rover"]) == {"yutu2; wheels 150 x 150 mm"}
     assert len(states) == 6 * samples * len(prediction.rover.wheels) and states["valid"].dtype == bool
@@ -174,7 +174,7 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
     assert row["sinkage_m"] == prediction.states[4, 10, 4, 2]
     assert row["time_s"] == pytest.approx(row["distance_m"] / 0.05)
     paths = path_table(prediction)
-    assert list(paths.columns) == ["member", "distance_m", "time_s", *PATH_COLUMNS]
+    assert list(paths.columns) == ["member", "distance_m", "time_s", *PATH_COLUMNS, "rover", "ground"]
     assert len(paths) == 6 * samples
     ends = endpoint_table(prediction)
     assert list(ends.columns)[:3] == ["member", "friction_angle_deg", "lateral_modulus_mm"]

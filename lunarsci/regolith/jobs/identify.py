@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lunarsci.regolith.sensitivity import Sensitivity
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
-    from lunarsci.regolith.written_rover import NamedBy
+    from lunarsci.regolith.written_names import NamedBy
 
 
 ITS_WHEELS = 6
@@ -206,7 +206,7 @@ def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErr
     from lunarsci.provenance import sha256
     from lunarsci.regolith.states import read_states
     from lunarsci.regolith.wheel import left_to_defaults, read_wheel
-    from lunarsci.regolith.written_rover import rover_of_states
+    from lunarsci.regolith.written_names import rover_of_states
 
     source = read_input(states)
     named, by = rover_of_states(source, rover, DEFAULT_ROVER)

@@ -232,7 +232,7 @@ class ForcesOnWheel(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a slip, with the rover, so that `infer` reads them for its wheel."""
-        from lunarsci.regolith.written_rover import written_for
+        from lunarsci.regolith.written_names import written_for
 
         return [self._row(state) | {"rover": written_for(self.called, self.wheel)} for state in self.states]
 

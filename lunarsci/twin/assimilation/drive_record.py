@@ -78,10 +78,19 @@ class DriveRecord:
         return joint_m2(self.fix_covariance_m2, self.fix_shared_m2)
 
 
+def read_drive_states(states: InputFile, rover: Rover, errors: MeasurementErrors | None = None) -> StateTable:
+    """The wheel states of one drive of a rover, as `read_record` takes them. Raises DataError."""
+    return read_state_table(states, rover.wheel, wheels=rover.wheels, rover=rover.name, errors=errors)
+
+
 def read_record(
-    states: InputFile, rover: Rover, *, positions: InputFile | None = None, errors: MeasurementErrors | None = None
+    states: InputFile | StateTable,
+    rover: Rover,
+    *,
+    positions: InputFile | None = None,
+    errors: MeasurementErrors | None = None,
 ) -> DriveRecord:
-    """Read a record from CSV.
+    """Read a record from CSV, or take a table of `read_drive_states`.
 
     States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions are those of
     `read_positions`. Where no sigma is given it is that of `errors`. States with `valid` false are left out with a
@@ -90,8 +99,8 @@ def read_record(
     DataError, also for rows that contradict each other, several members, columns that are nearly known ones, and
     sinkages of a wrong sign or unit.
     """
-    found = _valid_rows(read_state_table(states, rover.wheel, wheels=rover.wheels, rover=rover.name, errors=errors))
-    values = found.values
+    found = _valid_rows(read_drive_states(states, rover, errors) if isinstance(states, InputFile) else states)
+    values = found.values.copy()
     if positions is not None:
         _forget_slips(found.file, found.table, values)
     fixes = Positions.none() if positions is None else read_positions(positions)

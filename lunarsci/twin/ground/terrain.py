@@ -14,6 +14,7 @@ from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.names import one_of
 from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.written_names import ground_written
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
 
@@ -73,6 +74,7 @@ class Terrain:
         as in Ding et al. (2024); the wheels feel each edge.
     errors : what is not known of the heights; None where they are taken as exact.
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
+    ground : how tables name it where its heights are no longer those of its file; else empty, see `written`.
 
     Soil is bilinear in tan phi, moduli and stiffness. On a smooth surface a hole reaches one node further than the
     missing heights. Raises ParameterError for arrays that do not fit together.
@@ -88,6 +90,7 @@ class Terrain:
     interpolation: str = "smooth"
     errors: HeightErrors | None = None
     crs: str = ""
+    ground: str = ""
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape
@@ -107,6 +110,11 @@ class Terrain:
             raise ParameterError("terrain height_m has no known height")
         if not np.isfinite(self.soil).all():
             raise ParameterError("terrain soil has a value that is not finite")
+
+    @property
+    def written(self) -> str:
+        """The ground as tables name it: its name, and a mark of its heights to a millimetre and of where they are."""
+        return self.ground or ground_written(self.name, self.height_m, (self.x0_m, self.y0_m, self.spacing_m))
 
     @property
     def x_m(self) -> FloatArray:
@@ -327,13 +335,12 @@ def build_terrain(
     crs: str = "",
 ) -> Terrain:
     """A terrain with the same soil everywhere; arguments as in `Terrain`."""
-    height = np.array(height_m, dtype=np.float64)
     return Terrain(
         name=name,
         x0_m=x0_m,
         y0_m=y0_m,
         spacing_m=spacing_m,
-        height_m=height,
+        height_m=np.array(height_m, dtype=np.float64),
         soil=np.array(soil.vector()).reshape(1, 1, 8),
         synthetic=synthetic,
         crs=crs,

@@ -92,7 +92,7 @@ class TerrainFile:
         layers = [self.errors.get(name, 0.0) for name in ("height_m_sigma", "resolution_m", "height_m_common_sigma")]
         whole = [np.array(np.broadcast_to(layer, terrain.height_m.shape), dtype=float) for layer in layers]
         height, errors = likely_ground(terrain.height_m, terrain.spacing_m, whole[0], whole[1], whole[2], footprint_m)
-        return replace(terrain, height_m=height, errors=errors)
+        return replace(terrain, height_m=height, errors=errors, ground=terrain.written)
 
 
 def read_terrain(path: str | Path, soil: Soil) -> Terrain:

@@ -21,7 +21,7 @@ from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, GivenSoil, parsed_fixes
 from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
-from lunarsci.twin.jobs.plan import PlanRequest, limits_at
+from lunarsci.twin.jobs.plan import PlanRequest, check_start, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import least_drives
@@ -189,7 +189,8 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     check_asked(asked)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits())
-    site.check.belief(given.name, given.belief, site.terrain)
+    site.check.belief(given.name, given.belief)
+    check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
     asked, site = asked.on(site.terrain), local.site
     ends = np.array([place[:2] for place in asked.places])
@@ -275,7 +276,7 @@ def candidates_of(
     return tuple(
         replace(
             plan,
-            made_for=site.made_for,
+            made_for=made_for_on(site),
             exclusion_zones=zones,
             sweep=swept,
             crs=site.terrain.crs,
@@ -349,6 +350,6 @@ def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -
         tables=dict(site.tables),
         driven=site.driven if belief is None else DrivenSoil(given.name, "belief"),
         given=given,
-        remarks=tuple(site.check.remarks),
+        check=site.check,
         ruts=belief is not None and belief.ruts,
     )

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lunarsci.arrays import BoolArray
     from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.states import StateTable
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.comparison.checks import BandCheck, EndCheck
     from lunarsci.twin.comparison.forecast import Forecast
@@ -43,14 +44,14 @@ class CompareRequest:
     positions : measured, as a table of time_s, x_m, y_m and their errors.
     plan : that was driven; refused if another was predicted.
     belief : whose discrepancy of the twin's physics learns from the miss.
-    rover : as it was predicted for; a name or a TOML file.
+    rover : as it was predicted for; a name or a TOML file; Yutu-2 if None.
     seed : of the errors of measurement that are given to the members.
     """
 
     positions: str | Any | None = None
     plan: str | Any | None = None
     belief: str | Any | None = None
-    rover: str | None = "yutu2"
+    rover: str | None = None
     seed: int = 0
 
 
@@ -80,7 +81,8 @@ class ComparedDrive(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed)
+        rover = {"rover": next(iter(self.tables)).removesuffix(" (rover)")}
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed, options=rover)
 
     @property
     def untrusted(self) -> str:
@@ -153,15 +155,16 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
-    from lunarsci.rovers import read_rover
-    from lunarsci.twin.assimilation.drive_record import pace_of
+    from lunarsci.regolith.written_names import GROUND, ground_name, written_in
+    from lunarsci.rovers import DEFAULT_ROVER, read_rover
+    from lunarsci.twin.assimilation.drive_record import pace_of, read_drive_states
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
     from lunarsci.twin.comparison.matched import match_observations
     from lunarsci.twin.rover import build_rover
 
     asked = request_of(CompareRequest, request, options)
-    rover = asked.rover or "yutu2"
+    rover = asked.rover or DEFAULT_ROVER
     forecast, inputs = read_forecast(predicted)
     description = read_rover(rover)
     digest = sha256(description.text.encode())
@@ -173,7 +176,12 @@ def compare(
         inputs |= _check_plan(read_input(asked.plan), forecast)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     built = build_rover(description)
-    record, independent = _record(source, fixes, built)
+    table = read_drive_states(source, built)
+    driven = ground_name(written_in(source.name, table.table, GROUND))
+    if driven and driven != ground_name(forecast.terrain):
+        text = f"{source.name}: was made on '{driven}', and predicted on '{forecast.terrain}': is it the same drive?"
+        warnings.warn(text, LunarSciWarning, stacklevel=2)
+    record, independent = _record(table, fixes, built)
     try:
         matched = match_observations(forecast, record, independent)
     except ParameterError as error:
@@ -218,7 +226,9 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     return {file.name: file.sha256}
 
 
-def _record(states: InputFile, positions: InputFile | None, rover: "Rover") -> "tuple[DriveRecord, BoolArray | None]":
+def _record(
+    states: "StateTable", positions: InputFile | None, rover: "Rover"
+) -> "tuple[DriveRecord, BoolArray | None]":
     """The record, and which of its values are no second reading of the positions.
 
     With positions the reader leaves out values that were derived from them. Here these are compared all the same, as

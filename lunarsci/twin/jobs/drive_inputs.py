@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from lunarsci.documents import toml_document
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.documents import json_document, toml_document
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
@@ -22,8 +22,8 @@ from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
-from lunarsci.twin.plans.rover_check import RoverCheck
 from lunarsci.twin.rover import Rover, build_rover
 
 SYNTHETIC = "synthetic-longji"
@@ -158,8 +158,7 @@ class DriveInputs:
     """What drives where: the parsed inputs of a drive and their hashes.
 
     `driven` says where the soil of the terrain comes from, `given` which soils were asked for, `options` what was taken
-    for options that were left out, `made_for` which rovers plan and terrain were made for, and `remarks` what there is
-    to say about these.
+    for options that were left out, and `check` what was found of files that were made for another rover or ground.
     """
 
     rover: Rover
@@ -169,12 +168,21 @@ class DriveInputs:
     inputs: dict[str, str]
     tables: dict[str, str]
     driven: DrivenSoil
+    check: MadeForCheck
     given: GivenSoil = field(default_factory=GivenSoil)
     options: dict[str, Any] = field(default_factory=dict)
-    made_for: dict[str, Any] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
     ruts: bool = False
     before: Plan | None = None
+
+    @property
+    def made_for(self) -> dict[str, Any]:
+        """Which rovers plan and terrain were made for."""
+        return self.check.made_for
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What there is to say about files of another rover or ground."""
+        return tuple(self.check.remarks)
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
@@ -271,11 +279,11 @@ def read_drive_inputs(
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
     if drive.crs and surface.crs and drive.crs != surface.crs:
         raise RequestError(f"{drive.origin} and {terrain} have different coordinate systems; plan on this terrain")
-    check = RoverCheck(description, built, asked=rover is not None)
+    check = MadeForCheck(description, built, rover is not None, surface, terrain != SYNTHETIC)
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
-    check.terrain(file.made_for, terrain)
-    check.belief(given.name, given.belief, surface)
-    check.stand_in(surface)
+    check.looked_at(file.made_for, terrain)
+    check.belief(given.name, given.belief)
+    check.stand_in()
     if soil_counts:
         check.soil(driven, terrain)
     return DriveInputs(
@@ -286,10 +294,9 @@ def read_drive_inputs(
         inputs,
         tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         driven,
+        check,
         given,
         {"rover": description.origin} | _soil_option(soil, driven if soil_counts else None),
-        check.made_for,
-        tuple(check.remarks),
         ruts,
         earlier,
     )
@@ -299,9 +306,27 @@ def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | N
     """The plan of a file, whose hash goes to the `inputs`, or the one in memory."""
     if plan is None or isinstance(plan, Plan):
         return plan
+    if isinstance(plan, str) and plan != "-" and not Path(plan).exists():
+        _check_found(Path(plan))
     file = read_input(plan)
     inputs[file.name] = file.sha256
     return read_plan(file)
+
+
+def _check_found(plan: Path) -> None:
+    """Raises DataError where a plan is missing as `twin plan` found none, by the record in its folder."""
+    try:
+        record = json_document((plan.parent / "result.json").read_text("utf-8"))
+        why = record["result"]["choice"]["why_none"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if plan.name == "plan.toml" and isinstance(why, str):
+        others = sorted(path.name for path in plan.parent.glob("plan-*.toml"))
+        named = f"; {others[0]} is the safest kept" if others else ""
+        raise DataError(
+            f"{plan}: `twin plan` found no drive that keeps its risk, and wrote none (result.json says why){named}; "
+            "plan with more `risk`, `fixes`, or another `target`"
+        )
 
 
 def _kept_out(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:

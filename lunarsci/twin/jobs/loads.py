@@ -268,20 +268,20 @@ def loads(
     from lunarsci.twin.plans.motion import read_motion
 
     asked = request_of(LoadsRequest, request, options)
-    known = read_drive_inputs(
-        plan, asked.rover, asked.terrain, asked.interpolation, soil=asked.soil, soil_counts=not asked.uncertain
-    )
+    ground = (asked.rover, asked.terrain, asked.interpolation)
+    known = read_drive_inputs(plan, *ground, soil=asked.soil, soil_counts=not asked.uncertain)
     if not known.given.one_soil:
         raise RequestError("a motion is held on one soil; give the belief as `belief`")
     given = {"motion": motion, "states": asked.states, "belief": asked.belief}
     files = {name: read_input(source) for name, source in given.items() if source is not None}
     known.inputs.update({file.name: file.sha256 for file in files.values()})
+    known.check.tables(file for name, file in files.items() if name != "belief")
     poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
     if asked.uncertain:
         return _uncertain(known, files, poses, asked, progress)
     found = prescribed_loads(known.rover, known.terrain, poses)
-    wheels = wheel_loads(known.rover.wheels, found.states)
-    return MotionLoads(known=known, motion=files["motion"], found=found, wheels=wheels)
+    loads, moved = wheel_loads(known.rover.wheels, found.states), files["motion"]
+    return MotionLoads(known=known, motion=moved, found=found, wheels=loads)
 
 
 def _uncertain(

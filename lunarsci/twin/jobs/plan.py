@@ -9,6 +9,7 @@ from lunarsci.result import job, request_of
 from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, Progress, SurveyedSite, TerrainSurvey, read_site
 
 if TYPE_CHECKING:
+    from lunarsci.rovers import MadeFor
     from lunarsci.twin.ground.hazards import Traversability
     from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.plans.plan import Limit
@@ -221,6 +222,7 @@ def plan(
     site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
     from lunarsci.twin.jobs.local_ground import LocalGround
 
+    check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
     path = _path(asked.on(site.terrain), local.site, local.surface, local.finer, progress)
     return TerrainSurvey(site=local.site, surface=local.surface, path=path, checked=local.checked(path))
@@ -248,15 +250,36 @@ def _path(
         finer=finer,
     )
     near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
-    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs))
+    plan = replace(found.plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
+    return replace(found, plan=plan)
 
 
 def limits_at(site: SurveyedSite) -> tuple["Limit", ...]:
     """The limits of the embedded plan, with those of the rover in place."""
+    from lunarsci.twin.plans.made_for_check import limits_of_rover
     from lunarsci.twin.plans.plan import read_plan
-    from lunarsci.twin.plans.rover_check import limits_of_rover
 
     return limits_of_rover(read_plan().limits, site.description, site.rover)
+
+
+def made_for_on(site: SurveyedSite) -> "MadeFor":
+    """The rover, the limits and the ground of a site, for a plan."""
+    return replace(site.made_for, ground=site.terrain.written)
+
+
+def check_start(asked: PlanRequest, site: SurveyedSite) -> None:
+    """Warn where the drive whose end is the start is in doubt, or was on another ground than the path is planned on.
+
+    Raises RequestError where no ground is named and it was on another than the stand-in.
+    """
+    from lunarsci.regolith.written_names import GROUND, written_in
+    from lunarsci.tables import read_csv_table
+
+    for path in asked.start_files:
+        table = read_csv_table(path)
+        site.check.ground(path, written_in(path, table, GROUND))
+        if "doubt" in table and (doubts := table["doubt"].dropna().unique()).size:
+            site.check.say(f"the start is of a drive in doubt, check the pose: {path}: {'; '.join(doubts)}"[:300])
 
 
 def last_pose(path: str) -> tuple[float, float, float]:

@@ -20,7 +20,7 @@ from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditio
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround
-from lunarsci.twin.jobs.plan import PlanRequest, limits_at
+from lunarsci.twin.jobs.plan import PlanRequest, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95
@@ -215,7 +215,7 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     mission, given = read_mission(source), GivenSoil.read(asked.soil)
     check_soils(asked, given)
     site = read_site(terrain, asked, given.named, asked.limits())
-    site.check.belief(given.name, given.belief, site.terrain)
+    site.check.belief(given.name, given.belief)
     far = WIDER * mission.fixes.position_sigma_m
     wider = tuple(ExclusionZone(zone.name, zone.x_m, zone.y_m, zone.radius_m + far) for zone in mission.keep_outs)
     site = replace(site, keep_outs=site.keep_outs + wider)
@@ -262,7 +262,7 @@ class _Ways:
             except (ParameterError, IndexError):
                 raise error from None
         near = near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else ()
-        return replace(plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs)
+        return replace(plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
 
 
 def _conditions_of(plan: Plan, local: LocalGround, soils: Soils, conditions: Conditions) -> Conditions:

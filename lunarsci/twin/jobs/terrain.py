@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.ground.keep_out import Zones
     from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.ground.terrain_files import TerrainFile
-    from lunarsci.twin.plans.rover_check import RoverCheck
+    from lunarsci.twin.plans.made_for_check import MadeForCheck
     from lunarsci.twin.routes.planner import PlannedPath
     from lunarsci.twin.rover import Rover
 
@@ -56,7 +56,7 @@ class GroundRequest:
 
     Attributes
     ----------
-    rover : name or TOML file.
+    rover : name or TOML file; Yutu-2 where it is None.
     baseline : side of the square whose slope is measured; the rover's where it is None. [m]
     max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
@@ -69,7 +69,7 @@ class GroundRequest:
     extent, ground_slope, craters : of `synthetic` alone: side of the square [m], slope along x [deg], craters.
     """
 
-    rover: str = "yutu2"
+    rover: str | None = None
     baseline: float | None = None
     max_slope: float | None = None
     max_step: float | None = None
@@ -158,7 +158,7 @@ class SurveyedSite:
     tables: dict[str, str]
     made: Mapping[str, Any]
     driven: "DrivenSoil"
-    check: "RoverCheck"
+    check: "MadeForCheck"
     file: "TerrainFile"
     keep_outs: "Zones" = ()
     layers: "tuple[CostLayer, ...]" = ()
@@ -225,9 +225,9 @@ class TerrainSurvey(Result):
     def _made_from(self) -> MadeFrom:
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
-        options = {"soil": site.driven.name} if site.driven.of == "default" else {}
+        own = {"rover": site.description.origin} | ({"soil": site.driven.name} if site.driven.of == "default" else {})
         seed = site.made.get("seed")
-        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=options)
+        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
 
     def to_dict(self) -> dict[str, Any]:
         surface = self.surface
@@ -350,7 +350,7 @@ def terrain(
 def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]) -> SurveyedSite:
     """Read or make the terrain, with a soil in place of its own if one is given, and read the rover with its limits."""
     from lunarsci.regolith.soil import read_soil, soil_hash
-    from lunarsci.rovers import read_rover
+    from lunarsci.rovers import DEFAULT_ROVER, read_rover
     from lunarsci.twin.ground import synthetic
     from lunarsci.twin.ground.cost_layers import read_cost_layer
     from lunarsci.twin.ground.driven_soil import lay_soil_on
@@ -358,12 +358,12 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     from lunarsci.twin.ground.keep_out import read_keep_outs
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
     from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
-    from lunarsci.twin.plans.rover_check import RoverCheck
+    from lunarsci.twin.plans.made_for_check import MadeForCheck
     from lunarsci.twin.rover import build_rover
     from lunarsci.twin.rover_limits import check_turning
 
     made, name = asked.made(terrain), soil or DEFAULT_SOIL
-    description = read_rover(asked.rover)
+    description = read_rover(asked.rover or DEFAULT_ROVER)
     built, own_soil = build_rover(description), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
@@ -379,8 +379,8 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in asked.input_files()}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
-    check = RoverCheck(description, built, asked=True)
-    check.terrain(file.made_for, terrain)
+    check = MadeForCheck(description, built, asked.rover is not None, laid, terrain not in MAKERS)
+    check.looked_at(file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
         terrain=file.likely(laid),
@@ -388,7 +388,7 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
         description=description,
         mobility=read_mobility(description, built).with_limits(**limits),
         inputs=inputs | used,
-        tables=tables | {f"{asked.rover} (rover)": sha256(description.text.encode())},
+        tables=tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         made=made,
         driven=driven,
         check=check,

@@ -272,27 +272,25 @@ def update(
 
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
     """
-    from lunarsci.twin.assimilation.drive_record import pace_of, read_record
+    from lunarsci.twin.assimilation.drive_record import pace_of, read_drive_states, read_record
     from lunarsci.twin.assimilation.segments import drive_segments, find_change
     from lunarsci.twin.assimilation.slip_lean import SlipLean
     from lunarsci.twin.assimilation.update import assimilate
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.plans.rover_check import RoverCheck, check_rover_known
 
     asked = request_of(UpdateRequest, request, options)
     if asked.correlation is not None and asked.soil is None and not asked.by_place:
         raise RequestError(NO_MAP)
     known = read_drive_inputs(asked.plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
-    record = read_record(source, known.rover, positions=fixes)
+    table = read_drive_states(source, known.rover)
+    record = read_record(table, known.rover, positions=fixes)
     before = Before.read(asked, known)
-    check = RoverCheck(known.description, known.rover, asked=asked.rover is not None)
-    check.belief(before.file.name if before.file else "", before.belief, known.terrain)
+    known.check.belief(before.file.name if before.file else "", before.belief)
     before.refuse_known(source)
+    known.check.states(source.name, table.table, known=known.made_for["plan"] is not None)
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
-    along = record if fixes is None else read_record(source, known.rover)
-    if asked.rover is None and known.made_for["plan"] is None:
-        check_rover_known(source, known.rover)
+    along = record if fixes is None else read_record(table, known.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
     teach = not before.belief.discrepancy.has_scored(source.sha256)
     drive = (known.rover, known.terrain, known.plan)
@@ -347,6 +345,7 @@ class _DrivenLine:
                 "sha256": self.states.sha256,
                 "plan": self.known.plan.name,
                 "rover": self.known.rover.written,
+                "ground": self.known.terrain.written,
                 "values": found.values,
                 "outliers": int(found.outliers.sum()),
                 "chi_square": found.chi_square,

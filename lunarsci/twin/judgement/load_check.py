@@ -29,7 +29,7 @@ def force_table(found: LoadEnsemble, states: PoseStates | None = None) -> "pd.Da
     distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them
     on the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and
     where there are no forces. `forces_from` says that these were computed of a motion, so that their errors are alike,
-    `rover` whose wheels they are.
+    `rover` whose wheels they are, `ground` where they were.
     """
     import pandas as pd
 
@@ -48,7 +48,7 @@ def force_table(found: LoadEnsemble, states: PoseStates | None = None) -> "pd.Da
         table[name], table[f"{name}_sigma"] = mean[:, k], sigma[:, k]
     table["forces_from"] = FROM_MOTION
     table["valid"] = states.valid & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
-    return pd.DataFrame(table).assign(rover=found.held.rover.written)
+    return pd.DataFrame(table).assign(rover=found.held.rover.written, ground=found.held.terrain.written)
 
 
 def _of_the_motion(found: LoadEnsemble) -> "pd.DataFrame":
@@ -70,7 +70,7 @@ def _of_the_motion(found: LoadEnsemble) -> "pd.DataFrame":
     columns["forces_from"] = np.full(len(mean), FROM_MOTION)
     marked = flat[:, STATE_COLUMNS.index("valid")] > 0.5
     columns["valid"] = marked & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
-    return pd.DataFrame(columns).assign(rover=held.rover.written)
+    return pd.DataFrame(columns).assign(rover=held.rover.written, ground=held.terrain.written)
 
 
 QUANTITIES = (

@@ -78,8 +78,9 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     """States and forces of each wheel: one row for each member, distance and wheel, as far as the member came.
 
     Columns member, distance_m, time_s, wheel, x_m, y_m (wheel centre), sinkage_m, slip_ratio, side_slip_deg,
-    normal_force_n, drawbar_pull_n, lateral_force_n, resistance_torque_nm, valid, rover. `distance_m` is as commanded.
-    States at a halt are not valid: forces there belong to no slip, and a soil identified from them would be wrong.
+    normal_force_n, drawbar_pull_n, lateral_force_n, resistance_torque_nm, valid, rover, ground. `distance_m` is as
+    commanded. States at a halt are not valid: forces there belong to no slip, and a soil identified from them would be
+    wrong.
     """
     import pandas as pd
 
@@ -93,14 +94,14 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
     table.insert(3, "wheel", np.tile(names, len(member)))
-    return table.assign(rover=prediction.rover.written)
+    return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
 
 
 def held_table(found: PrescribedLoads) -> "pd.DataFrame":
     """States and forces of each wheel along a given motion: one row for each pose and wheel.
 
     Columns time_s, wheel, then as in `state_table`, then missing_ahead_n, missing_left_n, missing_moment_nm: what the
-    wheels together do not supply, and rover. Poses without equilibrium have no numbers.
+    wheels together do not supply, rover and ground. Poses without equilibrium have no numbers.
     """
     import pandas as pd
 
@@ -115,14 +116,14 @@ def held_table(found: PrescribedLoads) -> "pd.DataFrame":
         strict=True,
     ):
         table[name] = np.repeat(values, len(names))
-    return table.assign(rover=found.rover.written)
+    return table.assign(rover=found.rover.written, ground=found.terrain.written)
 
 
 def path_table(prediction: Prediction) -> "pd.DataFrame":
     """Pose of the rover's origin: one row for each member and distance, as far as the member came.
 
-    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg. With a
-    discrepancy of the physics also offset_x_m and offset_y_m, which x_m and y_m hold; the other columns do not.
+    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg, rover, ground.
+    With a discrepancy of the physics also offset_x_m and offset_y_m, which x_m and y_m hold; the other columns do not.
     """
     import pandas as pd
 
@@ -134,7 +135,7 @@ def path_table(prediction: Prediction) -> "pd.DataFrame":
     table.insert(0, "member", member)
     table.insert(1, "distance_m", prediction.distance_m[sample])
     table.insert(2, "time_s", prediction.time_s[sample])
-    return table
+    return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
 
 
 def endpoint_table(prediction: Prediction) -> "pd.DataFrame":

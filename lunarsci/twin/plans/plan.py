@@ -160,7 +160,7 @@ class Plan:
     sweep : uncertain soil parameters.
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
-    own_limits : whether its file has limits; without, they are those of the rover that drives it (`RoverCheck`).
+    own_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
     target_m : x, y of where the drive shall end, where that is not the end of the legs: against a drift that is
         expected, a plan aims off. None for the end of the legs. [m]
     crs : the coordinate system of x and y as well-known text; empty for a local frame.

@@ -23,6 +23,11 @@ FINER = 10
 """Steps of the wheel angle's sum in each interval between rows."""
 TRACK_WIDTHS = 0.7
 """Way between points of the track in wheel widths, assumed: the error of a depth is that of one wheel's footprint."""
+SPARSE_WIDTHS, SPARSE_SHARE = 1.05, 0.1
+"""Way in wheel widths between points that can be picked of the recorded places, beyond which a wheel may stand farther
+than half its width from any, and the share of the way where that may be; then there are places between; assumed."""
+FILLED_WIDTHS = 0.1
+"""Way between those in wheel widths; assumed."""
 DENSE_M = 0.01
 """Points of a wheel's path at which its rut is known. [m]"""
 
@@ -192,7 +197,8 @@ def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Gener
     count = int(prediction.recorded[0])
     states = prediction.states[0, :count]
     x, y, z = (states[..., STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
-    points = _apart(np.column_stack([x.ravel(), y.ravel()]), TRACK_WIDTHS * prediction.rover.wheel.width_m)
+    width = prediction.rover.wheel.width_m
+    points = _apart(_filled(x, y, width), TRACK_WIDTHS * width)
     depth = deepest_at(points, (x, y, z), 0.5 * prediction.rover.wheel.width_m).max(axis=1)
     sigma = errors.track_m
     return pd.DataFrame(
@@ -204,6 +210,19 @@ def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Gener
             "synthetic": ["true"] * len(depth),
         }
     )
+
+
+def _filled(x_m: FloatArray, y_m: FloatArray, width_m: float) -> FloatArray:
+    """Wheel centres (n, wheels) as points, with others between them where they are sparse for the wheel. (p, 2) [m]"""
+    places = np.stack([x_m, y_m], axis=-1)
+    steps = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0))
+    picked = np.ceil(TRACK_WIDTHS * width_m / np.maximum(steps, 1e-9)) * steps
+    if steps.size == 0 or np.mean(picked > SPARSE_WIDTHS * width_m) <= SPARSE_SHARE:
+        return places.reshape(-1, 2)
+    rows = np.arange(0.0, len(places) - 1 + 1e-9, min(1.0, FILLED_WIDTHS * width_m / steps.max()))
+    low = np.minimum(rows.astype(int), len(places) - 2)
+    share = (rows - low)[:, None, None]
+    return np.asarray((1.0 - share) * places[low] + share * places[low + 1]).reshape(-1, 2)
 
 
 def _apart(points_m: FloatArray, least_m: float) -> FloatArray:

@@ -332,7 +332,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """A row for each time and wheel: what `lunarsci twin update` reads as states.
 
     Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
-    side_slip_deg, side_slip_deg_sigma, valid, slip_basis, rim_m_s, rover, and doubt where there is some.
+    side_slip_deg, side_slip_deg_sigma, valid, slip_basis, rim_m_s, rover, ground, and doubt where there is some.
     """
     import pandas as pd
 
@@ -349,8 +349,13 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
         columns[name] = getattr(rows, name).ravel()
         columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
     columns["valid"] = rows.valid.ravel()
-    table = pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel(), rover=drive.rover.written)
+    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive)
+
+
+def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
+    """With the rover, its ground, and why the states are doubtful, where they are."""
     doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt and one.kind != AGAINST_PLAN]
+    table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
     return table.assign(doubt="; ".join(doubts)) if doubts else table
 
 
@@ -379,7 +384,8 @@ def position_table(drive: DriveStates) -> "pd.DataFrame":
 def motion_table(drive: DriveStates) -> "pd.DataFrame":
     """The smoothed motion with the wheels' measured commands: what `lunarsci twin loads` reads.
 
-    Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, steering_W_deg, speed_W_m_s of each wheel W, and rover.
+    Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, steering_W_deg, speed_W_m_s of each wheel W, rover,
+    ground, and doubt where there is some.
     """
     import pandas as pd
 
@@ -390,4 +396,4 @@ def motion_table(drive: DriveStates) -> "pd.DataFrame":
     for k, wheel in enumerate(drive.rover.wheels):
         columns[f"steering_{wheel}_deg"] = motion.steering_deg[:, k]
         columns[f"speed_{wheel}_m_s"] = motion.speed_m_s[:, k]
-    return pd.DataFrame(columns).assign(rover=drive.rover.written)
+    return _named(pd.DataFrame(columns), drive)

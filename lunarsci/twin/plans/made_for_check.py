@@ -1,15 +1,18 @@
-"""Whether a plan and a terrain were made for the rover that is to drive, and what is safe where a plan does not say."""
+"""Whether plans, terrains, beliefs and states were made for the rover that drives, and on the ground it drives on.
+
+What is safe where a plan does not say.
+"""
 
 import math
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.written_rover import rover_written, short_name
+from lunarsci.regolith.written_names import GROUND, ground_kinship, short_name, written_in
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription
 from lunarsci.tables import read_csv_table
 from lunarsci.twin.ground.driven_soil import DrivenSoil
@@ -18,6 +21,9 @@ from lunarsci.twin.ground.synthetic import STAND_IN
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.rover import Rover
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SINKAGE_IN_RADII = 1.0 / 3.0
 """Assumed, as in the embedded plan."""
@@ -63,26 +69,9 @@ def _replaced(limit: Limit, value: float, source: str) -> Limit:
 EMBEDDED = "the embedded plan"
 
 
-def check_rover_known(states: InputFile, rover: Rover) -> None:
-    """Warn where nothing names the rover of wheel states that are read for the default one.
-
-    Raises DataError where they lack whole wheels of it: another rover's may bear the same names.
-    """
-    table = read_csv_table(states)
-    if rover_written(states.name, table) or "wheel" not in table:
-        return
-    taken = f"no rover is named, so {short_name(rover.name)} is taken"
-    missing = [name for name in rover.wheels if name not in set(table["wheel"].dropna().str.strip())]
-    if missing:
-        raise DataError(
-            f"{states.name}: {taken}, and there are no states of its {', '.join(missing)}; name yours with `rover`"
-        )
-    warnings.warn(f"{states.name}: {taken}: another one's wheels learn another soil; give `rover`", LunarSciWarning, 3)
-
-
 @dataclass(slots=True)
-class RoverCheck:
-    """The rover that drives, whether it was asked for, and what was found about files that were made for another.
+class MadeForCheck:
+    """The rover that drives and its ground, whether each was asked for, and what was found about files of another.
 
     `made_for` is for the result; `remarks` has one sentence for each warning.
     """
@@ -90,6 +79,8 @@ class RoverCheck:
     description: RoverDescription
     rover: Rover
     asked: bool
+    terrain: Terrain
+    terrain_asked: bool
     made_for: dict[str, Any] = field(default_factory=lambda: {"plan": None, "terrain": None})
     remarks: list[str] = field(default_factory=list)
 
@@ -109,7 +100,50 @@ class RoverCheck:
         if made is not None and made.kinship(self.description) == "other":
             self._refuse(plan, made, path, judged=judged)
         self._note("plan", made, path)
+        self.ground(path, made.ground if made is not None else "", refused=False)
         return plan
+
+    def ground(self, path: str, written: str, *, refused: bool = True) -> None:
+        """Say it where a file was made on another ground; '' where it does not say.
+
+        Raises RequestError where nobody named the ground, so that it is the stand-in, if that is to be `refused`.
+        """
+        kinship = "same" if not written else ground_kinship(written, self.terrain.written)
+        if kinship == "same":
+            return
+        name, own = written.rpartition("; ")[0], self.terrain.name
+        other = f"'{name}'" if kinship == "other" else f"'{name}' with other heights"
+        if refused and not self.terrain_asked:
+            raise RequestError(f"{path} was made on {other}, and no ground is named; give its file as `terrain`")
+        if kinship == "other":
+            self.say(f"{path} was made on {other}, and this is on '{own}'; give its own file as `terrain`")
+        else:
+            self.say(f"{path} was made on {other} than here; give the same file as `terrain`, or make it anew")
+
+    def tables(self, files: Iterable[InputFile]) -> None:
+        """Whether motions and states are of the ground, see `ground`."""
+        for file in files:
+            self.ground(file.name, written_in(file.name, read_csv_table(file), GROUND))
+
+    def states(self, file: str, table: "pd.DataFrame", *, known: bool = False) -> None:
+        """Whether wheel states are of the rover and the ground that are taken where nobody names them.
+
+        `known` says that another file names the rover. Warns where nothing names rover or ground. Raises RequestError
+        as `ground`, DataError where states of whole wheels of the rover are missing: another's may bear the same names.
+        """
+        if not (self.asked or known or written_in(file, table)) and "wheel" in table:
+            self._default_rover(file, set(table["wheel"].dropna().str.strip()))
+        self.ground(file, written := written_in(file, table, GROUND))
+        if not written and not self.terrain_asked and short_name(self.rover.name) == DEFAULT_ROVER:
+            self.say(f"{file}: no ground is named, so the {STAND_IN} is taken; give the file of yours as `terrain`")
+
+    def _default_rover(self, file: str, wheels: set[str]) -> None:
+        taken = f"no rover is named, so {short_name(self.rover.name)} is taken"
+        if missing := [name for name in self.rover.wheels if name not in wheels]:
+            raise DataError(
+                f"{file}: {taken}, and there are no states of its {', '.join(missing)}; name yours with `rover`"
+            )
+        self.say(f"{file}: {taken}: another one's wheels learn another soil; give `rover`")
 
     def _refuse(self, plan: Plan, made: MadeFor, path: str, *, judged: bool) -> None:
         """RequestError where nobody asked for this rover, or where the limits allow more than its own."""
@@ -127,7 +161,7 @@ class RoverCheck:
                 "and take [made_for] out"
             )
 
-    def terrain(self, made: MadeFor | None, path: str) -> None:
+    def looked_at(self, made: MadeFor | None, path: str) -> None:
         """Say it where a terrain was looked at for another rover."""
         self._note("terrain", made, path)
 
@@ -138,15 +172,20 @@ class RoverCheck:
         what = "" if len(driven.replaced) == len(SOIL_COLUMNS) else f" ({', '.join(driven.replaced)})"
         self.say(f"soil {driven.name} takes the place of the soil that {path} carries{what}; leave it out to keep that")
 
-    def belief(self, name: str, belief: SoilBelief | None, terrain: Terrain) -> None:
+    def belief(self, name: str, belief: SoilBelief | None) -> None:
         """Say it where a belief was learned with another rover, as its values are those of that one's wheels.
 
-        Raises RequestError where nobody asked for this rover, and on the stand-in if it was learned on measured ground.
+        And where it was learned on a ground of another name; other heights of the same may have the same soil. Raises
+        RequestError where nobody asked for this rover, and on the stand-in if it was learned on measured ground.
         """
         last = belief.history[-1] if belief is not None and belief.history else {}
         learned, own = str(last.get("rover", "")), self.rover.written
-        if learned and terrain.name == STAND_IN and not last.get("synthetic"):
-            raise RequestError(f"{name} was learned on measured ground, and this is the {STAND_IN}; give `terrain`")
+        ground = str(last.get("ground", "")).rpartition("; ")[0]
+        if learned and self.terrain.name == STAND_IN and not last.get("synthetic"):
+            where = f"measured ground{f', {ground!r}' if ground else ''}"
+            raise RequestError(f"{name} was learned on {where}, and this is the {STAND_IN}; give `terrain`")
+        if ground and ground_kinship(str(last["ground"]), self.terrain.written) == "other":
+            self.say(f"{name} was learned on '{ground}', and this is on '{self.terrain.name}': is the soil the same?")
         if not learned or learned == own:
             return
         if not self.asked:
@@ -156,9 +195,9 @@ class RoverCheck:
             )
         self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
 
-    def stand_in(self, terrain: Terrain) -> None:
+    def stand_in(self) -> None:
         """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""
-        if terrain.name == STAND_IN and short_name(self.rover.name) != DEFAULT_ROVER:
+        if self.terrain.name == STAND_IN and short_name(self.rover.name) != DEFAULT_ROVER:
             self.say(f"this is on the {STAND_IN}, as no terrain is named; give `terrain` for the ground of your rover")
 
     def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:

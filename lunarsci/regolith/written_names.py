@@ -1,14 +1,19 @@
-"""The rover in a table of wheel states: whose wheels they were, so that nobody reads them for others.
+"""Rover and ground in a table of wheel states: whose wheels were where, so that nobody reads them for others.
 
-The column `rover` of tables that lunarsci writes has the name in the rover's file and the size of its wheels, in every
-row, so that it stays where rows are taken out or tables are put together.
+The column `rover` of tables that lunarsci writes has the name in the rover's file and the size of its wheels, `ground`
+the terrain's name and a mark of its heights, in every row, so that they stay where rows are taken out or tables are put
+together. Older tables and those of other programs may lack them.
 """
 
+import hashlib
 import re
 import warnings
 from functools import cache
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -18,7 +23,7 @@ from lunarsci.tables import read_csv_table
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMN = "rover"
+COLUMN, GROUND = "rover", "ground"
 NamedBy = Literal["option", "table", "default"]
 """What named the rover or wheel: the option, the column `rover` of the states, or nobody."""
 
@@ -34,7 +39,39 @@ def written_for(name: str, wheel: Wheel) -> str:
 
 def short_name(name: str) -> str:
     """The name by which lunarsci knows a rover, else its own without what CSV has to quote."""
-    return _asked_for().get(name) or " ".join(re.sub(r'[,;"]', " ", name).split())
+    return _asked_for().get(name) or _plain(name)
+
+
+def _plain(name: str) -> str:
+    return " ".join(re.sub(r'[,;"]', " ", name).split())
+
+
+def ground_written(name: str, height_m: FloatArray, place: tuple[float, float, float]) -> str:
+    """A terrain as tables and plans name it: by heights (ny, nx), and x and y of the first node and the spacing. [m]
+
+    >>> ground_written("site, east", np.zeros((3, 3)), (0.0, 0.0, 0.1))
+    'site east; heights 06387644'
+    """
+    height = np.nan_to_num(np.round(1e3 * height_m), nan=-(2.0**31)).astype(np.int64)
+    where = f"{height_m.shape} " + " ".join(f"{number:.6f}" for number in place)
+    return f"{_plain(name)}; heights {hashlib.sha256(where.encode() + height.tobytes()).hexdigest()[:8]}"
+
+
+def ground_name(written: str) -> str:
+    """Of a ground as it is written, its name; or of the plain name of a terrain, what is written of that."""
+    return _plain(written.rpartition("; heights ")[0] or written)
+
+
+def ground_kinship(written: str, own: str) -> Literal["same", "changed", "other"]:
+    """Whether a ground has the heights of another, whatever their names are, or only its name.
+
+    >>> ground_kinship("a; heights 1", "b; heights 1"), ground_kinship("a; heights 1", "a; heights 2")
+    ('same', 'changed')
+    """
+    (name, _, mark), (own_name, _, own_mark) = written.rpartition("; "), own.rpartition("; ")
+    if mark == own_mark:
+        return "same"
+    return "changed" if name == own_name else "other"
 
 
 @cache
@@ -48,12 +85,12 @@ def size_of(wheel: Wheel) -> str:
     return f"wheels {1e3 * wheel.radius_m:.6g} x {1e3 * wheel.width_m:.6g} mm"
 
 
-def rover_written(file: str, table: "pd.DataFrame") -> str:
-    """The one rover that a table names; '' where it has no such column, or blanks. Raises DataError for several."""
-    cells = table[COLUMN].dropna().unique() if COLUMN in table else ()
+def written_in(file: str, table: "pd.DataFrame", column: str = COLUMN) -> str:
+    """The one rover or ground that a table names; '' without such a column, or blank. Raises DataError for several."""
+    cells = table[column].dropna().unique() if column in table else ()
     found = sorted({" ".join(str(cell).split()) for cell in cells} - {""})
     if len(found) > 1:
-        raise DataError(f"{file}: rows of several rovers: {found[0]}, and {found[1]}; keep those of one")
+        raise DataError(f"{file}: rows of several {column}s: {found[0]}, and {found[1]}; keep those of one")
     return found[0] if found else ""
 
 
@@ -64,7 +101,7 @@ def rover_of_states(source: InputFile, rover: str | None, default: str) -> tuple
     """
     if rover:
         return rover, "option"
-    written = rover_written(source.name, read_csv_table(source))
+    written = written_in(source.name, read_csv_table(source))
     return (_known_as(source.name, written), "table") if written else (default, "default")
 
 
@@ -84,7 +121,7 @@ def check_written_for(file: str, table: "pd.DataFrame", wheel: Wheel, rover: str
 
     Raises DataError for wheels of another size, warns of another name: the wheels are alike, the rest may not be.
     """
-    written = rover_written(file, table)
+    written = written_in(file, table)
     name, _, size = written.rpartition("; ")
     if written and size != size_of(wheel):
         raise DataError(
