@@ -78,6 +78,7 @@ from lunarsci.spectra.band_status import (
     UNUSABLE,
     Band,
     Codes,
+    short_by,
 )
 from lunarsci.spectra.band_window import NARROW, WIDE, window_of
 from lunarsci.spectra.continuum import CONTINUA, HULL, LEVEL, LINEAR, SMOOTHED, tables_of, tie_down, ties_of
@@ -175,6 +176,8 @@ def measure_rows(
         given = np.empty((0, own.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
         noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, own.shape), float)
         _measure(grid, places, own, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
+        found = numbers[rows, -1]
+        found[:, METHOD] = np.fmax(found[:, METHOD], short_by(found[:, CENTER], float(grid.wavelength_nm[-1])))
 
     each_in_threads(work, -(-count // CHUNK), progress)
     return numbers, codes

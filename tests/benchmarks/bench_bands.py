@@ -8,6 +8,8 @@ the time of a spectrum, alone and as a row of an image.
 
 With `--rover` FOLDER has `ce4/reflectance_factor.csv`: 88 targets, each smoothed over 41 channels, and 100 draws of it
 with the noise that its own channels have. `Band.least` was chosen on every second of them, measured on the others.
+
+With `--cut` spectra of FOLDER that go on to 2450 nm are cut before: the truth is the centre of the whole one.
 """
 
 import argparse
@@ -150,6 +152,39 @@ def rover(folder: Path, draws: int = 100) -> None:
             )
 
 
+def cut(folder: Path, last_nm: float) -> pd.DataFrame:
+    """Centres at 2 um of spectra cut behind a channel and of the whole ones, and errors: noise, method. [nm]"""
+    found: list[pd.DataFrame] = []
+    for kind in KINDS:
+        wavelength, spectra = table(folder, kind)
+        keep = wavelength <= last_nm
+        whole = band_arrays(wavelength, spectra).bands["2000"]
+        own = band_arrays(wavelength[keep], spectra[:, keep]).bands["2000"]
+        columns = {"centre": own.center_nm, "sigma": own.center_sigma_nm, "method": own.center_method_nm}
+        columns["other"] = np.fmax(own.center_systematic_nm, own.center_gaussian_nm)
+        found.append(pd.DataFrame({"whole": whole.center_nm, **columns}))
+    return pd.concat(found).dropna(subset=["whole", "centre"]).fillna(0.0)
+
+
+def shares_held(pairs: pd.DataFrame, method: str = "method") -> tuple[float, float]:
+    """Shares of the centres of `cut` within one and two of the joined errors."""
+    errors = (pairs.centre - pairs.whole).abs() / np.hypot(pairs.sigma, pairs[method])
+    return float((errors < 1).mean()), float((errors < 2).mean())
+
+
+def print_cut(folder: Path) -> None:
+    """Print how many centres of cut spectra lie within their errors, with and without what the cut adds."""
+    for last_nm in (2400.0, 2350.0, 2300.0):
+        pairs = cut(folder, last_nm)
+        for low, high in ((1700.0, 2000.0), (2000.0, 2150.0), (2150.0, 2400.0)):
+            own = pairs[pairs.whole.between(low, high)]
+            with_cut, without = shares_held(own), shares_held(own, "other")
+            print(
+                f"cut at {last_nm:g} nm, centre {low:g} to {high:g} nm, {len(own)} spectra: within one and two errors "
+                f"{with_cut[0]:.2f} and {with_cut[1]:.2f}; without the cut's {without[0]:.2f} and {without[1]:.2f}"
+            )
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -157,9 +192,10 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--draws", type=int, default=2)
     parser.add_argument("--rover", action="store_true")
+    parser.add_argument("--cut", action="store_true")
     options = parser.parse_args()
-    if options.rover:
-        rover(options.folder)
+    if options.rover or options.cut:
+        (rover if options.rover else print_cut)(options.folder)
         return
     for name in ("conic", "hull"):
         for quantity in QUANTITIES:
