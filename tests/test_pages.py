@@ -111,6 +111,7 @@ def test_options_named_in_pages_exist(
         "--small",
         "--seed",
         "--first",
+        "--cut",
         "--halves",
         "--soils",
         "--install-completion",

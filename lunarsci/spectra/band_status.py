@@ -66,8 +66,8 @@ CROSSING_SHARE = 0.25
 """A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
 
 WIDTHS_NM = ((1900.0, 570.0), (2200.0, 690.0))
-"""Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`, in between
-linearly. [nm]"""
+"""Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`; that they go over
+into each other linearly is assumed. [nm]"""
 
 
 def short_by(center_nm: FloatArray, last_nm: float) -> FloatArray:
