@@ -597,6 +597,7 @@ def drive_readers() -> dict[str, Reader]:
 
     def record(path: Path) -> Any:
         from lunarsci.errors import DataError, RequestError
+        from lunarsci.inputs import read_input
         from lunarsci.rovers import read_rover
         from lunarsci.tables import read_csv_table
         from lunarsci.twin.ground.synthetic import synthetic_terrain
@@ -607,6 +608,7 @@ def drive_readers() -> dict[str, Reader]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with contextlib.suppress(DataError, RequestError):
+                check.tables([read_input(str(path))])
                 check.states(str(path), read_csv_table(str(path)))
         return with_rover("twin.assimilation.drive_record:read_record")(path)
 

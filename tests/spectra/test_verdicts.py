@@ -163,7 +163,8 @@ def test_a_centre_that_depends_on_the_method_says_so(reference_data: Path) -> No
         for key in ("1000", "2000"):
             spread = record[f"bc{key}_method_nm"]
             parts = (record[f"bc{key}_systematic_nm"], record[f"bc{key}_gaussian_nm"])
-            assert spread == max((one for one in parts if one is not None), default=None)
+            least = max((one for one in parts if one is not None), default=None)
+            assert spread == least or (key == "2000" and spread > (least or 0.0)), "the cut, of the 2 um band alone"
             wide = bool(record[f"bc{key}_nm"]) and spread > max(20, 3 * record[f"bc{key}_sigma_nm"])
             assert (record[f"band{key}_status"] == "centre depends on the method") is wide
             assert own.bands[key].status == record[f"band{key}_status"]
