@@ -1,5 +1,6 @@
 """Results of jobs as tables, HTML and JSON; requests as options of a command."""
 
+import importlib
 import inspect
 import io
 import json
@@ -8,7 +9,8 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -27,6 +29,8 @@ from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, request_of
+
+ROOT = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,37 @@ def test_options_make_a_request() -> None:
     assert request_of(Asked, Asked(exact=True), {"ties": ("a",)}) == Asked(ties=("a",), exact=True)
     with pytest.raises(RequestError, match=r"'lode' is no option here; did you mean 'load_n'\? these are: exact"):
         request_of(Asked, None, {"lode": 1})
+
+
+REQUESTS = sorted(
+    {
+        (path.relative_to(ROOT).with_suffix("").as_posix().replace("/", "."), name)
+        for path in (ROOT / "lunarsci").rglob("*.py")
+        for name in re.findall(r"^class (\w+Request)\b", path.read_text("utf-8"), re.M)
+    }
+)
+
+
+@pytest.mark.parametrize(("module", "request_name"), REQUESTS)
+def test_an_option_refuses_what_is_none_of_its_choices(module: str, request_name: str) -> None:
+    kind = getattr(importlib.import_module(module), request_name)
+    for name, hint in get_type_hints(kind).items():
+        kinds = (hint, *get_args(hint))
+        if any(get_origin(one) is Literal for one in kinds):
+            with pytest.raises(RequestError, match=f"`{name}` is 'xyz'; .*these are: "):
+                request_of(kind, None, {name: "xyz"})
+        if float in kinds and str not in kinds:
+            with pytest.raises(RequestError, match=f"`{name}` is 'xyz'; give "):
+                request_of(kind, None, {name: "xyz"})
+
+
+def test_plain_types_of_options_are_kept() -> None:
+    assert request_of(Asked, None, {"load_n": np.float32(2.0)}) == Asked(load_n=2.0)
+    for wrong in ({"load_n": "a"}, {"load_n": True}, {"exact": 1}, {"ties": 5}):
+        with pytest.raises(RequestError, match="; give "):
+            request_of(Asked, None, wrong)
+    with pytest.raises(RequestError, match="; give "):
+        request_of(Asked, Asked(exact=1), {})  # type: ignore[arg-type]
 
 
 def test_a_command_takes_the_fields_of_a_request() -> None:
