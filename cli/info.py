@@ -26,7 +26,7 @@ def info(file: File) -> Report:
     catalogues and results are known. Exit code 3: it is one of these, but commands would refuse it, and why.
 
     --field result.KEY… or provenance.KEY… of a stored result prints a value of it, without computing anything again;
-    exit code 3 where there is no value, or one of the result that is not to be used.
+    exit code 3 where there is no value, or one that is not to be used. Of a batch of fits the trust in that spectrum counts.
     """
     from lunarsci.guide.info import info
 
