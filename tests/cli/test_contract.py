@@ -369,12 +369,16 @@ def test_results_in_a_folder_of_inputs_are_left_out_and_said(run: Run, rock: Pat
     folder = rock.parent / "in"
     folder.mkdir()
     (folder / "rock.csv").write_bytes(rock.read_bytes())
-    assert run("spectra", "bands", rock, "-o", folder / "bands.json").code == 0
+    for name in ("bands.json", "bands.csv"):
+        assert run("spectra", "bands", rock, "-o", folder / name).code == 0
+    assert run("spectra", "fit", rock, "--columns", "id,status", "-o", folder / "fit.csv").code == 0
     (folder / "own.json").write_text('{"schema": "mine/1"}')
     (folder / "night.failed").write_text("")
     done = run("spectra", "bands", folder, "--failed", rock.parent / "now.failed", "--json")
     assert [one["id"] for one in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
-    assert any(f"{folder}: left out, 1 result of lunarsci: bands.json" in line for line in done.err)
+    assert any(
+        f"{folder}: left out, 3 results of lunarsci: bands.csv, bands.json, fit.csv" in line for line in done.err
+    )
     assert (rock.parent / "now.failed").read_text("utf-8").startswith(f"{folder / 'own.json'}\t")
     (folder / "rock.csv").unlink()
     (folder / "own.json").unlink()
