@@ -88,8 +88,8 @@ def read_results(
 ) -> tuple[list[Document], list[GivenPicture]]:
     """Documents and pictures in the order given; a result of a function is what its file would be.
 
-    `drawn`: the picture of its --plot, at most `MOST_PAGES` pages of it, belongs to a result of a function, and to that of
-    `spectra map` where the map still lies where it was written, or beside the result.
+    `drawn`: the picture of its --plot, at most `MOST_PAGES` pages of it, belongs to a result of a function, and to that
+    of `spectra map` where the map still lies where it was written, or beside the result.
 
     Raises DataError for what is none of them, ParameterError where no document is given.
     """
