@@ -135,12 +135,18 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:
-    """How many inputs of a batch failed, and the first of them."""
+    """How many spectra of a batch have a result, and how many inputs, or single spectra of them, have none."""
     names = list(dict.fromkeys(failure.input for failure in report.failures))
-    found = next(
-        (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
-    )
-    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
+    key = next((key for key in ("spectra", "rocks") if key in report.result), "")
+    count = len(report.result[key]) if key else 0
+    noun = {"spectra": "spectrum", "rocks": "rock"}[key] if count == 1 else key
+    found = f"{count} {noun} with a result, " if key else ""
+    single = sum(bool(one.spectrum) for one in report.failures)
+    whole = len({one.input for one in report.failures if not one.spectrum})
+    counts = [f"{whole} input{'s' if whole > 1 else ''}"] if whole else []
+    counts += [f"{single} single spectr{'a' if single > 1 else 'um'}"] if single else []
+    without = f"{' and '.join(counts)} without"
+    return f"{found}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
