@@ -45,21 +45,8 @@ _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
 NO_DATA = (
-    ".md",
-    ".rst",
-    ".html",
-    ".htm",
-    ".pdf",
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".gif",
-    ".svg",
-    ".toml",
-    ".py",
-    ".sh",
-    ".log",
-    ".failed",
+    *(".md", ".rst", ".html", ".htm", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".svg"),
+    *(".toml", ".py", ".sh", ".log", ".failed"),
 )
 """Ends of names in a folder of inputs that are left out."""
 ABOUT_OTHERS = ("readme", "license", "licence", "changelog", "makefile")
