@@ -26,7 +26,7 @@ def info(file: File) -> Report:
     catalogues and results are known. Exit code 3: it is one of these, but commands would refuse it, and why.
 
     --field result.KEY… or provenance.KEY… of a stored result prints a value of it, without computing anything again;
-    exit code 3 where there is no value, or one of the result that is not to be used.
+    exit code 3 where there is no value, or one that is not to be used. Of a batch of fits only that spectrum counts.
     """
     from lunarsci.guide.info import info
 
@@ -47,5 +47,5 @@ def _text(value: object) -> str:
 
 
 def _commands(found: "FileInfo") -> TextTable:
-    lines = [f"  {line}" for line in found.commands] or ["  none that is known"]
+    lines = [f"  {line}" for line in found.commands] or ["  none as it is" if found.trouble else "  none that is known"]
     return TextTable([], [], title="Commands that take it", notes=lines)

@@ -45,24 +45,16 @@ _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
 NO_DATA = (
-    ".md",
-    ".rst",
-    ".html",
-    ".htm",
-    ".pdf",
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".gif",
-    ".svg",
-    ".toml",
-    ".py",
-    ".sh",
-    ".log",
-    ".failed",
+    *(".md", ".rst", ".html", ".htm", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".svg"),
+    *(".toml", ".py", ".sh", ".log", ".failed"),
 )
 """Ends of names in a folder of inputs that are left out."""
 ABOUT_OTHERS = ("readme", "license", "licence", "changelog", "makefile")
+RESULT_COLUMNS = {
+    *("source", "status", "assemblage", "sure", "open", "log_bayes_factor"),
+    *("bc1000_nm", "bc2000_nm", "bd1000", "bd2000"),
+}
+"""Columns of results, one of which stands beside `id` or `rock` in a table of them."""
 NAMED_LEFT = 10
 _ROWS = 3
 """From so many rows on the last number of a table is set beside those above it; assumed."""
@@ -379,13 +371,22 @@ def no_data(name: str) -> bool:
 
 
 def is_result(name: str) -> bool:
-    """Whether a file is a JSON document of lunarsci, by its end: keys are sorted, the schema is last."""
+    """Whether a file is a result of lunarsci: a JSON document by its end, where keys are sorted and the schema is last,
+    or a table of `--csv` by its names of columns, none of which is a wavelength.
+    """
+    suffix = Path(name).suffix.lower()
     try:
         with Path(name).open("rb") as stream:
-            stream.seek(max(0, Path(name).stat().st_size - _ENDING))
-            return _SCHEMA.search(stream.read()) is not None
+            if suffix == ".json":
+                stream.seek(max(0, Path(name).stat().st_size - _ENDING))
+                return _SCHEMA.search(stream.read()) is not None
+            if suffix != ".csv":
+                return False
+            columns = stream.readline(_BEGINNING).decode("utf-8", "replace").strip().split(",")
     except OSError:
         return False
+    spectral = any("wavelength" in column or column[:1].isdigit() for column in columns)
+    return not (spectral or {"id", "rock"}.isdisjoint(columns) or RESULT_COLUMNS.isdisjoint(columns))
 
 
 def _is(kind: Callable[[Path], bool], path: str) -> bool:

@@ -63,6 +63,13 @@ UNITS = {
     "w": "W",
 }
 """Unit by the last part of a key, the longest first; that of `stiffness_kpa_m_n` depends on the exponent, so none."""
+_MINERAL, _OF = "(olivine|orthopyroxene|clinopyroxene|plagioclase)", "(_(low|high|sigma)(68|95)?)?$"
+MEANT = (
+    (re.compile(f"^[a-z0-9]+_{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
+    (re.compile(f"^{_MINERAL}_in_(mafic|pyroxene){_OF}"), "", "ratio of minerals, as a fraction of 1"),
+    (re.compile("^(fo|fs|wo)_"), "%", "composition of the mineral in mol %"),
+)
+"""Columns whose names tell no unit: unit and meaning in `to_table`."""
 ENDS = ("_sigma", "_low", "_high", "_low68", "_high68", "_low95", "_high95")
 
 
@@ -281,10 +288,16 @@ class Result(ABC):
         Without `parts` there is one row of each thing, as of a spectrum, and not one of each of its bands.
         """
         from astropy.table import QTable
+        from astropy.units import Unit
 
         rows = [plain(row) for row in (self.answers() if parts else self.rows_each())]
         names = list(dict.fromkeys(name for row in rows for name in row))
-        return QTable({name: _column(name, [row.get(name) for row in rows]) for name in names})
+        table = QTable({name: _column(name, [row.get(name) for row in rows]) for name in names})
+        for name in names:
+            if (meant := next((one for one in MEANT if one[0].search(name)), None)) and table[name].dtype.kind == "f":
+                table[name] = table[name] << Unit(meant[1])
+                table[name].info.description = meant[2]
+        return table
 
     def to_json(self, *, time: bool = True) -> str:
         """The document of `--json`; without `time` two equal results give equal text."""

@@ -202,3 +202,29 @@ def test_the_help_of_a_function_names_every_option(name: str) -> None:
     for item in fields(kind):
         assert re.search(rf"\b{item.name}\b", meaning), f"{kind.__name__} does not say what {item.name} means"
         assert f"{item.name}=" in defaults
+
+
+def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
+    row = {
+        "unmix_olivine": 0.3,
+        "unmix_olivine_low": None,
+        "olivine_in_mafic_high95": 0.5,
+        "fo_mean": 70.0,
+        "rms_ln": 0.1,
+    }
+
+    @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+    class Shares(Result):
+        def to_dict(self) -> dict[str, Any]:
+            return {}
+
+        def rows(self) -> Sequence[Mapping[str, Any]]:
+            return [row, row | {"unmix_olivine_low": 0.2}]
+
+    table = Shares().to_table()
+    told = {name: (table[name].unit, table[name].info.description) for name in table.colnames}
+    for name in ("unmix_olivine", "unmix_olivine_low", "olivine_in_mafic_high95"):
+        assert told[name][0] == units.dimensionless_unscaled and "fraction of 1" in told[name][1]
+    assert told["fo_mean"] == (units.percent, "composition of the mineral in mol %")
+    assert told["rms_ln"][1] is None
+    assert table["unmix_olivine"][0] == 0.3

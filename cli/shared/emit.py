@@ -31,6 +31,9 @@ NAMED = 5
 MOST_ANSWERED = 1000
 """Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
+OF_FITS = ("lunarsci/spectra-fit/1", "lunarsci/spectra-unmix/1")
+"""Results of which each spectrum says itself whether it is to be trusted."""
+
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
     """Write the pictures and the result, then say what was written and what to know about it; the exit code.
@@ -132,12 +135,18 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:
-    """How many inputs of a batch failed, and the first of them."""
+    """How many spectra of a batch have a result, and how many inputs, or single spectra of them, have none."""
     names = list(dict.fromkeys(failure.input for failure in report.failures))
-    found = next(
-        (f"{len(report.result[key])} with a result, " for key in ("spectra", "rocks") if key in report.result), ""
-    )
-    return f"{found}{len(report.failures)} without: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
+    key = next((key for key in ("spectra", "rocks") if key in report.result), "")
+    count = len(report.result[key]) if key else 0
+    noun = {"spectra": "spectrum", "rocks": "rock"}[key] if count == 1 else key
+    found = f"{count} {noun} with a result, " if key else ""
+    single = sum(bool(one.spectrum) for one in report.failures)
+    whole = len({one.input for one in report.failures if not one.spectrum})
+    counts = [f"{whole} input{'s' if whole > 1 else ''}"] if whole else []
+    counts += [f"{single} single spectr{'a' if single > 1 else 'um'}"] if single else []
+    without = f"{' and '.join(counts)} without"
+    return f"{found}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
@@ -204,8 +213,17 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
     elif doubt:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
     text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
-    kept = (stored.get("provenance") or {}).get("untrusted") if stored and path.startswith("result") else ""
-    return f"{text}\n", doubt or kept or ""
+    return f"{text}\n", doubt or (_doubt_kept(stored, steps) if stored and path.startswith("result") else "")
+
+
+def _doubt_kept(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
+    """Why a value of a stored result is not to be trusted: below one of many fits as that one is not, else as all."""
+    kept = str((stored.get("provenance") or {}).get("untrusted") or "")
+    if not kept or str(stored.get("schema")) not in OF_FITS or len(steps) < 2 or steps[0] != "spectra":
+        return kept
+    from lunarsci.spectra.jobs.verdicts import fit_doubt
+
+    return fit_doubt(stored["result"]["spectra"][int(steps[1])])
 
 
 def _could_be(step: str, above: Sequence[str], top: Any, report: Report) -> bool:

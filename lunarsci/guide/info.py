@@ -98,7 +98,10 @@ MAGIC = {
     b"\x89HDF": "cube",
     b"CDF": "cube",
 }
-WAVELENGTH = re.compile(r"wave|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel", re.IGNORECASE)
+WAVELENGTH = re.compile(
+    r"wave|wellenl|longueur|longitud|lunghezza|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel",
+    re.IGNORECASE,
+)
 """Names of a first column that make a table one of spectra."""
 SPECTRAL, LEAST_LINES, MOST_LINES = ((0.2, 5.0), (200.0, 5000.0)), 8, 200
 """Where a first column of another name may lie, in µm and nm; rows that it needs at least, and that are looked at;
@@ -152,6 +155,9 @@ class FileInfo(Result):
 
     @property
     def commands(self) -> list[str]:
+        """Those that take it; none of a file that its reader refuses."""
+        if self.trouble:
+            return []
         own = WHEEL if self.contents.get("parts") == WHEEL_ALONE else KINDS[self.kind].commands
         return [f"lunarsci {one}" for one in (*self.further, *own)]
 

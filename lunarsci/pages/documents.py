@@ -5,7 +5,6 @@ import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,8 @@ PICTURES = {".png": b"\x89PNG", ".svg": b"<"}
 """Suffixes of pictures that a page takes, and how they begin."""
 LARGEST_PICTURE = 4_000_000
 """Bytes of a picture that a page takes; assumed, so that a page stays one that can be sent by mail."""
+MOST_PAGES = 6
+"""Pages of a plot that a page of results shows; assumed."""
 MOST_ROWS = 200_000
 """Rows that are read of a table beside a result; assumed."""
 NO_RESULTS = {
@@ -87,8 +88,8 @@ def read_results(
 ) -> tuple[list[Document], list[GivenPicture]]:
     """Documents and pictures in the order given; a result of a function is what its file would be.
 
-    `drawn`: the picture of its --plot, the first page of several, belongs to a result of a function, and to that of
-    `spectra map` where the map still lies where it was written, or beside the result.
+    `drawn`: the picture of its --plot, at most `MOST_PAGES` pages of it, belongs to a result of a function, and to that
+    of `spectra map` where the map still lies where it was written, or beside the result.
 
     Raises DataError for what is none of them, ParameterError where no document is given.
     """
@@ -120,18 +121,31 @@ def _in_memory(result: Result, number: int, drawn: bool) -> Document:
 def _picture_of(result: Result, name: str) -> dict[str, bytes]:
     """What --plot draws of a result; none where it has nothing to draw."""
     try:
-        return _first_page(result.figures(), name)
+        return _first_pages(result.figures(), name)
     except ParameterError:
         return {}
 
 
-def _first_page(figures: "Iterator[Figure]", name: str) -> dict[str, bytes]:
-    """The first of some figures by a name; none where it is more than a page takes. Raises ParameterError."""
+def _first_pages(figures: "Iterator[Figure]", name: str) -> dict[str, bytes]:
+    """The first of some figures by names, the last of which says where all are if there are more.
+
+    None that is, with those before it, more than a page takes. Raises ParameterError.
+    """
     from lunarsci.figure import picture_bytes, styled
 
+    found: list[bytes] = []
+    more, start, suffix = False, Path(name).stem, Path(name).suffix
     with styled():
-        content = picture_bytes(islice(figures, 1), Path(name))
-    return {name: content} if len(content) <= LARGEST_PICTURE else {}
+        for figure in figures:
+            content = picture_bytes([figure], Path(name))
+            more = len(found) == MOST_PAGES or sum(map(len, found)) + len(content) > LARGEST_PICTURE
+            if more:
+                break
+            found.append(content)
+    names = [name, *(f"{start}-{number}{suffix}" for number in range(2, len(found) + 1))]
+    if more and found:
+        names[-1] = f"{start}-{len(found)}, more pages are left out: its command with --plot FILE.pdf has all{suffix}"
+    return dict(zip(names, found, strict=False))
 
 
 def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
@@ -142,7 +156,7 @@ def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: P
         named = Path(result["map"]["file"])
         for file in dict.fromkeys((named, folder / named.name)):
             if file.is_file() and is_map_of(file, result, record):
-                return _first_page(map_pages(file, result), f"{file.stem}.png")
+                return _first_pages(map_pages(file, result), f"{file.stem}.png")
     except (DataError, ParameterError, LookupError, TypeError, ValueError, AttributeError):
         return {}
     return {}

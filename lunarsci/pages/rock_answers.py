@@ -82,10 +82,8 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def fit(result: Result) -> ResultAnswer:
-    strained = [str(one["id"]) for one in result["spectra"] if "strained" in (one.get("status") or "")]
-    told = [f"In doubt, as strained: {some_of(strained, MOST_NAMED)}."] if strained else []
     without = [str(one["id"]) for one in result["spectra"] if _no_share(one)]
-    told += [f"No share of minerals is to be quoted of {some_of(without, MOST_NAMED)}."] if without else []
+    told = [f"No share of minerals is to be quoted of {some_of(without, MOST_NAMED)}."] if without else []
     return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short), trust=" ".join(told))
 
 

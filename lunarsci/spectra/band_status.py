@@ -172,23 +172,27 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
 
 
 def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]:
-    """A value and its errors, to the second digit of the largest or so many places; no error is written as 0.
+    """A value and its errors, to the second digit of the largest or so many places; each error keeps its first digit.
 
-    >>> with_errors(973.031, 0.068, 5.7), with_errors(1976.2, 6.8, 69.0), with_errors(0.4193, 0.00006, most=3)
-    (['973.0', '0.1', '5.7'], ['1976', '7', '69'], ['0.419', '0.001'])
+    >>> with_errors(973.031, 0.068, 5.7), with_errors(1890.2, 6.1, 131.0), with_errors(0.4193, 0.00006, most=3)
+    (['973.0', '0.07', '5.7'], ['1890', '6', '130'], ['0.419', '0.001'])
     """
     largest = max((error for error in errors if error), default=1.0)
     places = min(1 - math.floor(math.log10(float(f"{largest:.1e}"))), most)
-    shown, least = max(places, 0), 10.0**-places
-    known = [max(error, least) for error in errors if error is not None]
-    return [f"{round(one, places):.{shown}f}" for one in (value, *known)]
+
+    def shown(one: float, to: int) -> str:
+        return f"{round(one, to):.{max(to, 0)}f}"
+
+    known = [error for error in errors if error is not None]
+    own = [max(places, min(-math.floor(math.log10(float(f"{one:.0e}"))), most)) if one else places for one in known]
+    return [shown(value, places), *(shown(max(one, 10.0**-to), to) for one, to in zip(known, own, strict=True))]
 
 
 def centre_said(center_nm: float, sigma_nm: float, spread_nm: float | None, *, named: bool = True) -> str:
     """A centre with both of its errors, that of the noise and what methods differ by.
 
     >>> centre_said(1976.2, 6.8, 69.0), centre_said(973.031, 0.068, 5.7, named=False)
-    ('1976 ± 7 (noise) ± 69 (method) nm', '973.0 ± 0.1 ± 5.7 nm')
+    ('1976 ± 7 (noise) ± 69 (method) nm', '973.0 ± 0.07 ± 5.7 nm')
     """
     value, *errors = with_errors(center_nm, sigma_nm, spread_nm)
     names = (" (noise)", " (method)") if named else ("", "")

@@ -221,7 +221,7 @@ def test_a_broken_one_is_one_line_and_the_others_are_printed(run: Run, tmp_path:
     assert [spectrum["id"] for spectrum in result(done)] == ["SYNTHETIC-CE4-0002"]
     assert len(done.err) == 4
     assert all(line.startswith("error: ") for line in done.err[:3])
-    assert done.err[3].startswith("1 with a result, 3 without: ")
+    assert done.err[3].startswith("1 spectrum with a result, 3 inputs without: ")
     assert sum("its label states 26214400: truncated" in line for line in done.err) == 1
     target = tmp_path / "out.ecsv"
     assert run(*COMMAND, folder, "-o", target).code == 1
@@ -258,7 +258,7 @@ def test_what_is_no_product_is_refused(run: Run, tmp_path: Path, argument: str) 
 def test_stdin_beside_a_label_does_not_stop_it(run: Run, label: Path) -> None:
     done = run(*COMMAND, "-", label, "--json")
     assert (done.code, len(done.err), len(result(done))) == (1, 2, 1)
-    assert done.err[1].startswith("1 with a result, 1 without: ")
+    assert done.err[1].startswith("1 spectrum with a result, 1 input without: ")
 
 
 # -- The other commands -----------------------------------------------------------------------------------------------

@@ -328,7 +328,7 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
     assert [s["id"] for s in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
     assert sum(line.startswith("error: ") for line in done.err) == 2
     empty, missing = (str(bad_spectra[name]) for name in ("empty.csv", "missing.csv"))
-    assert done.err[-1].startswith(f"1 with a result, 2 without: {empty}, {missing}; ")
+    assert done.err[-1].startswith(f"1 spectrum with a result, 2 inputs without: {empty}, {missing}; ")
     listed = run("spectra", "bands", empty, rock, missing, "--field", "provenance.failures")
     assert listed.code == 1
     assert [why.split(": ")[0] for why in json.loads(listed.out)] == [empty, missing]
@@ -369,12 +369,16 @@ def test_results_in_a_folder_of_inputs_are_left_out_and_said(run: Run, rock: Pat
     folder = rock.parent / "in"
     folder.mkdir()
     (folder / "rock.csv").write_bytes(rock.read_bytes())
-    assert run("spectra", "bands", rock, "-o", folder / "bands.json").code == 0
+    for name in ("bands.json", "bands.csv"):
+        assert run("spectra", "bands", rock, "-o", folder / name).code == 0
+    assert run("spectra", "fit", rock, "--columns", "id,status", "-o", folder / "fit.csv").code == 0
     (folder / "own.json").write_text('{"schema": "mine/1"}')
     (folder / "night.failed").write_text("")
     done = run("spectra", "bands", folder, "--failed", rock.parent / "now.failed", "--json")
     assert [one["id"] for one in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
-    assert any(f"{folder}: left out, 1 result of lunarsci: bands.json" in line for line in done.err)
+    assert any(
+        f"{folder}: left out, 3 results of lunarsci: bands.csv, bands.json, fit.csv" in line for line in done.err
+    )
     assert (rock.parent / "now.failed").read_text("utf-8").startswith(f"{folder / 'own.json'}\t")
     (folder / "rock.csv").unlink()
     (folder / "own.json").unlink()
@@ -422,7 +426,7 @@ def test_a_pattern_without_files_does_not_stop_a_batch(run: Run, rock: Path) -> 
 def test_a_field_below_null_is_null_and_said(run: Run, rock: Path) -> None:
     done = run("spectra", "fit", rock, "--assemblage", "OL", "--field", "spectra.0.nbsr.um1.opx")
     assert (done.code, done.out) == (3, "null\n")
-    assert done.err == ["--field spectra.0.nbsr.um1.opx: no value"]
+    assert done.err[-1] == "--field spectra.0.nbsr.um1.opx: no value"
 
 
 def test_a_field_that_other_spectra_have_is_missing_here(run: Run, rock: Path) -> None:
@@ -596,3 +600,23 @@ def test_a_value_of_a_kept_result_is_read_without_computing_it_again(tmp_path: P
     assert (wrong.code, wrong.out) == (2, "") and "bc1000_nm" in " ".join(wrong.err)
     shaky = run("info", files["shaky"], "--field", "result.spectra.0.bc1000_nm")
     assert (shaky.code, shaky.out, shaky.err) == (3, "931.5\n", ["not to be trusted: no convergence for a"])
+
+
+def test_a_value_of_a_kept_batch_is_trusted_as_its_own_spectrum_is(tmp_path: Path, run: Callable[..., Any]) -> None:
+    """A bad spectrum beside a good one is nothing against that; all of them together are not to be trusted."""
+    kept = tmp_path / "fit.json"
+    good = {"status": "converged", "rms_ln": 0.01, "choice": {"strong": True}}
+    bad = (
+        {"status": "not converged after 5 iterations"},
+        {"status": "converged; strained: OPX 1 lies far from where such bands are usual"},
+        {"rms_ln": 0.3},
+        {"choice": {"strong": False}},
+    )
+    spectra = [good | more | {"id": f"s{k}"} for k, more in enumerate(({}, *bad))]
+    record = {"untrusted": "not to be trusted: no convergence for s1"}
+    document = {"schema": "lunarsci/spectra-fit/1", "result": {"spectra": spectra}, "provenance": record}
+    kept.write_text(json.dumps(document), encoding="utf-8")
+    asked = [run("info", kept, "--field", f"result.spectra.{k}.rms_ln") for k in range(len(spectra))]
+    assert [one.code for one in asked] == [0, 3, 3, 3, 3]
+    assert asked[0].err == [] and "s4 is not to be trusted: the assemblage is not decided" in asked[4].err[0]
+    assert run("info", kept, "--field", "result.spectra").code == 3

@@ -129,7 +129,9 @@ def test_several_rocks_and_a_bad_input_among_them(run: Run, fitted: tuple[Path, 
     done = run("spectra", "match", both, bad)
     assert done.code == 1
     assert "second" in done.out
-    assert "bad.json: is no JSON" in done.err[-2] and done.err[-1].startswith("2 with a result, 1 without: ")
+    assert "bad.json: is no JSON" in done.err[-2] and done.err[-1].startswith(
+        "2 rocks with a result, 1 input without: "
+    )
     alone = run("spectra", "match", bad)
     assert (alone.code, alone.out) == (1, "")
 

@@ -11,7 +11,7 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import FIRST_PAGE
 from lunarsci.pages.answers import ANSWERS, answer, contradictions
-from lunarsci.pages.documents import Document, document_of, read_results
+from lunarsci.pages.documents import Document, _first_pages, document_of, read_results
 from lunarsci.pages.page import TITLES
 from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
@@ -343,3 +343,12 @@ def test_notes_of_bands_of_many_spectra_name_them() -> None:
     two = [one | {"id": name} for name in ("rock", "stone")]
     assert "2 µm band of rock; 2 µm band of stone: conic not used" in unknown(of("bands", spectra=two))
     assert "2 µm band: conic not used" in unknown(of("bands", spectra=two[:1]))
+
+
+@pytest.mark.parametrize(("drawn", "shown"), [(1, 1), (6, 6), (8, 6)])
+def test_the_pages_of_a_plot_are_shown_and_more_are_said(drawn: int, shown: int) -> None:
+    from matplotlib.figure import Figure
+
+    names = list(_first_pages((Figure((1, 1)) for _ in range(drawn)), "bands.png"))
+    assert len(names) == shown and names[0] == "bands.png"
+    assert ("--plot FILE.pdf has all" in names[-1]) == (drawn > shown)

@@ -153,7 +153,7 @@ def test_bands_that_are_missing_are_missed(first: float | None, second: float | 
         record |= {f"bc{key}_sigma_nm": 0.04, f"bc{key}_systematic_nm": None, f"bc{key}_method_nm": 5.7}
     told = bands_verdict(record)
     assert said in told
-    assert told.count(".0 ± 0.1 (noise) ± 5.7 (method) nm") == sum(one is not None for one in (first, second))
+    assert told.count(".0 ± 0.04 (noise) ± 5.7 (method) nm") == sum(one is not None for one in (first, second))
 
 
 def test_a_centre_that_depends_on_the_method_says_so(reference_data: Path) -> None:

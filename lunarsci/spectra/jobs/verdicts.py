@@ -105,6 +105,17 @@ def _composition(item: Mapping[str, Any]) -> str:
     return with_trend(shown, item["trend_sigma"]) if "trend_sigma" in item else shown
 
 
+def fit_doubt(record: Mapping[str, Any]) -> str:
+    """Why the fit of one spectrum is not to be trusted, as `doubts_about` has it of many; '' if it may be."""
+    from lunarsci.spectra.mgm.result import UNLIKE_RMS
+
+    parts = [] if record["status"] == "converged" else [str(record["status"])]
+    parts += ["the model does not describe it"] if (record.get("rms_ln") or 0.0) > UNLIKE_RMS else []
+    choice = record.get("choice")
+    parts += ["the assemblage is not decided"] if choice and not choice["strong"] else []
+    return f"{record['id']} is not to be trusted: {'; '.join(parts)}" if parts else ""
+
+
 def _strained(record: Mapping[str, Any]) -> list[str]:
     """That the fit is in doubt, where it is."""
     status = str(record["status"])

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 NAMED = 5
 """Spectra without a decided assemblage that are named."""
 
+ODD = {"strained": "bands are strained, see `status`, of", "ambiguous": "another minimum fits almost as well for"}
+"""Words of a status beside `converged`, and what they are against a fit."""
+
 
 class SpectraFits(Sequence[MgmFit | MgmFailure]):
     """A fit, or a stated reason, for each of n spectra, in their order.
@@ -97,13 +100,17 @@ def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: "Mapping[int, Cho
     if isinstance(fits, SpectraFits):
         unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
         names = np.array(fits.names, dtype=object)
-        lists = (names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist())
+        lists = [names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist()]
+        said = list(zip(fits.names, fits.statuses, strict=True))
     else:
         good = [item for item in fits if isinstance(item, MgmFit)]
-        unlike = [item.id for item in good if item.rms_ln > UNLIKE_RMS]
-        lists = ([item.id for item in good if not item.converged], unlike)
+        lists = [[one.id for one in good if not one.converged], [one.id for one in good if one.rms_ln > UNLIKE_RMS]]
+        said = [(item.id, item.status) for item in good]
     texts = ("no convergence for {}", "the model does not describe {}")
     doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
+    for word, text in ODD.items():
+        odd = [name for name, status in said if f"; {word}: " in status]
+        doubts += [f"{text} {some_of(odd, NAMED)}"] if odd else []
     weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
     return doubts + ([f"the assemblage is not decided for {some_of(weak, NAMED)}"] if weak else [])
 

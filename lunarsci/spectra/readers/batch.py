@@ -244,7 +244,7 @@ def expanded(files: Iterable[str], failures: list[Failure]) -> list[str]:
 
 def _without_results(folder: str, names: Sequence[str]) -> list[str]:
     """The files of a folder but lunarsci's own results, with a warning. Raises DataError for none else."""
-    left = [name for name in names if name.lower().endswith(".json") and is_result(name)]
+    left = [name for name in names if is_result(name)]
     if not left:
         return list(names)
     told = some_of([Path(name).name for name in left], NAMED_LEFT)

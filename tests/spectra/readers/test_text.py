@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.spectra.spectrum import Spectrum
 
 Read = Callable[..., list[Spectrum]]
@@ -246,3 +246,10 @@ def test_a_line_of_a_large_table_is_cut(refuse: Refuse) -> None:
     lines = [",".join(row) for row in [["wavelength_nm", *(f"s{k}" for k in range(400))], *large()]]
     lines[40] = lines[40].rpartition(",")[0]
     assert "line 41 has 400 fields, the others 401" in refuse("\n".join(lines))
+
+
+@pytest.mark.parametrize("separator", [",", "\t", ";"])
+def test_lines_before_the_table_are_said(read: Read, separator: str) -> None:
+    rows = "".join(f"{nm}{separator}0.3\n" for nm in range(400, 410))
+    with pytest.raises(DataError, match=r"lines of text before the table, whose numbers begin in line 4; keep"):
+        read(f"Instrument: ASD\nOperator: A, B\nwavelength_nm{separator}rock\n{rows}")
