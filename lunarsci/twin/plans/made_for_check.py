@@ -100,7 +100,7 @@ class MadeForCheck:
         if made is not None and made.kinship(self.description) == "other":
             self._refuse(plan, made, path, judged=judged)
         self._note("plan", made, path)
-        self.ground(path, made.ground if made is not None else "", refused=False)
+        self.ground(path or "the plan", made.ground if made is not None else "", refused=False)
         return plan
 
     def ground(self, path: str, written: str, *, refused: bool = True) -> None:
