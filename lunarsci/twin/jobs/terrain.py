@@ -129,7 +129,7 @@ class GroundRequest:
         """Files of the user beside the terrain and the keep-outs."""
         return tuple(self.layer)
 
-    def limits(self) -> dict[str, float | None]:
+    def limits_of_ground(self) -> dict[str, float | None]:
         """Limits that were given in place of the rover's, by name."""
         return {"max_slope_deg": self.max_slope, "max_step_m": self.max_step, "max_roughness_m": self.max_roughness}
 
@@ -160,6 +160,7 @@ class SurveyedSite:
     driven: "DrivenSoil"
     check: "MadeForCheck"
     file: "TerrainFile"
+    origin: str
     keep_outs: "Zones" = ()
     layers: "tuple[CostLayer, ...]" = ()
     sun_deg: tuple[float, float] | None = None
@@ -225,7 +226,9 @@ class TerrainSurvey(Result):
     def _made_from(self) -> MadeFrom:
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
-        own = {"rover": site.description.origin} | ({"soil": site.driven.name} if site.driven.of == "default" else {})
+        own = {"rover": site.description.origin, "terrain": site.origin} | (
+            {"soil": site.driven.name} if site.driven.of == "default" else {}
+        )
         seed = site.made.get("seed")
         return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
 
@@ -343,12 +346,17 @@ def terrain(
     `terrain` is a file, or `synthetic-longji` or `synthetic`. Raises DataError and RequestError.
     """
     asked = request_of(TerrainRequest, request, options)
-    site = read_site(terrain, asked, asked.soil, asked.limits())
+    site = read_site(terrain, asked, asked.soil, asked.limits_of_ground())
     return TerrainSurvey(site=site, surface=site.surface(asked.baseline, progress))
 
 
-def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]) -> SurveyedSite:
-    """Read or make the terrain, with a soil in place of its own if one is given, and read the rover with its limits."""
+def read_site(
+    named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]
+) -> SurveyedSite:
+    """Read or make the terrain, `synthetic-longji` where none is named, and read the rover with its limits.
+
+    A soil that is given takes the place of the terrain's own.
+    """
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.rovers import DEFAULT_ROVER, read_rover
     from lunarsci.twin.ground import synthetic
@@ -357,17 +365,18 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     from lunarsci.twin.ground.hazards import read_mobility
     from lunarsci.twin.ground.keep_out import read_keep_outs
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
-    from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
+    from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, SYNTHETIC
     from lunarsci.twin.plans.made_for_check import MadeForCheck
     from lunarsci.twin.rover import build_rover
     from lunarsci.twin.rover_limits import check_turning
 
-    made, name = asked.made(terrain), soil or DEFAULT_SOIL
+    terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
+    made = asked.made(terrain)
     description = read_rover(asked.rover or DEFAULT_ROVER)
     built, own_soil = build_rover(description), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
-        make = synthetic.synthetic_longji if terrain == "synthetic-longji" else synthetic.synthetic_terrain
+        make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
         file, inputs = TerrainFile(make(own_soil, **made)), {}
     else:
         inputs = {terrain: read_input(terrain).sha256}
@@ -379,7 +388,7 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in asked.input_files()}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
-    check = MadeForCheck(description, built, asked.rover is not None, laid, terrain not in MAKERS)
+    check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None)
     check.looked_at(file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
@@ -393,6 +402,7 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
         driven=driven,
         check=check,
         file=file,
+        origin=terrain,
         keep_outs=tuple(zone for given in fenced.values() for zone in read_keep_outs(given, laid.crs)),
         layers=layers,
         sun_deg=sun,
