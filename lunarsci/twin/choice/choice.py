@@ -207,7 +207,7 @@ def choose(
     checked = race.checked(race.taught(found) if taught else found)
     if progress is not None:
         progress(race.total, race.total)
-    ordered = _ranked(_with_front(checked), risk, prefer)
+    ordered = ranked(_with_front(checked), risk, prefer)
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
 
 
@@ -250,7 +250,7 @@ class _Race:
 
     def improved(self, found: list[DriveCandidate], improve: Improvement) -> list[DriveCandidate]:
         """The same, with drives made of the best few, and of these once more where they still drift."""
-        order = _ranked((one for one in found if not one.stopped), self.risk, self.prefer)
+        order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
         better = [(one, one.plan) for one in order if one.plan.fixes is None][:IMPROVED]
         for _ in range(AGAIN):
             plans = [(plan, way) for one, way in better for plan in improve.plans(one.prediction, one.weakest, way)]
@@ -276,7 +276,7 @@ class _Race:
 
     def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
-        order = _ranked((one for one in found if not one.stopped), self.risk, self.prefer)
+        order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
         fresh = range(self.members, self.conditions.members)
         done: dict[int, DriveCandidate] = {}
         for first in range(0, len(order), CHECKED):
@@ -330,7 +330,7 @@ class _Race:
         risk, length and energy.
         """
         bound = max(self.risk, min(one.chance.high for one in found))
-        order = _ranked(found, self.risk, self.prefer)
+        order = ranked(found, self.risk, self.prefer)
         hopeful = [one for one in order if one.chance.low <= bound]
         half = max(LEAST_LEFT, math.ceil(len(found) / 2))
         left = hopeful[:half]
@@ -353,7 +353,7 @@ def _compared(taught: Teaching | None, least: Teaching | None, compared: int) ->
     return replace(taught, more_than_shortest=taught.next_end.surely_below(least.next_end, compared))
 
 
-def _ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
+def ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
     """The best first: promised, then likely to keep the risk, then the others by their risk; NaN energies last.
 
     Of those that keep it, what is alike is told apart by risk, and then by time: what lies within `ALIKE` of the best,

@@ -21,6 +21,7 @@ SOME, FITS, MOST = 0.01, 0.15, 0.4
 NEAR_M, MOST_NEAR, FEW_NEAR = 0.3, 0.8, 0.5
 """Commands differ near the joins of arcs where so much of what differs lies so near to them or within a blend, and so
 little of the drive at most does; assumed."""
+BLEND = "blend_m is half before a join, half behind: give the plan as it was driven"
 COVERED = 0.6
 """Share of rows that must lie within a plan for its clock to be told; assumed."""
 START_M, HEADING_DEG = 0.5, 10.0
@@ -259,17 +260,20 @@ def _check_commands(beside: _Beside, findings: Findings) -> None:
     if fits:
         way = "late" if shifts[best] > 0 else "early"
         what = f"{text}; they fit if the clock is {abs(shifts[best]):.3g} s {way}"
-        findings.add("clock offset", what, f"times are kept as they are: give {start}", doubt=True)
+        done = f"times are kept as they are: give {start}"
+        if abs(shifts[best]) * beside.schedule.plan.speed_m_s <= NEAR_M and beside.first_off()[2]:
+            done += f"; if the clock is right, {BLEND}"
+        findings.add("clock offset", what, done, doubt=True)
         return
     off_s, what, joins = beside.first_off()
     if now > MOST:
         raise DataError(
-            f"{beside.file}: {text}, at no shift of the clock; first at time_s {off_s + beside.start_s:.6g}, where "
-            f"{what}; give the plan that was driven, and its `rover`"
+            f"{beside.file}: {text}, at no shift of the clock; first {off_s:.6g} s after its start, "
+            f"where {what}; give the plan that was driven, and its `rover`"
         )
     done = "the telemetry's are taken; give the plan that was driven"
     if joins:
         text += ", most of them near joins of arcs"
-        done = "the telemetry's are taken; blend_m is half before a join, half behind: give the plan as it was driven"
+        done = f"the telemetry's are taken; {BLEND}"
     said = f"{text}; first {what}"
     findings.add("other commands", said, done, count=round(now * len(times)), time_s=off_s, doubt=True)
