@@ -10,7 +10,7 @@ from lunarsci.twin.choice.chances import Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
-from lunarsci.twin.judgement.energy import energy_use
+from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import Chance, extremes, least_drives, least_of_95
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
@@ -211,12 +211,6 @@ def choose(
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
 
 
-def expected_energy_j(prediction: Prediction) -> float:
-    """Mean work of all wheels over the drives that ended, NaN where none did. [J]"""
-    total = energy_use(prediction).total_j[prediction.finished]
-    return float(total.mean()) if total.size else math.nan
-
-
 @dataclass(slots=True)
 class _Race:
     """Drives of candidates in rounds, and how many of them were done."""
@@ -361,25 +355,19 @@ def ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> 
     do, by their length.
     """
     candidates = list(found)
-    kept = {one.number: (_stage(one, risk), _later(one, prefer)) for one in candidates}
-    least: dict[tuple[int, bool], float] = {}
+    groups, least = dict[int, tuple[int, bool]](), dict[tuple[int, bool], float]()
     for one in candidates:
-        group = kept[one.number]
+        stage = int(one.promise is None) if one.said.risk <= risk else 2 + one.stopped
+        group = groups[one.number] = stage, _later(one, prefer)
         least[group] = min(least.get(group, math.inf), _wanted(one, prefer))
 
     def order(one: DriveCandidate) -> tuple[int, float, bool, float, float, float, int]:
-        stage, later = kept[one.number]
+        stage, later = groups[one.number]
         steps = _steps(_wanted(one, prefer), least[stage, later])
         beyond = one.said.risk if stage > 1 else 0.0
         return stage, beyond, later, steps, one.said.risk, one.duration_s, one.number
 
     return sorted(candidates, key=order)
-
-
-def _stage(one: DriveCandidate, risk: float) -> int:
-    if one.said.risk > risk:
-        return 3 if one.stopped else 2
-    return 0 if one.promise is not None else 1
 
 
 def _later(one: DriveCandidate, prefer: Preference) -> bool:

@@ -264,7 +264,8 @@ def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple["Limit", ...]:
     Raises DataError for a file without limits, RequestError where two places say how far from the target is there.
     """
     from lunarsci.twin.plans.made_for_check import limits_of_rover
-    from lunarsci.twin.plans.plan import read_limits, read_plan
+    from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.plan_files import read_limits
 
     assumed = limits_of_rover(read_plan().limits, site.description, site.rover)
     if asked.limits is None:

@@ -199,13 +199,12 @@ class SurveyedSite:
         """Terrain, rover, soil and limits, for a result."""
         from lunarsci.twin.ground.driven_soil import soil_record
 
-        limits = {name: getattr(self.mobility, name) for name in LIMITS}
         return {
             "terrain": self.terrain.summary(),
             "rover": self.description.name,
             "made_for": self.check.made_for,
             "soil": soil_record(self.driven, self.terrain),
-            "limits": {n: {"value": value, "assumed": n in self.mobility.assumed} for n, value in limits.items()},
+            "limits": {n: {"value": getattr(self.mobility, n), "assumed": n in self.mobility.assumed} for n in LIMITS},
         }
 
 
@@ -226,10 +225,8 @@ class TerrainSurvey(Result):
     def _made_from(self) -> MadeFrom:
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
-        own = {"rover": site.description.origin, "terrain": site.origin} | (
-            {"soil": site.driven.name} if site.driven.of == "default" else {}
-        )
-        seed = site.made.get("seed")
+        soil = {"soil": site.driven.name} if site.driven.of == "default" else {}
+        own, seed = {"rover": site.description.origin, "terrain": site.origin} | soil, site.made.get("seed")
         return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
 
     def to_dict(self) -> dict[str, Any]:
@@ -353,10 +350,7 @@ def terrain(
 def read_site(
     named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]
 ) -> SurveyedSite:
-    """Read or make the terrain, `synthetic-longji` where none is named, and read the rover with its limits.
-
-    A soil that is given takes the place of the terrain's own.
-    """
+    """Read or make the terrain (`synthetic-longji` if None), with its soil or the one given, and the rover's limits."""
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.rovers import DEFAULT_ROVER, read_rover
     from lunarsci.twin.ground import synthetic
@@ -371,22 +365,18 @@ def read_site(
     from lunarsci.twin.rover_limits import check_turning
 
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
-    made = asked.made(terrain)
-    description = read_rover(asked.rover or DEFAULT_ROVER)
+    description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)
     built, own_soil = build_rover(description), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
         make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
         file, inputs = TerrainFile(make(own_soil, **made)), {}
     else:
-        inputs = {terrain: read_input(terrain).sha256}
-        file = read_terrain_file(terrain, own_soil)
+        inputs, file = {terrain: read_input(terrain).sha256}, read_terrain_file(terrain, own_soil)
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
-    fenced = {path: read_input(path) for path in asked.keep_out}
-    inputs |= {path: given.sha256 for path, given in fenced.items()}
     (sun, shadow_cost), costs = asked.light(), asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
-    inputs |= {path: read_input(path).sha256 for path in asked.input_files()}
+    inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None)
     check.looked_at(file.made_for, terrain)
@@ -403,7 +393,7 @@ def read_site(
         check=check,
         file=file,
         origin=terrain,
-        keep_outs=tuple(zone for given in fenced.values() for zone in read_keep_outs(given, laid.crs)),
+        keep_outs=tuple(zone for path in asked.keep_out for zone in read_keep_outs(read_input(path), laid.crs)),
         layers=layers,
         sun_deg=sun,
         shadow_cost=shadow_cost,

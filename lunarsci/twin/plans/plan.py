@@ -154,8 +154,7 @@ class Plan:
         steer stand a distance before or behind it, the wheels can only make the point between those follow, and the
         origin ends up to that distance times the angle turned off the plan.
     speed_m_s : commanded speed of the rover's origin, at least 0.001. [m/s]
-    blend_m : length over which the commanded curvature goes over from one arc to the next, half of it before their
-        join and half behind, at most the shorter of the two arcs, >= 0. [m]
+    blend_m : length over which the curvature goes over from arc to arc, half before their join, half behind, >= 0. [m]
     fixes : position fixes between legs; None drives without.
     limits : what counts as safe.
     sweep : uncertain soil parameters.
@@ -278,24 +277,6 @@ def read_plan(source: "Source | None" = None) -> Plan:
     return parse_plan(text, file.name)
 
 
-def read_limits(source: "Source") -> tuple[Limit, ...]:
-    """The [limits] of a TOML file, which may be a plan. Raises DataError, also for one without any."""
-    file = read_input(source)
-    try:
-        document = toml_document(file.data.decode("utf-8"))
-        if not (table := _table(document, "limits")):
-            raise ParameterError("no [limits] in it; write quantities and their limits there, as endpoint_miss_m = 0.5")
-        if "keep_out_m" in table:
-            raise ParameterError("limit keep_out_m is of circles of one plan; leave it out, or make the circles wider")
-        return tuple(_limit(quantity, entry, file.name) for quantity, entry in table.items())
-    except UnicodeDecodeError as error:
-        raise DataError(f"{file.name}: not a readable TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{file.name}: not valid TOML: {error}") from error
-    except ParameterError as error:
-        raise DataError(f"{file.name}: {error}") from error
-
-
 def parse_plan(text: str, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
     try:
@@ -311,7 +292,7 @@ def parse_plan(text: str, origin: str) -> Plan:
             name=str(document.get("name", origin)),
             legs=_legs(_list(document, "leg")),
             fixes=_fixes(document),
-            limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
+            limits=tuple(parse_limit(quantity, entry) for quantity, entry in limits.items()),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
             exclusion_zones=tuple(_exclusion_zone(table) for table in _list(document, "keep_out")),
             origin=origin,
@@ -380,7 +361,7 @@ def _exclusion_zone(table: Any) -> ExclusionZone:
     return ExclusionZone(str(table["name"]), *(_number(table[name], name) for name in ("x_m", "y_m", "radius_m")))
 
 
-def _limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
+def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
     _check_keys({quantity: entry}, QUANTITIES, "[limits]")
     table = entry if isinstance(entry, dict) else {"value": entry, "source": source}
     _check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
