@@ -11,7 +11,11 @@ PlanFile = Annotated[
 ]
 GROUND, SOIL, LIGHT, STEPS = "Rover and ground", "Soil and drives", "Sun and battery", "Steps and draws"
 ROVER = option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2", panel=GROUND)
-TERRAIN = option("Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).", panel=GROUND)
+TERRAIN = option(
+    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
+    show_default="synthetic-longji",
+    panel=GROUND,
+)
 INTERPOLATION = option(
     "Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).", panel=GROUND
 )

@@ -14,7 +14,7 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
 from .mission_tables import mission_tables
-from .terrain import LIMITS, GeoTiff, TerrainFile, check_files, ground_table
+from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
@@ -54,6 +54,13 @@ OPTIONS = {
     "turning_radius": option(
         "Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.",
         panel=LIMITS,
+    ),
+    "limits": option(
+        "TOML file with the mission's [limits], such as a plan; risk is counted against them, and they go into the "
+        "plan. What it leaves out is as assumed of the rover.",
+        panel=LIMITS,
+        metavar="FILE",
+        show_default="assumed of the rover",
     ),
     "hazard_distance": option("Distance to keep from hazards and holes, in m.", panel=LIMITS),
     "risk": option(
@@ -124,9 +131,7 @@ def add_to(app: typer.Typer) -> None:
     command(app, "plan", folder=True, request=PlanRequest, options=OPTIONS, blocks=SPREAD)(plan)
 
 
-def plan(
-    output: Output, request: PlanRequest, terrain: TerrainFile = "synthetic-longji", geotiff: GeoTiff = False
-) -> Report:
+def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geotiff: GeoTiff = False) -> Report:
     """A path to a target that keeps the limits of a rover, on the maps of `twin terrain`.
 
     With -o DIR the path goes to plan.toml, path.csv and path.geojson, the terrain to terrain.npz, the maps to maps.npz:

@@ -54,13 +54,9 @@ OPTIONS = {
     "ground_slope": option("Slope along x in deg; not of Longji.", panel=GROUND),
     "craters": option("Number of craters; not of Longji.", "--crater-count", panel=GROUND),
 }
-TerrainFile = Annotated[
-    str,
-    typer.Argument(
-        help="synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
-        metavar="TERRAIN",
-    ),
-]
+TERRAIN = "synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes)."
+TerrainFile = Annotated[str, typer.Argument(help=TERRAIN, metavar="TERRAIN")]
+NamedTerrain = Annotated[str | None, typer.Argument(help=TERRAIN, metavar="TERRAIN", show_default="synthetic-longji")]
 GeoTiff = Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")]
 
 

@@ -79,7 +79,7 @@ SavedTerrain = Annotated[
 ]
 EFFECTIVE = (
     "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "
-    "another law or instrument would find, are known less well"
+    "another law or instrument would find, are known less well, and cohesion least: friction makes up for it"
 )
 
 

@@ -121,6 +121,27 @@ def test_impossible_options_are_wrong_usage(run: Run, options: tuple[str, ...], 
     assert done.code == 2 and said in " ".join(" ".join(done.err).replace("│", " ").split()) and done.out == ""
 
 
+def test_limits_of_a_mission_are_counted_and_written(run: Run, belief: Path, tmp_path: Path) -> None:
+    """Against a miss that most drives have, more fail than against the metre that is assumed."""
+    limits, folder = tmp_path / "limits.toml", tmp_path / "chosen"
+    limits.write_text('[limits]\nendpoint_miss_m = 0.03\ntilt_deg = { value = 19.0, source = "rule 7" }\n')
+    lax, strict = (
+        json.loads(run(*BASE, "--risk", "0.9", "--soil", belief, "--json", "-o", folder, *more).out)["result"]["choice"]
+        for more in ((), ("--limits", limits, "--force"))
+    )
+    risks = [choice["candidates"][0]["promised"]["risk"] for choice in (lax, strict)]
+    assert risks[0] < 0.1 and risks[1] > 0.3
+    said = {one.quantity: one for one in read_plan(str(folder / "plan.toml")).limits}
+    assert (said["endpoint_miss_m"].limit, said["endpoint_miss_m"].assumed) == (0.03, False)
+    assert (said["tilt_deg"].limit, said["tilt_deg"].source) == (19.0, "rule 7")
+    assert said["slip_ratio"].limit == 0.3 and said["slip_ratio"].assumed
+    done = run(*BASE, "--risk", "0.9", "--soil", belief, "--limits", folder / "plan.toml", "--tolerance", "0.5")
+    assert done.code == 2 and "--tolerance and endpoint_miss_m of" in done.err[0]
+    limits.write_text("tilt_deg = 3.0\n")
+    done = run(*BASE, "--risk", "0.9", "--soil", belief, "--limits", limits)
+    assert done.code == 1 and "no [limits] in it" in done.err[0]
+
+
 def test_equal_runs_give_equal_bytes(run: Run, belief: Path) -> None:
     first, second = (run(*BASE, "--risk", "0.2", "--soil", belief, "--json").out for _ in range(2))
     assert first == second and len(first) > 1000

@@ -144,6 +144,33 @@ def test_a_plan_for_another_rover_is_not_driven_by_the_default_one(run: Run, sma
     assert sum("not for Yutu-2" in line for line in done.err) == 2
 
 
+def test_what_differs_in_a_rover_of_the_same_name_is_said(run: Run, small: Path, tmp_path: Path) -> None:
+    """Another file with the name of the rover that a plan was made for."""
+    text = read_rover("small-four").text
+    on = ("twin", "predict", small / "plan.toml", "--terrain", small / "terrain.npz", *QUICK, "--rover")
+    for changed, says in (
+        (text + "\n# again\n", "limits of the ground are the same"),
+        (text.replace("max_step_m = { value = 0.05", "max_step_m = { value = 0.04"), "max_step_m 0.05 then, 0.04 now"),
+    ):
+        (tmp_path / "mine.toml").write_text(changed)
+        done = run(*on, tmp_path / "mine.toml")
+        assert changed != text and done.code in (0, 3)
+        assert any(f"small-four by another version of its file: {says}" in line for line in done.err), done.err
+
+
+def test_the_stand_in_counts_as_named_where_it_is(run: Run, site: Path, tmp_path: Path) -> None:
+    """States of another ground: refused where no ground is named, and said where the stand-in is."""
+    states = tmp_path / "states.csv"
+    states.write_text("time_s,x_m,y_m,yaw_deg,ground\n0.0,0.0,0.0,0.0,there; heights 12345678\n")
+    start = ("twin", "plan", "--target", "3,0.5", "--start", states)
+    done = run(*start, "-q")
+    assert done.code == 2 and "no ground is named" in done.err[0]
+    done = run("twin", "plan", "synthetic-longji", *start[2:], "--json")
+    assert done.code == 0 and any("was made on 'there'" in line for line in done.err)
+    done = run("twin", "plan", "--target", "3,0.5", "--json")
+    assert driven(done)[1]["options"]["terrain"] == "synthetic-longji"
+
+
 def test_the_record_of_a_rover_knows_it_again() -> None:
     own = read_rover("yutu2")
     record = made_for(own, {"max_slope_deg": 11.0, "max_roughness_m": None})

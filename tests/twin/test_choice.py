@@ -11,7 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.choice.chances import verdicts
-from lunarsci.twin.choice.choice import DriveChoice, choose
+from lunarsci.twin.choice.choice import DriveChoice, choose, ranked
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
@@ -127,6 +127,18 @@ def test_a_wider_way_wins_where_the_tight_one_is_risky(conditions: Conditions) -
     assert [one.number for one in found.candidates] == [2, 1] and found.feasible
     assert found.candidates[1].said.risk > 0.3 and found.candidates[1].weakest.quantity == "keep_out_m"
     assert found.candidates[1].length_m < found.best.length_m
+
+
+def test_of_drives_that_are_alike_the_safest_is_the_best(conditions: Conditions) -> None:
+    """85.4 and 86.2 J are within 1 %, 87 J is not; beyond the accepted risk energy counts for nothing."""
+    base = choose([plan(Leg(1.0))], conditions, risk=0.3, members=24).best
+    told = [(86.2, 1), (85.4, 3), (87.0, 0), (80.0, 30)]
+    found = [
+        dataclasses.replace(base, number=k, energy_j=energy, promise=Chance(failed, 64))
+        for k, (energy, failed) in enumerate(told, 1)
+    ]
+    assert [one.number for one in ranked(found, 0.1, "energy")] == [1, 2, 3, 4]
+    assert [one.number for one in ranked(found, 0.1, "risk")] == [3, 1, 2, 4]
 
 
 def ways() -> list[Plan]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lunarsci
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.finer_ground import driven_ground
 from lunarsci.twin.ground.footprint import rover_footprint
@@ -143,7 +143,7 @@ def test_driven_ground_is_the_finer_one_and_has_no_step_at_its_rim() -> None:
 SOILS: dict[str, Any] = {"sweep": ("friction_angle_deg=35:40:2",), "members": 4}
 
 
-def test_drives_are_chosen_and_driven_on_the_finer_ground(files: tuple[str, str]) -> None:
+def test_drives_are_chosen_and_driven_on_the_finer_ground(files: tuple[str, str], tmp_path: Path) -> None:
     """Over the rock on the orbit's ground, which knows nothing of it; round it, and driven over it, on the mast's."""
     near = WAY | {"start": (46.0, 20.9, 0.0), "target": (56.0, 20.9)} | SOILS | {"risk": 0.5, "candidates": 1}
     over, round_it = lunarsci.plan(files[0], **near), lunarsci.plan(files[0], local=(files[1],), **near)
@@ -153,6 +153,11 @@ def test_drives_are_chosen_and_driven_on_the_finer_ground(files: tuple[str, str]
     assert round_it.choice.best.prediction.terrain is round_it.ground
     assert [one["terrain"] for one in round_it.to_dict()["path"]["checked"]] == ["orbit", "mast"]
     assert round_it.path.swept.shape == round_it.surface.demand.shape
+    (driven := tmp_path / "driven-terrain.npz").write_bytes(round_it.files()["driven-terrain.npz"]())
+    again = lunarsci.predict(round_it.path.plan, terrain=str(driven), **SOILS)
+    assert again.prediction.terrain.written == round_it.path.plan.made_for.ground == round_it.ground.written
+    with pytest.warns(LunarSciWarning, match="was made on"):
+        lunarsci.predict(round_it.path.plan, terrain=files[0], **SOILS)
 
 
 MISSION = """

@@ -101,8 +101,9 @@ def test_a_path_goes_around_and_its_plan_keeps_the_circles(tmp_path: Path) -> No
     assert not free.plan.exclusion_zones and around.plan.length_m > free.plan.length_m + 0.02
     assert around.plan.exclusion_zones == (ExclusionZone("rock 1", 2.5, 0.0, 0.2),)
     assert parse_plan(plan_text(around.plan), "again").exclusion_zones == around.plan.exclusion_zones
+    (ground_file := tmp_path / "ground.npz").write_bytes(survey.site.content())
     assert lunarsci.predict(
-        around.plan, terrain="synthetic-longji", sweep=("friction_angle_deg=36:37:2",)
+        around.plan, terrain=str(ground_file), sweep=("friction_angle_deg=36:37:2",)
     ).verdict.keep_outs
     with pytest.raises(ParameterError, match="rock 1"):
         plan("synthetic", target=(2.5, 0.0), start=(0.0, 0.0, 0.0), **asked, keep_out=(str(path),))

@@ -255,7 +255,42 @@ def test_what_cannot_be_used_is_refused_with_a_reason(name: str, drive: Syntheti
     ids=["other way", "other speed"],
 )
 def test_telemetry_of_another_plan_is_refused(plan: Plan, drive: SyntheticDrive, yutu2: Rover) -> None:
-    with pytest.raises(DataError, match="give the plan that was driven"):
+    with pytest.raises(
+        DataError, match=r"first .* s after its start, where .*planned .*; give the plan that was driven"
+    ):
+        states(csv(drive.telemetry), yutu2, plan)
+
+
+@pytest.mark.parametrize(
+    ("plan", "first_s", "at_joins"),
+    [
+        (dataclasses.replace(PLAN, blend_m=1.0), 54.6, True),
+        (dataclasses.replace(PLAN, legs=(Leg(1.0, 0.15), Leg(1.2), Leg(0.8, 0.15), Leg(2.0, -0.13))), 20.0, False),
+    ],
+    ids=["blended otherwise", "another arc"],
+)
+def test_commands_that_differ_are_said_with_their_time_and_wheel(
+    plan: Plan, first_s: float, at_joins: bool, drive: SyntheticDrive, yutu2: Rover
+) -> None:
+    """Steering is off by 2 deg from 0.27 m before the join at 3 m, or from the middle of the first one at 1 m."""
+    with pytest.warns(LunarSciWarning, match="other commands"):
+        found = states(csv(drive.telemetry), yutu2, plan)
+    entry = next(entry for entry in found.findings.entries if entry.kind == "other commands")
+    assert entry.doubt and entry.time_s is not None
+    assert abs(entry.time_s - first_s) < 1.5
+    told = re.search(r"first steering of FL is (-?[\d.]+) deg, planned (-?[\d.]+)$", entry.what)
+    assert told is not None and abs(float(told[1]) - float(told[2])) > 2.0
+    column = np.interp(entry.time_s, drive.telemetry.time_s, drive.telemetry.steered_FL_deg)
+    assert float(told[1]) == pytest.approx(column, abs=0.1)
+    assert ("near joins" in entry.what) is at_joins and ("half before a join" in entry.done) is at_joins
+
+
+def test_a_blend_that_is_late_is_said_beside_the_clock(drive: SyntheticDrive, yutu2: Rover) -> None:
+    """With one join a late clock steers as a blend behind the join does."""
+    plan = dataclasses.replace(PLAN, legs=(Leg(2.9, 0.15), Leg(2.1, -0.13)))
+    with pytest.warns(
+        LunarSciWarning, match=r"clock offset.*late.*give --start-time 2; if the clock is right, blend_m"
+    ):
         states(csv(drive.telemetry), yutu2, plan)
 
 

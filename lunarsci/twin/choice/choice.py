@@ -1,7 +1,7 @@
 """The choice among drives: all are driven on the same soils, hopeless ones stop early, the best are driven again."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -10,7 +10,7 @@ from lunarsci.twin.choice.chances import Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
-from lunarsci.twin.judgement.energy import energy_use
+from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import Chance, extremes, least_drives, least_of_95
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
@@ -27,6 +27,8 @@ ANEW = 7919
 """Added to the seed of a drive whose errors are its own."""
 IMPROVED, AGAIN = 3, 2
 """So many of the best are made better, so many times."""
+ALIKE = 0.01
+"""Drives whose energy, length, time or errors differ by this share are alike; assumed."""
 CHECKED = 4
 """So many of the best are driven again on fresh soils at a time."""
 
@@ -179,7 +181,8 @@ def choose(
     risk : chance of failing that is accepted, 0 to 1. [-]
     prefer : among plans that keep it that with the least energy, length, time or risk is the best, or that after which
         the end of the next drive is expected to be known best (`teaching`; then none is stopped early). Where none
-        surely teaches more than the shortest, the shortest is the best.
+        surely teaches more than the shortest, the shortest is the best. Of those that are alike, see `ALIKE`, that with
+        the least risk is better.
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
     teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
@@ -204,14 +207,8 @@ def choose(
     checked = race.checked(race.taught(found) if taught else found)
     if progress is not None:
         progress(race.total, race.total)
-    ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
+    ordered = ranked(_with_front(checked), risk, prefer)
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
-
-
-def expected_energy_j(prediction: Prediction) -> float:
-    """Mean work of all wheels over the drives that ended, NaN where none did. [J]"""
-    total = energy_use(prediction).total_j[prediction.finished]
-    return float(total.mean()) if total.size else math.nan
 
 
 @dataclass(slots=True)
@@ -247,7 +244,7 @@ class _Race:
 
     def improved(self, found: list[DriveCandidate], improve: Improvement) -> list[DriveCandidate]:
         """The same, with drives made of the best few, and of these once more where they still drift."""
-        order = sorted((one for one in found if not one.stopped), key=lambda one: _order(one, self.risk, self.prefer))
+        order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
         better = [(one, one.plan) for one in order if one.plan.fixes is None][:IMPROVED]
         for _ in range(AGAIN):
             plans = [(plan, way) for one, way in better for plan in improve.plans(one.prediction, one.weakest, way)]
@@ -273,7 +270,7 @@ class _Race:
 
     def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
-        order = sorted((one for one in found if not one.stopped), key=lambda one: _order(one, self.risk, self.prefer))
+        order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
         fresh = range(self.members, self.conditions.members)
         done: dict[int, DriveCandidate] = {}
         for first in range(0, len(order), CHECKED):
@@ -327,7 +324,7 @@ class _Race:
         risk, length and energy.
         """
         bound = max(self.risk, min(one.chance.high for one in found))
-        order = sorted(found, key=lambda one: _order(one, self.risk, self.prefer))
+        order = ranked(found, self.risk, self.prefer)
         hopeful = [one for one in order if one.chance.low <= bound]
         half = max(LEAST_LEFT, math.ceil(len(found) / 2))
         left = hopeful[:half]
@@ -350,21 +347,47 @@ def _compared(taught: Teaching | None, least: Teaching | None, compared: int) ->
     return replace(taught, more_than_shortest=taught.next_end.surely_below(least.next_end, compared))
 
 
-def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, float, bool, float, float, int]:
-    """Key of the ranking: promised, then likely to keep the risk, then by risk; NaN energies last.
+def ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
+    """The best first: promised, then likely to keep the risk, then the others by their risk; NaN energies last.
 
-    What differs by less than the second digit is alike, and then the shorter time decides. Drives that do not surely
-    teach more than the shortest follow those that do, by their length.
+    Of those that keep it, what is alike is told apart by risk, and then by time: what lies within `ALIKE` of the best,
+    and then each further step of that size. Drives that do not surely teach more than the shortest follow those that
+    do, by their length.
     """
-    later = prefer == "teaching" and (one.teaches is None or not one.teaches.more_than_shortest)
+    candidates = list(found)
+    groups, least = dict[int, tuple[int, bool]](), dict[tuple[int, bool], float]()
+    for one in candidates:
+        stage = int(one.promise is None) if one.said.risk <= risk else 2 + one.stopped
+        group = groups[one.number] = stage, _later(one, prefer)
+        least[group] = min(least.get(group, math.inf), _wanted(one, prefer))
+
+    def order(one: DriveCandidate) -> tuple[int, float, bool, float, float, float, int]:
+        stage, later = groups[one.number]
+        steps = _steps(_wanted(one, prefer), least[stage, later])
+        beyond = one.said.risk if stage > 1 else 0.0
+        return stage, beyond, later, steps, one.said.risk, one.duration_s, one.number
+
+    return sorted(candidates, key=order)
+
+
+def _later(one: DriveCandidate, prefer: Preference) -> bool:
+    return prefer == "teaching" and (one.teaches is None or not one.teaches.more_than_shortest)
+
+
+def _wanted(one: DriveCandidate, prefer: Preference) -> float:
+    """What shall be least; infinite where it is not known."""
     after = math.nan if one.teaches is None or one.teaches.next_end is None else one.teaches.next_end.after_m
-    taught = one.length_m if later else after
+    taught = one.length_m if _later(one, prefer) else after
     wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": taught,
               "risk": one.said.risk}[prefer]  # fmt: skip
-    wanted = math.inf if math.isnan(wanted) else float(f"{wanted:.2g}")
-    if one.said.risk > risk:
-        return (3 if one.stopped else 2), one.said.risk, later, wanted, one.duration_s, one.number
-    return (0 if one.promise is not None else 1), 0.0, later, wanted, one.duration_s, one.number
+    return math.inf if math.isnan(wanted) else wanted
+
+
+def _steps(wanted: float, least: float) -> float:
+    """Whole steps of `ALIKE` from the least to what is wanted; the number itself where the least is nothing."""
+    if least <= 0 or math.isinf(wanted):
+        return wanted
+    return math.floor(math.log(wanted / least) / math.log1p(ALIKE))
 
 
 def _with_front(found: list[DriveCandidate]) -> list[DriveCandidate]:

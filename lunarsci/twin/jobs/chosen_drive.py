@@ -181,14 +181,14 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst, **taught}
 
 
-def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) -> ChosenDrive:
+def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> ChosenDrive:
     """Candidates to the target, driven over the soils that are believed, and the one to take.
 
     Raises DataError, RequestError, and ParameterError where no path leads there.
     """
     check_asked(asked)
     given = GivenSoil.read(asked.soil)
-    site = read_site(terrain, asked, given.named, asked.limits())
+    site = read_site(terrain, asked, given.named, asked.limits_of_ground())
     site.check.belief(given.name, given.belief)
     check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
@@ -198,7 +198,7 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = asked.places
     search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
-    plans = candidates_of(asked, site, search, given, progress)
+    plans = candidates_of(asked, site, search, given, progress, ground)
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
     choice = choose(
         plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
@@ -249,11 +249,19 @@ def check_soils(asked: PlanRequest, given: GivenSoil) -> None:
 
 
 def candidates_of(
-    asked: PlanRequest, site: SurveyedSite, search: RouteSearch, given: GivenSoil, progress: Progress | None = None
+    asked: PlanRequest,
+    site: SurveyedSite,
+    search: RouteSearch,
+    given: GivenSoil,
+    progress: Progress | None = None,
+    ground: Terrain | None = None,
 ) -> tuple[Plan, ...]:
-    """Plans to compare, with the limits of the rover, the tolerance, and the circles that each comes near to."""
+    """Plans to compare, with the limits asked for, the tolerance, and the circles that each comes near to.
+
+    `ground` is what they are driven on instead of the site's terrain.
+    """
     (x0, y0, heading), (x, y, *_) = asked.places
-    limits = limits_at(site)
+    limits = limits_at(site, asked)
     if asked.tolerance is not None:
         end = Limit("endpoint_miss_m", "m", asked.tolerance, "tolerance of the end from the target", False)
         limits = tuple(end if one.quantity == end.quantity else one for one in limits)
@@ -276,7 +284,7 @@ def candidates_of(
     return tuple(
         replace(
             plan,
-            made_for=made_for_on(site),
+            made_for=made_for_on(site, ground),
             exclusion_zones=zones,
             sweep=swept,
             crs=site.terrain.crs,

@@ -238,7 +238,7 @@ class DriveInputs:
 def read_drive_inputs(
     plan: "Source | Plan | None",
     rover: str | None,
-    terrain: str,
+    named: str | None,
     interpolation: str = "smooth",
     *,
     soil: str | Sequence[str] | None = None,
@@ -252,7 +252,8 @@ def read_drive_inputs(
 ) -> DriveInputs:
     """Read plan, rover, terrain and soil, which may be a belief, a soil map or samples; `fixes` replaces the plan's.
 
-    A rover that is None is Yutu-2. A soil that is given lies everywhere, whatever the terrain's file carries; without
+    A rover that is None is Yutu-2; `named` is the terrain, if None the synthetic stand-in for that one's site.
+    A soil that is given lies everywhere, whatever the terrain's file carries; without
     one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
     was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
@@ -261,7 +262,7 @@ def read_drive_inputs(
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
-    description = read_rover(rover or DEFAULT_ROVER)
+    description, terrain = read_rover(rover or DEFAULT_ROVER), named or SYNTHETIC
     built, given = build_rover(description), GivenSoil.read(soil)
     if before is not None and ruts is False:
         raise RequestError("`before` leaves nothing but ruts, and `ruts` are left out; give one of them")
@@ -279,7 +280,7 @@ def read_drive_inputs(
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
     if drive.crs and surface.crs and drive.crs != surface.crs:
         raise RequestError(f"{drive.origin} and {terrain} have different coordinate systems; plan on this terrain")
-    check = MadeForCheck(description, built, rover is not None, surface, terrain != SYNTHETIC)
+    check = MadeForCheck(description, built, rover is not None, surface, named is not None)
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
     check.looked_at(file.made_for, terrain)
     check.belief(given.name, given.belief)
@@ -296,7 +297,7 @@ def read_drive_inputs(
         driven,
         check,
         given,
-        {"rover": description.origin} | _soil_option(soil, driven if soil_counts else None),
+        {"rover": description.origin, "terrain": terrain} | _soil_option(soil, driven if soil_counts else None),
         ruts,
         earlier,
     )

@@ -46,7 +46,7 @@ class LoadsRequest:
 
     member: int | None = None
     rover: str | None = None
-    terrain: str = "synthetic-longji"
+    terrain: str | None = None
     interpolation: str = "smooth"
     soil: str | None = None
     states: str | Any | None = None

@@ -54,6 +54,8 @@ class PlanRequest(GroundRequest):
         its heights may be off.
     charge : with `risk` or a mission: of the battery at the start, 0 to 1; then the battery is a limit, and `sun` also
         lights the panels. [-]
+    limits : TOML file with [limits] that drives are judged by, such as a plan; what it leaves out, and all of it where
+        it is None, is as of the rover and the embedded plan.
     local : files of finer terrains, in the first one's coordinates, that stand in its place where they are known: for
         ways and, with `risk` or a mission, for the drives.
     mission : TOML file of several targets with keep-outs, time and windows of communication, instead of a target;
@@ -77,6 +79,7 @@ class PlanRequest(GroundRequest):
     exact_terrain: bool = False
     teach: bool = False
     charge: float | None = None
+    limits: str | None = None
     local: tuple[str, ...] = ()
     mission: str | None = None
 
@@ -149,7 +152,8 @@ class PlanRequest(GroundRequest):
         return (str(folder / found),)
 
     def input_files(self) -> tuple[str, ...]:
-        return (*GroundRequest.input_files(self), *self.start_files)
+        limits = () if self.limits is None else (self.limits,)
+        return (*GroundRequest.input_files(self), *self.start_files, *limits)
 
     @property
     def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -183,20 +187,20 @@ class PlanRequest(GroundRequest):
         alone = (self.risk is None and self.mission is None) or terrain in MAKERS
         return GroundRequest.made(self if alone else replace(self, seed=None), terrain)
 
-    def limits(self) -> dict[str, float | None]:
+    def limits_of_ground(self) -> dict[str, float | None]:
         of_a_path = {"min_turning_radius_m": self.turning_radius, "hazard_distance_m": self.hazard_distance}
-        return GroundRequest.limits(self) | of_a_path
+        return GroundRequest.limits_of_ground(self) | of_a_path
 
 
 @job
 def plan(
-    terrain: str = "synthetic-longji",
+    terrain: str | None = None,
     request: PlanRequest | None = None,
     *,
     progress: Progress | None = None,
     **options: Any,
 ) -> TerrainSurvey:
-    """Look at a terrain as `terrain` does, and find a path to a target: arcs that keep the rover's limits.
+    """Look at a terrain, `synthetic-longji` if None, and find a path to a target: arcs that keep the rover's limits.
 
     With `risk` many drives to it are compared on soils, and the result is a `ChosenDrive`; with `mission` several
     targets are reached leg by leg, and the result is a `PlannedMission`.
@@ -219,7 +223,7 @@ def plan(
             f"`soil` {several.name} has many soils, and a path alone is looked for on one; give `risk`, which drives "
             "it on all of them, or leave `soil` out"
         )
-    site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
+    site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits_of_ground())
     from lunarsci.twin.jobs.local_ground import LocalGround
 
     check_start(asked, site)
@@ -244,7 +248,7 @@ def _path(
         (x, y),
         final_heading_deg=asked.final_heading_deg,
         speed_m_s=asked.speed,
-        limits=limits_at(site),
+        limits=limits_at(site, asked),
         name=f"path to x {x:g} m, y {y:g} m on {site.terrain.name}",
         progress=progress,
         finer=finer,
@@ -254,17 +258,27 @@ def _path(
     return replace(found, plan=plan)
 
 
-def limits_at(site: SurveyedSite) -> tuple["Limit", ...]:
-    """The limits of the embedded plan, with those of the rover in place."""
+def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple["Limit", ...]:
+    """The limits of the embedded plan, with those of the rover in place, and those of the file that was asked for.
+
+    Raises DataError for a file without limits, RequestError where two places say how far from the target is there.
+    """
     from lunarsci.twin.plans.made_for_check import limits_of_rover
     from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.plan_files import read_limits
 
-    return limits_of_rover(read_plan().limits, site.description, site.rover)
+    assumed = limits_of_rover(read_plan().limits, site.description, site.rover)
+    if asked.limits is None:
+        return assumed
+    given = {limit.quantity: limit for limit in read_limits(asked.limits)}
+    if asked.tolerance is not None and "endpoint_miss_m" in given:
+        raise RequestError(f"`tolerance` and endpoint_miss_m of {asked.limits} both limit the end; give one of them")
+    return tuple(({limit.quantity: limit for limit in assumed} | given).values())
 
 
-def made_for_on(site: SurveyedSite) -> "MadeFor":
-    """The rover, the limits and the ground of a site, for a plan."""
-    return replace(site.made_for, ground=site.terrain.written)
+def made_for_on(site: SurveyedSite, ground: "Terrain | None" = None) -> "MadeFor":
+    """The rover, the limits and the ground of a site, for a plan; another `ground` where that is driven on."""
+    return replace(site.made_for, ground=(site.terrain if ground is None else ground).written)
 
 
 def check_start(asked: PlanRequest, site: SurveyedSite) -> None:

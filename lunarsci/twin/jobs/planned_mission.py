@@ -206,7 +206,7 @@ def _feature(kind: str, coordinates: Any, about: Mapping[str, Any]) -> dict[str,
     return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": dict(about)}
 
 
-def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None) -> PlannedMission:
+def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> PlannedMission:
     """A mission, driven leg by leg over the soils that are believed.
 
     Raises DataError, RequestError, and ParameterError where targets lie outside the map.
@@ -214,7 +214,7 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     source = read_input(asked.mission or "")
     mission, given = read_mission(source), GivenSoil.read(asked.soil)
     check_soils(asked, given)
-    site = read_site(terrain, asked, given.named, asked.limits())
+    site = read_site(terrain, asked, given.named, asked.limits_of_ground())
     site.check.belief(given.name, given.belief)
     far = WIDER * mission.fixes.position_sigma_m
     wider = tuple(ExclusionZone(zone.name, zone.x_m, zone.y_m, zone.radius_m + far) for zone in mission.keep_outs)
@@ -223,12 +223,12 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     site, surface = local.site, local.surface
     check_targets(mission, surface)
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
-    soils, conditions, _ = drive_conditions(asked, site, given, (replace(_nominal(mission, site), sweep=swept),))
+    soils, conditions, _ = drive_conditions(asked, site, given, (replace(_nominal(mission, site, asked), sweep=swept),))
     members = range(min(asked.members or OF_A_BELIEF, conditions.members))
     driven = drive_mission(
         mission,
         site.rover,
-        _Ways(local, mission.speed_m_s or asked.speed),
+        _Ways(local, asked, mission.speed_m_s),
         lambda plan: _conditions_of(plan, local, soils, conditions).drive(plan, members),
         kept,
         seed=asked.seed or 0,
@@ -247,12 +247,14 @@ class _Ways:
     """Plans from a pose to a place, within the limits of the rover."""
 
     local: LocalGround
-    speed_m_s: float | None
+    asked: PlanRequest
+    mission_speed_m_s: float | None
 
     def __call__(self, pose: Pose, place: tuple[float, float]) -> Plan:
         """The cheapest path ahead; where there is none, one that turns about or goes backwards first."""
         local, site = self.local, self.local.site
-        asked: dict[str, Any] = {"speed_m_s": self.speed_m_s, "limits": limits_at(site)}
+        speed_m_s = self.mission_speed_m_s or self.asked.speed
+        asked: dict[str, Any] = {"speed_m_s": speed_m_s, "limits": limits_at(site, self.asked)}
         try:
             plan = way_to(local.surface, site.rover, pose, place, local.finer, **asked).plan
         except ParameterError as error:
@@ -276,7 +278,7 @@ def _conditions_of(plan: Plan, local: LocalGround, soils: Soils, conditions: Con
     return replace(conditions, terrain=ground, grounds=there.of_members()["grounds"])
 
 
-def _nominal(mission: Mission, site: SurveyedSite) -> Plan:
+def _nominal(mission: Mission, site: SurveyedSite, asked: PlanRequest) -> Plan:
     """Straight lines from target to target: along these a map of beliefs is read."""
     places = np.array([(mission.start.x_m, mission.start.y_m), *((one.x_m, one.y_m) for one in mission.targets)])
     heading, legs = mission.start.heading_deg, list[Leg]()
@@ -288,7 +290,7 @@ def _nominal(mission: Mission, site: SurveyedSite) -> Plan:
     speed = mission.speed_m_s or site.rover.max_speed_m_s
     x, y = places[0]
     return Plan(name=mission.name, legs=tuple(legs), speed_m_s=speed, x_m=float(x), y_m=float(y),
-                heading_deg=mission.start.heading_deg, limits=limits_at(site))  # fmt: skip
+                heading_deg=mission.start.heading_deg, limits=limits_at(site, asked))  # fmt: skip
 
 
 def check_targets(mission: Mission, surface: Traversability) -> None:

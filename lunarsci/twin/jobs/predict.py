@@ -36,7 +36,7 @@ class DriveRequest:
     Attributes
     ----------
     rover : name or TOML file; that of the plan's default, Yutu-2, where it is None.
-    terrain : `synthetic-longji`, or a file.
+    terrain : `synthetic-longji`, which is taken where it is None, or a file.
     interpolation : of the ground between nodes, `smooth` or `triangles`.
     soil : in place of the terrain's: a name or a TOML file; a file of samples (CSV), a belief or a soil map (JSON),
         from which every drive has a soil of its own; or a name, and samples that lack some of its parameters.
@@ -49,7 +49,7 @@ class DriveRequest:
     """
 
     rover: str | None = None
-    terrain: str = "synthetic-longji"
+    terrain: str | None = None
     interpolation: str = "smooth"
     soil: tuple[str, ...] = ()
     sweep: tuple[str, ...] = ()

@@ -38,7 +38,7 @@ class SimulateDriveRequest:
     """
 
     rover: str | None = None
-    terrain: str = "synthetic-longji"
+    terrain: str | None = None
     interpolation: str = "smooth"
     soil: str | None = None
     ruts: bool | None = None

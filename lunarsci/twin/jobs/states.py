@@ -31,7 +31,7 @@ class StatesRequest:
     Attributes
     ----------
     rover : name or TOML file; Yutu-2 where it is None.
-    terrain : before the drive: `synthetic-longji`, or a file.
+    terrain : before the drive: `synthetic-longji`, which is taken where it is None, or a file.
     interpolation : of the ground between nodes, `smooth` or `triangles`.
     positions : from localisation, as a table of time_s, x_m, y_m and their errors, in place of those in the telemetry.
     track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
@@ -41,7 +41,7 @@ class StatesRequest:
     """
 
     rover: str | None = None
-    terrain: str = "synthetic-longji"
+    terrain: str | None = None
     interpolation: str = "smooth"
     positions: str | Any | None = None
     track: str | Any | None = None

@@ -129,7 +129,7 @@ class GroundRequest:
         """Files of the user beside the terrain and the keep-outs."""
         return tuple(self.layer)
 
-    def limits(self) -> dict[str, float | None]:
+    def limits_of_ground(self) -> dict[str, float | None]:
         """Limits that were given in place of the rover's, by name."""
         return {"max_slope_deg": self.max_slope, "max_step_m": self.max_step, "max_roughness_m": self.max_roughness}
 
@@ -160,6 +160,7 @@ class SurveyedSite:
     driven: "DrivenSoil"
     check: "MadeForCheck"
     file: "TerrainFile"
+    origin: str
     keep_outs: "Zones" = ()
     layers: "tuple[CostLayer, ...]" = ()
     sun_deg: tuple[float, float] | None = None
@@ -198,13 +199,12 @@ class SurveyedSite:
         """Terrain, rover, soil and limits, for a result."""
         from lunarsci.twin.ground.driven_soil import soil_record
 
-        limits = {name: getattr(self.mobility, name) for name in LIMITS}
         return {
             "terrain": self.terrain.summary(),
             "rover": self.description.name,
             "made_for": self.check.made_for,
             "soil": soil_record(self.driven, self.terrain),
-            "limits": {n: {"value": value, "assumed": n in self.mobility.assumed} for n, value in limits.items()},
+            "limits": {n: {"value": getattr(self.mobility, n), "assumed": n in self.mobility.assumed} for n in LIMITS},
         }
 
 
@@ -225,8 +225,8 @@ class TerrainSurvey(Result):
     def _made_from(self) -> MadeFrom:
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
-        own = {"rover": site.description.origin} | ({"soil": site.driven.name} if site.driven.of == "default" else {})
-        seed = site.made.get("seed")
+        soil = {"soil": site.driven.name} if site.driven.of == "default" else {}
+        own, seed = {"rover": site.description.origin, "terrain": site.origin} | soil, site.made.get("seed")
         return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
 
     def to_dict(self) -> dict[str, Any]:
@@ -343,12 +343,14 @@ def terrain(
     `terrain` is a file, or `synthetic-longji` or `synthetic`. Raises DataError and RequestError.
     """
     asked = request_of(TerrainRequest, request, options)
-    site = read_site(terrain, asked, asked.soil, asked.limits())
+    site = read_site(terrain, asked, asked.soil, asked.limits_of_ground())
     return TerrainSurvey(site=site, surface=site.surface(asked.baseline, progress))
 
 
-def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]) -> SurveyedSite:
-    """Read or make the terrain, with a soil in place of its own if one is given, and read the rover with its limits."""
+def read_site(
+    named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]
+) -> SurveyedSite:
+    """Read or make the terrain (`synthetic-longji` if None), with its soil or the one given, and the rover's limits."""
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.rovers import DEFAULT_ROVER, read_rover
     from lunarsci.twin.ground import synthetic
@@ -357,29 +359,26 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     from lunarsci.twin.ground.hazards import read_mobility
     from lunarsci.twin.ground.keep_out import read_keep_outs
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
-    from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
+    from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, SYNTHETIC
     from lunarsci.twin.plans.made_for_check import MadeForCheck
     from lunarsci.twin.rover import build_rover
     from lunarsci.twin.rover_limits import check_turning
 
-    made, name = asked.made(terrain), soil or DEFAULT_SOIL
-    description = read_rover(asked.rover or DEFAULT_ROVER)
+    terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
+    description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)
     built, own_soil = build_rover(description), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
-        make = synthetic.synthetic_longji if terrain == "synthetic-longji" else synthetic.synthetic_terrain
+        make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
         file, inputs = TerrainFile(make(own_soil, **made)), {}
     else:
-        inputs = {terrain: read_input(terrain).sha256}
-        file = read_terrain_file(terrain, own_soil)
+        inputs, file = {terrain: read_input(terrain).sha256}, read_terrain_file(terrain, own_soil)
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
-    fenced = {path: read_input(path) for path in asked.keep_out}
-    inputs |= {path: given.sha256 for path, given in fenced.items()}
     (sun, shadow_cost), costs = asked.light(), asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
-    inputs |= {path: read_input(path).sha256 for path in asked.input_files()}
+    inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
-    check = MadeForCheck(description, built, asked.rover is not None, laid, terrain not in MAKERS)
+    check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None)
     check.looked_at(file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
@@ -393,7 +392,8 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
         driven=driven,
         check=check,
         file=file,
-        keep_outs=tuple(zone for given in fenced.values() for zone in read_keep_outs(given, laid.crs)),
+        origin=terrain,
+        keep_outs=tuple(zone for path in asked.keep_out for zone in read_keep_outs(read_input(path), laid.crs)),
         layers=layers,
         sun_deg=sun,
         shadow_cost=shadow_cost,

@@ -51,7 +51,7 @@ class UpdateRequest:
     by_place: bool = False
     correlation: float | None = None
     rover: str | None = None
-    terrain: str = "synthetic-longji"
+    terrain: str | None = None
     interpolation: str = "smooth"
     particles: int = 128
     ruts: bool | None = None

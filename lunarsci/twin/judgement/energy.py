@@ -251,3 +251,9 @@ def power_record(prediction: Prediction, use: PowerUse) -> dict[str, Any]:
         "empty_drives": int((least <= 0).sum()),
         "wheels_most_w": dict(zip(prediction.rover.wheels, map(float, most), strict=True)),
     }
+
+
+def expected_energy_j(prediction: Prediction) -> float:
+    """Mean work of all wheels over the drives that ended, NaN where none did. [J]"""
+    total = energy_use(prediction).total_j[prediction.finished]
+    return float(total.mean()) if total.size else np.nan

@@ -100,7 +100,7 @@ class MadeForCheck:
         if made is not None and made.kinship(self.description) == "other":
             self._refuse(plan, made, path, judged=judged)
         self._note("plan", made, path)
-        self.ground(path, made.ground if made is not None else "", refused=False)
+        self.ground(path or "the plan", made.ground if made is not None else "", refused=False)
         return plan
 
     def ground(self, path: str, written: str, *, refused: bool = True) -> None:
@@ -209,15 +209,29 @@ class MadeForCheck:
         self.say(f"{what} is judged by limits that follow from {self.description.origin}: {', '.join(changed)}")
         return replace(plan, limits=limits)
 
+    def _changed(self, made: MadeFor) -> str:
+        """Which limits of the ground a file was made by that the rover now does not have."""
+        own = read_mobility(self.description, self.rover)
+        now = {name: math.nan if (value := getattr(own, name, None)) is None else value for name in made.limits}
+        other = [
+            f"{name} {value:g} then, {f'{now[name]:g}' if math.isfinite(now[name]) else 'none'} now"
+            for name, value in made.limits.items()
+            if not math.isclose(now[name], value, rel_tol=1e-9)
+        ]
+        if not other:
+            return "limits of the ground are the same; make it anew if wheels or others changed"
+        return f"{', '.join(other)}; make it anew with this one"
+
     def _note(self, what: str, made: MadeFor | None, path: str) -> None:
         """Keep what rover a file was made for, and say so where it is not this one."""
         if made is None:
             return
         kinship = made.kinship(self.description)
         self.made_for[what] = {"rover": made.rover, "name": made.name, "kinship": kinship, "limits": dict(made.limits)}
-        if kinship == "changed":
-            self.say(f"{path} was made for {made.rover} when its file was another; make it anew if limits changed")
-        if kinship == "other":
+        if kinship == "changed" or (kinship == "other" and made.name == self.description.name):
+            which = "when its file was another" if kinship == "changed" else "by another version of its file"
+            self.say(f"{path} was made for {made.rover} {which}: {self._changed(made)}")
+        elif kinship == "other":
             kept = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
             self.say(
                 f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {kept or 'not known'}"

@@ -154,7 +154,7 @@ class Plan:
         steer stand a distance before or behind it, the wheels can only make the point between those follow, and the
         origin ends up to that distance times the angle turned off the plan.
     speed_m_s : commanded speed of the rover's origin, at least 0.001. [m/s]
-    blend_m : length over which the commanded curvature goes over from one arc to the next, >= 0. [m]
+    blend_m : length over which the curvature goes over from arc to arc, half before their join, half behind, >= 0. [m]
     fixes : position fixes between legs; None drives without.
     limits : what counts as safe.
     sweep : uncertain soil parameters.
@@ -292,7 +292,7 @@ def parse_plan(text: str, origin: str) -> Plan:
             name=str(document.get("name", origin)),
             legs=_legs(_list(document, "leg")),
             fixes=_fixes(document),
-            limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
+            limits=tuple(parse_limit(quantity, entry) for quantity, entry in limits.items()),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
             exclusion_zones=tuple(_exclusion_zone(table) for table in _list(document, "keep_out")),
             origin=origin,
@@ -361,9 +361,9 @@ def _exclusion_zone(table: Any) -> ExclusionZone:
     return ExclusionZone(str(table["name"]), *(_number(table[name], name) for name in ("x_m", "y_m", "radius_m")))
 
 
-def _limit(quantity: str, entry: Any) -> Limit:
+def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
     _check_keys({quantity: entry}, QUANTITIES, "[limits]")
-    table = entry if isinstance(entry, dict) else {"value": entry, "source": "the plan"}
+    table = entry if isinstance(entry, dict) else {"value": entry, "source": source}
     _check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
     value = _number(table.get("value"), quantity)
     lowest_fits = quantity in AT_LEAST and value == 0
