@@ -30,6 +30,9 @@ from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
 DRAWS = 200
 STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
+OPEN = 2.0
+"""Standard errors by which a law with known contact angles must predict better before they are taken as known; assumed.
+"""
 LEAST_CARRIED = 0.05
 """Share of its load that a wheel carries at least where the model misses the normal force; assumed."""
 
@@ -292,7 +295,9 @@ def compare_laws(
 ) -> tuple[WheelLaw, list[WheelLawScore]]:
     """The law to take, and the score of each, in the order given.
 
-    Taken is the first, that is simplest, whose score is within one standard error of the best.
+    The first, that is simplest, whose score is within one standard error of the best; but states that cannot tell the
+    laws apart do not know the contact angles either, so that of laws within two the first is taken that leaves these
+    open.
 
     Parameters
     ----------
@@ -325,7 +330,11 @@ def compare_laws(
         WheelLawScore(law, None, None, None, None) if part is None else _score(law, part, best, error)
         for law, part, error in zip(laws, parts, errors, strict=True)
     ]
-    return next(s.law for s in scores if s.behind is not None and s.behind <= (s.behind_sigma or 0.0)), scores
+
+    def near(widths: float) -> list[WheelLaw]:
+        return [s.law for s in scores if s.behind is not None and s.behind <= widths * (s.behind_sigma or 0.0)]
+
+    return next((law for law in (*near(1), *near(OPEN)) if law.contact), near(1)[0]), scores
 
 
 def _score(

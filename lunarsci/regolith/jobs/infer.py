@@ -31,7 +31,8 @@ class InferRequest(IdentifyRequest):
     Attributes
     ----------
     prior : TOML file with priors in place of the lunar ones.
-    law : `given`, as the next options say, or `auto`, the one that predicts states left out best.
+    law : `given`, as the next options say, or `auto`, the one that predicts states left out best; None takes `auto`
+        where none of the next options is given.
     exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
     shear, bulldozing, density [kg m^-3], gravity [m s^-2] : these choices.
     contact : contact angles and the exponent's slope in skid are unknown too; by integration.
@@ -44,7 +45,7 @@ class InferRequest(IdentifyRequest):
     """
 
     prior: str | None = None
-    law: Literal["given", "auto"] = "given"
+    law: Literal["given", "auto"] | None = None
     exact: bool = False
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
@@ -64,6 +65,11 @@ class InferRequest(IdentifyRequest):
             raise RequestError(f"`reading` {self.reading} only reproduces numbers; this needs signed")
         if self.law == "auto" and (self.exact or self.beyond):
             raise RequestError("`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`")
+
+    @property
+    def chooses(self) -> bool:
+        """Whether the law is chosen by how it predicts."""
+        return self.law == "auto" or (self.law is None and not (self.exact or self.beyond))
 
     @property
     def beyond(self) -> bool:
@@ -195,9 +201,9 @@ def _posterior(
     from lunarsci.regolith.prior import read_prior
 
     source = read_input(asked.prior) if asked.prior else None
-    prior = read_prior(source, contact=asked.contact or asked.law == "auto") if source else None
+    prior = read_prior(source, contact=asked.contact or asked.chooses) if source else None
     law, scores = asked.wheel_law, list[Any]()
-    if asked.law == "auto":
+    if asked.chooses:
         laws = candidates(given.states, asked.density, asked.gravity)
         law, scores = compare_laws(
             given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
