@@ -219,6 +219,8 @@ def _assumed(mode: Mode, given: bool, states: WheelStates, reduced: float | None
                     "count as one independent state")  # fmt: skip
     if reduced is not None and reduced * degrees(mode) < least_chi_square(degrees(mode)):
         said.append(f"errors that the states do not show (reduced chi-square {reduced:.2g}), so intervals are wide")
+    if not mode.problem.contact:
+        said.append("contact angles of the wheel as known: where they are others, K_s, N and K_x are, too")
     if reduced is None:
         said.append("that the law holds: there are no more forces than parameters to test it")
     model = mode.problem.model

@@ -32,7 +32,7 @@ class InferRequest(IdentifyRequest):
     ----------
     prior : TOML file with priors in place of the lunar ones.
     law : `given`, as the next options say, or `auto`, the one that predicts states left out best; None takes `auto`
-        where none of the next options is given.
+        where none of the next options is given, unless the forces were computed of a motion, by the closed form.
     exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
     shear, bulldozing, density [kg m^-3], gravity [m s^-2] : these choices.
     contact : contact angles and the exponent's slope in skid are unknown too; by integration.
@@ -66,10 +66,9 @@ class InferRequest(IdentifyRequest):
         if self.law == "auto" and (self.exact or self.beyond):
             raise RequestError("`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`")
 
-    @property
-    def chooses(self) -> bool:
-        """Whether the law is chosen by how it predicts."""
-        return self.law == "auto" or (self.law is None and not (self.exact or self.beyond))
+    def chooses(self, computed: bool) -> bool:
+        """Whether the law is chosen by how it predicts, for forces that were measured or computed of a motion."""
+        return self.law == "auto" or (self.law is None and not (self.exact or self.beyond or computed))
 
     @property
     def beyond(self) -> bool:
@@ -200,10 +199,11 @@ def _posterior(
     from lunarsci.regolith.inference.prediction import candidates, compare_laws
     from lunarsci.regolith.prior import read_prior
 
+    chooses = asked.chooses(given.states.alike)
     source = read_input(asked.prior) if asked.prior else None
-    prior = read_prior(source, contact=asked.contact or asked.chooses) if source else None
+    prior = read_prior(source, contact=asked.contact or chooses) if source else None
     law, scores = asked.wheel_law, list[Any]()
-    if asked.chooses:
+    if chooses:
         laws = candidates(given.states, asked.density, asked.gravity)
         law, scores = compare_laws(
             given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
