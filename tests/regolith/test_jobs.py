@@ -6,6 +6,7 @@ import json
 import re
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -142,8 +143,13 @@ def rig_states(seed: int, loads: tuple[float, ...]) -> pd.DataFrame:
     return table.assign(sinkage_m_sigma=3e-4, normal_force_n_sigma=0.5, drawbar_pull_n_sigma=0.5)
 
 
-RIG = dict(stiffness_kpa_m_n=900.0, sinkage_exponent=1.05, cohesion_pa=250.0, friction_angle_deg=33.0,
-           shear_modulus_mm=15.0)  # fmt: skip
+RIG = {
+    "stiffness_kpa_m_n": 900.0,
+    "sinkage_exponent": 1.05,
+    "cohesion_pa": 250.0,
+    "friction_angle_deg": 33.0,
+    "shear_modulus_mm": 15.0,
+}
 
 
 @pytest.mark.parametrize(("seed", "loads"), [(1, (40, 80, 120)), (2, (40, 80, 120)), (2, (40,)), (8, (40,))])
@@ -165,7 +171,12 @@ def test_a_wheel_of_other_contact_angles_gives_no_wrong_soil_that_counts_as_dete
 
 
 def test_a_law_that_is_named_is_taken(states: pd.DataFrame) -> None:
-    for options, model in (({"law": "given"}, "closed"), ({"exact": True}, "separate"), ({"shear": "ellipse"}, "ellipse")):
+    named: list[tuple[dict[str, Any], str]] = [
+        ({"law": "given"}, "closed"),
+        ({"exact": True}, "separate"),
+        ({"shear": "ellipse"}, "ellipse"),
+    ]
+    for options, model in named:
         found = infer(states, rover="yutu2", draws=16, **options)
         assert found.posterior.verdict.model == model and not found.scores
 

@@ -18,8 +18,8 @@ CEILINGS = (0.35, 0.15, 0.15)
 pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of
 it: 0.35 of the load is a fifth of the sinkage."""
 REDUCED, RARE = (0.5, 2.0), 1e-3
-"""Range of a reduced chi-square that agrees with the errors stated, and the chance at either end below which it must lie
-too: few forces scatter more widely than the range. Assumed."""
+"""Range of a reduced chi-square that agrees with the errors stated, and the chance at either end below which it must
+lie too: few forces scatter more widely than the range. Assumed."""
 MOST_LEFT_OUT = 0.1
 """Share of outliers beyond which a fit is doubted; assumed."""
 GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
@@ -158,8 +158,10 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
 def _misfit(mode: Mode, reduced: float | None, given: bool, states: WheelStates) -> list[str]:
     own, left = _of_stated_errors(mode, given, states)
     if states.stated and not states.alike and left >= 1 and own < (low := least_chi_square(left)):
-        return [f"reduced chi-square {own / left:.2g} of the stated errors alone is below {low / left:.2g}: they are too "
-                "large for these states"]  # fmt: skip
+        return [
+            f"reduced chi-square {own / left:.2g} of the stated errors alone is below {low / left:.2g}: "
+            "they are too large for these states"
+        ]
     if reduced is None or reduced <= max(REDUCED[1], float(chdtri(degrees(mode), RARE)) / degrees(mode)):
         return []
     after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(mode.problem.model_error))

@@ -196,7 +196,7 @@ def _posterior(
 ) -> "tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]":
     """The posterior, scores of the laws where one was chosen, and the file of priors."""
     from lunarsci.regolith.inference.posterior import infer_soil
-    from lunarsci.regolith.inference.prediction import candidates, compare_laws
+    from lunarsci.regolith.inference.prediction import candidates, compare_laws, disputed
     from lunarsci.regolith.prior import read_prior
 
     chooses = asked.chooses(given.states.alike)
@@ -220,4 +220,5 @@ def _posterior(
         seed=asked.seed,
         progress=progress,
     )
+    found = replace(found, disputed=disputed(found, scores))
     return found, scores, {source.name: source.sha256} if source else {}
