@@ -30,6 +30,8 @@ from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
 DRAWS = 200
 STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
+MOST_COMPARED = 200
+"""States that laws are compared on, drawn from more, so that it takes seconds; assumed."""
 OPEN = 2.0
 """Standard errors by which a law with known contact angles must predict better before they are taken as known; assumed.
 """
@@ -318,12 +320,15 @@ def compare_laws(
     Parameters
     ----------
     states, wheel, prior, model_error : as `infer_soil` takes them.
-    laws : to compare, the simplest first.
+    laws : to compare, the simplest first; on at most 200 states.
     progress : called with (done, total).
 
     Raises ParameterError where no law can be fitted.
     """
     usable = usable_states(states, wheel)
+    if usable.sum() > MOST_COMPARED:
+        some = np.random.default_rng(0).choice(np.flatnonzero(usable), MOST_COMPARED, replace=False)
+        usable = np.isin(np.arange(len(usable)), some)
     groups = neighbours(states.values[usable], wheel.radius_m)
     parts: list[FloatArray | None] = []
     known: list[tuple[tuple[float, float, float], tuple[float, ...]] | None] = []
