@@ -389,11 +389,8 @@ def options_text(kind: type) -> str:
     requests = [one for one in reversed(kind.__mro__) if dataclasses.is_dataclass(one)]
     told = [found[1] for one in requests if (found := _ATTRIBUTES.search(inspect.getdoc(one) or ""))]
     defaults = [f"{item.name}={item.default!r}" for item in dataclasses.fields(kind)]
-    choices = [
-        f"{name}: {', '.join(map(repr, values))}"
-        for name, hint in get_type_hints(kind).items()
-        if (values := choices_of(hint))
-    ]
+    named = {name: choices_of(hint) for name, hint in get_type_hints(kind).items()}
+    choices = [f"{name}: {', '.join(map(repr, values))}" for name, values in named.items() if values]
     closing = [f"By default {', '.join(defaults)}.", *([f"Choices of {'; '.join(choices)}."] if choices else [])]
     lines = (fill(line, 112, break_on_hyphens=False, break_long_words=False) for line in closing)
     return "\n".join(["Other Parameters", "----------------", *told, "", *lines])
@@ -410,4 +407,6 @@ def _column(name: str, cells: list[Any]) -> Any:
         return values * units.Unit(unit) if (unit := unit_of(name)) else values
     if present and all(isinstance(cell, bool) for cell in cells):
         return np.array(cells, bool)
+    if not present and (unit := unit_of(name)):
+        return np.full(len(cells), np.nan) * units.Unit(unit)
     return np.array(["" if cell is None else str(cell) for cell in cells])

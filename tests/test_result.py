@@ -67,6 +67,8 @@ def test_a_table_has_units() -> None:
     assert table["torque_nm"].unit == units.N * units.m
     assert np.isnan(table["load_n"][1])
     assert list(table["note"]) == ["x", "<b>"]
+    empty = Found(None, "x").to_table()  # type: ignore[arg-type]
+    assert empty["load_n"].unit == units.N and np.isnan(empty["load_n"]).all(), "a column without a value, too"
 
 
 def test_html_says_what_it_shows() -> None:

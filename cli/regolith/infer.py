@@ -45,7 +45,8 @@ OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
         "Share of the load by which the model misses a force; found from the residuals if not given.", panel=LAW
     ),
     "law": option(
-        "Wheel-soil law: as the options say, or the one that predicts states left out best; prints the scores.",
+        "Wheel-soil law: as the options say (given), or the one that predicts states left out best, with its scores "
+        "(auto); auto if none of --exact, --shear, --bulldozing and --contact is given.",
         panel=LAW,
     ),
     "exact": option("Integrate the stresses instead of Eqs 21-24.", panel=LAW),
@@ -108,7 +109,8 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
     for name in found.names:
         label, unit = LABELS[name]
         median, low, high, low95, high95 = ends[name]
-        known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} %"
+        left = f"{100 * (1 - found.shrinkage[name]):.0f} %"
+        known = "laws differ" if name in found.disputed else "determined" if name in found.determined else left
         ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
         rows.append([label, significant(median), *ranges, unit, known])
     notes = [*_fit(found), *_combinations(found), OTHERS]
@@ -143,7 +145,10 @@ def _laws(soil: InferredSoil) -> list[TextTable]:
          "-" if s.model_error is None else ", ".join(f"{share:.3f}" for share in s.model_error)]
         for s in soil.scores
     ]  # fmt: skip
-    notes = ["score: ln density of groups of states left out; taken is the simplest law within one ± of the best"]
+    notes = [
+        "score: ln density of groups of states left out; taken is the simplest law within one ± of the best, "
+        "with the contact angles open unless that is two ± behind"
+    ]
     headers = ["law", "score", "behind", "±", "model error F_N, F_DP, F_L"]
     return [TextTable(headers, rows, title="Laws compared", notes=notes)]
 

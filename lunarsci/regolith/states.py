@@ -75,6 +75,7 @@ class WheelStates:
     stated : whether the errors of the forces come from the file, not from `MeasurementErrors`.
     alike : whether they are alike in all states, as those of forces that were computed of a motion with drawn soils.
     wheels : names of the wheels, each once; none where the file has no column `wheel`.
+    unstated : columns whose errors are those of `MeasurementErrors` although the file has the errors of a force.
     """
 
     id: tuple[str, ...]
@@ -83,6 +84,7 @@ class WheelStates:
     stated: bool = False
     alike: bool = False
     wheels: tuple[str, ...] = ()
+    unstated: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.id)
@@ -254,7 +256,8 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     alike = "forces_from" in frame and bool((frame["forces_from"][keep] == FROM_MOTION).all())
     sigmas = np.where(np.isfinite(values), found.sigmas[keep], 0.0)
     wheels = tuple(sorted(set(found.wheels))) if "wheel" in frame else ()
-    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels)
+    unstated = tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame)
+    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels, unstated)
 
 
 def _kept_rows(found: StateTable) -> BoolArray:

@@ -87,7 +87,7 @@ def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive
 def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: Path) -> None:
     prior = tmp_path / "prior.toml"
     prior.write_text("[cohesion_pa]\nmedian = 520\nsd = 0.01\n")
-    done = run("regolith", "infer", drive, "--prior-file", prior, "--draw-posterior", "--json")
+    done = run("regolith", "infer", drive, "--prior-file", prior, "--law", "given", "--draw-posterior", "--json")
     assert done.code == 0, done.err
     document = json.loads(done.out)
     found = document["result"]["joint"]

@@ -1,10 +1,12 @@
 """The regolith from Python: tables in, results with units out, the same as the commands give."""
 
 import io
+import itertools
 import json
 import re
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,11 +17,14 @@ from scipy import stats
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.identify import Estimate
+from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.jobs.compare_soils import compare_soils
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, agreement, identify
 from lunarsci.regolith.jobs.infer import InferredSoil, infer
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest, wheel_forces
 from lunarsci.regolith.prior import CONTACT, PARAMETERS
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.wheel import Wheel
 
 
 @pytest.fixture(scope="module")
@@ -114,12 +119,66 @@ def test_a_soil_is_found_again_in_its_forces(identified: IdentifiedSoil) -> None
 def test_all_states_together_keep_what_each_says(inferred: InferredSoil) -> None:
     made = inferred.to_dict()
     assert {"bearing", "shear", "lateral", "observations", "joint"} <= set(made)
-    assert made["joint"]["laws"] == [] and made["joint"]["predicted"] is None
+    assert len(made["joint"]["laws"]) == 7 and made["joint"]["predicted"] is None
     rows = inferred.soils(".csv").decode().splitlines()
     assert rows[0].startswith("# verdict of the fit: ") and len(rows) == 2 + len(inferred.posterior.draws)
     values = np.array([float(cell) for cell in rows[2].split(",")])
     assert np.array_equal(values, inferred.posterior.draws[0][:8])
     assert json.loads(inferred.soils(".json"))["schema"] == "lunarsci/soil-belief/1"
+
+
+def rig_states(seed: int, loads: tuple[float, ...]) -> pd.DataFrame:
+    """Synthetic: the integrals for a smooth wheel on dry sand whose largest stress lies far ahead, with noise."""
+    wheel = Wheel(radius_m=0.12, width_m=0.1, grouser_height_m=0, max_stress_c1=0.18, max_stress_c2=0.32, exit_c3=0)
+    soil = Soil(**RIG, external_friction_angle_deg=20.0, lateral_modulus_mm=20.0)
+    rng = np.random.default_rng(seed)
+    slip, depth = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5]), np.linspace(1e-3, 0.04, 400)
+    rows = []
+    for load, s in itertools.product(loads, slip):
+        found = integrated_forces(wheel, soil, depth, np.full_like(depth, s), np.zeros_like(depth))
+        z = np.interp(load, found.normal_force_n, depth)
+        rows.append((z, s, load, np.interp(z, depth, found.drawbar_pull_n)))
+    values = np.array(rows) + rng.normal(0, [3e-4, 0, 0.5, 0.5], (len(rows), 4))
+    table = pd.DataFrame(values, columns=["sinkage_m", "slip_ratio", "normal_force_n", "drawbar_pull_n"])
+    return table.assign(sinkage_m_sigma=3e-4, normal_force_n_sigma=0.5, drawbar_pull_n_sigma=0.5)
+
+
+RIG = {
+    "stiffness_kpa_m_n": 900.0,
+    "sinkage_exponent": 1.05,
+    "cohesion_pa": 250.0,
+    "friction_angle_deg": 33.0,
+    "shear_modulus_mm": 15.0,
+}
+
+
+@pytest.mark.parametrize(("seed", "loads"), [(1, (40, 80, 120)), (2, (40, 80, 120)), (2, (40,)), (8, (40,))])
+def test_a_wheel_of_other_contact_angles_gives_no_wrong_soil_that_counts_as_determined(
+    seed: int, loads: tuple[float, ...], tmp_path: Path
+) -> None:
+    """The closed form, with the angles of the wheel's file, finds K_x = 10.3 +- 0.4 mm in place of 15."""
+    rover = tmp_path / "wheel.toml"
+    rover.write_text("name = 'rig'\n[wheel]\nradius_m = 0.12\nwidth_m = 0.1\ngrouser_height_m = 0\n")
+    states = rig_states(seed, loads)
+    found = infer(states, rover=str(rover), gravity=9.81)
+    assert found.untrusted == "" and found.posterior.verdict.model.endswith("contact angles")
+    for row in found.rows():
+        if row["parameter"] in RIG:
+            assert row["low95"] <= RIG[row["parameter"]] <= row["high95"], row
+    assert ("shear_modulus_mm" in found.posterior.determined) == (len(loads) > 1)
+    closed = infer(states, rover=str(rover), gravity=9.81, law="given")
+    assert any("contact angles of the wheel as known" in said for said in closed.posterior.verdict.assumed)
+
+
+def test_a_law_that_is_named_is_taken(states: pd.DataFrame) -> None:
+    named: list[tuple[dict[str, Any], str]] = [
+        ({"law": "given"}, "closed"),
+        ({"exact": True}, "separate"),
+        ({"shear": "ellipse"}, "ellipse"),
+    ]
+    for options, model in named:
+        found = infer(states, rover="yutu2", draws=16, **options)
+        assert found.posterior.verdict.model == model and not found.scores
 
 
 def test_a_site_is_compared_as_an_object_or_as_numbers(identified: IdentifiedSoil) -> None:

@@ -9,7 +9,15 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
-from lunarsci.regolith.inference.prediction import candidates, compare_laws, predict_states
+from lunarsci.regolith.inference.prediction import (
+    WheelLaw,
+    WheelLawScore,
+    candidates,
+    compare_laws,
+    disputed,
+    predict_states,
+)
+from lunarsci.regolith.inference.verdict import least_chi_square
 from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
@@ -101,6 +109,30 @@ def test_errors_that_are_stated_too_large_are_refused() -> None:
     alike = infer_soil(WheelStates(plain.id, plain.values, 8 * plain.sigmas, True, True), WHEEL).verdict
     assert alike.trusted
     assert any("errors that the states do not show" in said for said in alike.assumed)
+
+
+def test_right_errors_of_few_forces_and_errors_that_the_file_does_not_state_are_not_called_too_large() -> None:
+    """Of 3 degrees of freedom one fit in nine scatters by less than half of its errors, one in a thousand by 0.008."""
+    for left, low in ((3.0, 0.0081), (10.0, 0.148), (35.0, 0.42)):
+        assert least_chi_square(left) / left == pytest.approx(low, rel=0.02)
+    assert least_chi_square(600.0) == 300.0
+    plain = states(measured())
+    known = WheelStates(plain.id, plain.values, plain.sigmas * [1, 12, 12, 1, 1, 1], True)
+    assert "stated errors alone" in infer_soil(known, WHEEL).verdict.reason
+    taken = replace(known, unstated=("slip_ratio", "side_slip_deg"))
+    assert "too large" not in infer_soil(taken, WHEEL).verdict.reason
+
+
+def test_a_parameter_that_another_law_disputes_is_not_determined(right: SoilPosterior) -> None:
+    law, ends = WheelLaw(None, False), right.intervals()
+    soil = [ends[name][0] for name in PARAMETERS]
+    soil[0] = 1.01 * ends["stiffness_kpa_m_n"][4]
+    near = WheelLawScore(law, -10.0, 0.9, 1.0, (0.0,) * 3, tuple(soil))
+    assert disputed(right, [near]) == ("stiffness_kpa_m_n",)
+    assert disputed(right, [replace(near, behind=1.1), WheelLawScore(law, *[None] * 5)]) == ()
+    open_to = replace(right, disputed=("stiffness_kpa_m_n",))
+    assert "stiffness_kpa_m_n" in right.determined and "stiffness_kpa_m_n" not in open_to.determined
+    assert open_to.to_dict()["disputed"] == ["stiffness_kpa_m_n"]
 
 
 def test_locked_wheels_and_any_side_slip_are_states_to_learn_from() -> None:

@@ -69,6 +69,7 @@ class SoilPosterior:
     autocorrelation : of sampled draws, the largest correlation left with where they were before their last moves; None
         for the normal approximation.
     profiled : (4, p) 68 % and 95 % limits by profile, None where they were not asked for.
+    disputed : parameters of which another law that predicts as well finds another value.
     """
 
     mode: FloatArray
@@ -85,6 +86,7 @@ class SoilPosterior:
     stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
     autocorrelation: float | None = None
     profiled: FloatArray | None = field(default=None, repr=False)
+    disputed: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,8 +113,9 @@ class SoilPosterior:
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Parameters whose standard deviation fell below half that of the prior."""
-        return tuple(name for name, value in self.shrinkage.items() if value > 1 - DETERMINED)
+        """Parameters whose standard deviation fell below half that of the prior, and that no other law disputes."""
+        found = self.shrinkage.items()
+        return tuple(name for name, value in found if value > 1 - DETERMINED and name not in self.disputed)
 
     def intervals(self) -> dict[str, tuple[float, float, float, float, float]]:
         """Median (of a profile the mode), 68 % and 95 % limits of each parameter, in its unit."""
@@ -165,6 +168,7 @@ class SoilPosterior:
             "order": list(self.names),
             "correlation": correlation.tolist(),
             "combinations": [{"left_of_prior": left, "weights": weights} for left, weights in self.combinations()],
+            "disputed": list(self.disputed),
             "outliers": list(self.outliers),
             "chi_square": self.chi_square,
             "degrees": self.degrees,

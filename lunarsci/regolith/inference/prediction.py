@@ -9,7 +9,7 @@ Vehtari, Gelman & Gabry (2017), Stat. Comput. 27, 1413, 10.1007/s11222-016-9696-
 differences); Roberts et al. (2017), Ecography 40, 913, 10.1111/ecog.02881 (why to leave out groups).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,13 +23,18 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
 from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours
-from lunarsci.regolith.prior import Law, contact_prior, default_prior, values_of
+from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
 from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
 
 DRAWS = 200
 STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
+MOST_COMPARED = 200
+"""States that laws are compared on, drawn from more, so that it takes seconds; assumed."""
+OPEN = 2.0
+"""Standard errors by which a law with known contact angles must predict better before they are taken as known; assumed.
+"""
 LEAST_CARRIED = 0.05
 """Share of its load that a wheel carries at least where the model misses the normal force; assumed."""
 
@@ -259,6 +264,7 @@ class WheelLawScore:
     score : sum over groups of the logarithm of the predictive density; None where it cannot be fitted.
     behind, behind_sigma : by how much the best law is better, and the standard error of that.
     model_error : share of the load by which the law misses F_N, F_DP, F_L.
+    soil : its most probable soil, in the order and units of `PARAMETERS`.
     """
 
     law: WheelLaw
@@ -266,6 +272,21 @@ class WheelLawScore:
     behind: float | None
     behind_sigma: float | None
     model_error: tuple[float, float, float] | None
+    soil: tuple[float, ...] | None
+
+    def within(self, widths: float) -> bool:
+        """Whether it is at most so many standard errors behind the best."""
+        return self.behind is not None and self.behind <= widths * (self.behind_sigma or 0.0)
+
+
+def disputed(posterior: SoilPosterior, scores: Sequence[WheelLawScore]) -> tuple[str, ...]:
+    """Parameters whose 95 % interval leaves out the soil of another law that predicts within one standard error."""
+    ends, others = posterior.intervals(), [score.soil for score in scores if score.soil and score.within(1)]
+    return tuple(
+        name
+        for k, name in enumerate(PARAMETERS)
+        if any(not ends[name][3] <= soil[k] <= ends[name][4] for soil in others)
+    )
 
 
 def candidates(
@@ -292,29 +313,35 @@ def compare_laws(
 ) -> tuple[WheelLaw, list[WheelLawScore]]:
     """The law to take, and the score of each, in the order given.
 
-    Taken is the first, that is simplest, whose score is within one standard error of the best.
+    The first, that is simplest, whose score is within one standard error of the best; but states that cannot tell the
+    laws apart do not know the contact angles either, so that of laws within two the first is taken that leaves these
+    open.
 
     Parameters
     ----------
     states, wheel, prior, model_error : as `infer_soil` takes them.
-    laws : to compare, the simplest first.
+    laws : to compare, the simplest first; on at most 200 states.
     progress : called with (done, total).
 
     Raises ParameterError where no law can be fitted.
     """
     usable = usable_states(states, wheel)
+    if usable.sum() > MOST_COMPARED:
+        some = np.random.default_rng(0).choice(np.flatnonzero(usable), MOST_COMPARED, replace=False)
+        usable = np.isin(np.arange(len(usable)), some)
     groups = neighbours(states.values[usable], wheel.radius_m)
     parts: list[FloatArray | None] = []
-    errors: list[tuple[float, float, float] | None] = []
+    known: list[tuple[tuple[float, float, float], tuple[float, ...]] | None] = []
     for number, law in enumerate(laws):
         try:
             priors = {**contact_prior(), **(prior or default_prior())}
             found = fit_soil(states, usable, wheel, priors, law.model, law.contact, model_error)
             parts.append(_densities(found, groups))
-            errors.append(found.problem.model_error)
+            soil = values_of(priors, found.point)[: len(PARAMETERS)]
+            known.append((found.problem.model_error, tuple(map(float, soil))))
         except (ParameterError, np.linalg.LinAlgError):
             parts.append(None)
-            errors.append(None)
+            known.append(None)
         if progress is not None:
             progress(number + 1, len(laws))
     fitted = [part for part in parts if part is not None]
@@ -322,18 +349,22 @@ def compare_laws(
         raise ParameterError("no law can be fitted to these states; check them, and the wheel")
     best = max(fitted, key=lambda part: float(part.sum()))
     scores = [
-        WheelLawScore(law, None, None, None, None) if part is None else _score(law, part, best, error)
-        for law, part, error in zip(laws, parts, errors, strict=True)
+        WheelLawScore(law, None, None, None, None, None) if part is None or of is None else _score(law, part, best, *of)
+        for law, part, of in zip(laws, parts, known, strict=True)
     ]
-    return next(s.law for s in scores if s.behind is not None and s.behind <= (s.behind_sigma or 0.0)), scores
+
+    def near(widths: float) -> list[WheelLaw]:
+        return [score.law for score in scores if score.within(widths)]
+
+    return next((law for law in (*near(1), *near(OPEN)) if law.contact), near(1)[0]), scores
 
 
 def _score(
-    law: WheelLaw, part: FloatArray, best: FloatArray, error: tuple[float, float, float] | None
+    law: WheelLaw, part: FloatArray, best: FloatArray, error: tuple[float, float, float], soil: tuple[float, ...]
 ) -> WheelLawScore:
     away = best - part
     sigma = float(np.sqrt(len(away)) * np.std(away, ddof=1)) if len(away) > 1 else 0.0
-    return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error)
+    return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error, soil)
 
 
 def _densities(mode: Mode, groups: IndexArray) -> FloatArray:

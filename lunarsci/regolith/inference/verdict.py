@@ -4,21 +4,22 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
-from lunarsci.regolith.inference.problem import JointProblem, error_covariance, part_of
+from lunarsci.regolith.inference.problem import LEAST_SHARE, JointProblem, error_covariance, part_of
 from lunarsci.regolith.states import WheelStates
 
 CEILINGS = (0.35, 0.15, 0.15)
 """Share of the load by which the law may miss F_N, F_DP, F_L before no soil of it counts as an explanation; assumed. A
 pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of
 it: 0.35 of the load is a fifth of the sinkage."""
-REDUCED = (0.5, 2.0)
-"""Range of a reduced chi-square that agrees with the errors stated; errors alike in all states make it small.
-Assumed."""
+REDUCED, RARE = (0.5, 2.0), 1e-3
+"""Range of a reduced chi-square that agrees with the errors stated, and the chance at either end below which it must
+lie too: few forces scatter more widely than the range. Assumed."""
 MOST_LEFT_OUT = 0.1
 """Share of outliers beyond which a fit is doubted; assumed."""
 GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
@@ -110,11 +111,15 @@ def _read_otherwise(problem: JointProblem, column: str, factor: float) -> JointP
     return replace(problem, **{name: values, errors: sigmas})
 
 
+def degrees(mode: Mode) -> float:
+    """Forces of the states kept, less what the fit used up."""
+    return int(np.isfinite(mode.problem.forces[mode.kept]).sum()) - mode.freedom
+
+
 def reduced_chi_square(mode: Mode) -> float | None:
     """Of the states kept over the forces left after what the fit used up; None where none is left."""
     white = mode.problem.white(mode.point[None])[0][mode.kept]
-    left = int(np.isfinite(mode.problem.forces[mode.kept]).sum()) - mode.freedom
-    return float(np.sum(white**2) / left) if left >= 1 else None
+    return float(np.sum(white**2) / degrees(mode)) if degrees(mode) >= 1 else None
 
 
 def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: float) -> FitVerdict:
@@ -128,7 +133,7 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     unusable : share of all states that could not be used at all.
     """
     shares, reduced = mode.problem.model_error, reduced_chi_square(mode)
-    reasons = [*_misfit(mode, reduced, states), *_ceilings(mode, given), *_left_out(mode, unusable)]
+    reasons = [*_misfit(mode, reduced, given, states), *_ceilings(mode, given), *_left_out(mode, unusable)]
     strange = float(np.max(np.abs(mode.point - mode.problem.center) / mode.problem.width))
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and strange < STRANGE
     good = good and not reasons
@@ -150,14 +155,37 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     )
 
 
-def _misfit(mode: Mode, reduced: float | None, states: WheelStates) -> list[str]:
-    low, high = REDUCED
-    after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(mode.problem.model_error))
-    if reduced is None or low <= reduced <= high or (reduced < low and (states.alike or not states.stated)):
+def _misfit(mode: Mode, reduced: float | None, given: bool, states: WheelStates) -> list[str]:
+    own, left = _of_stated_errors(mode, given, states)
+    if states.stated and not states.alike and left >= 1 and own < (low := least_chi_square(left)):
+        return [
+            f"reduced chi-square {own / left:.2g} of the stated errors alone is below {low / left:.2g}: "
+            "they are too large for these states"
+        ]
+    if reduced is None or reduced <= max(REDUCED[1], float(chdtri(degrees(mode), RARE)) / degrees(mode)):
         return []
-    if reduced < low:
-        return [f"reduced chi-square {reduced:.2g} is below {low:g}: the stated errors are too large for these states"]
+    after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(mode.problem.model_error))
     return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
+
+
+def least_chi_square(left: float) -> float:
+    """Below which errors are too large for what so many degrees of freedom are left over."""
+    return min(REDUCED[0] * left, float(chdtri(left, 1 - RARE)))
+
+
+def _of_stated_errors(mode: Mode, given: bool, states: WheelStates) -> tuple[float, float]:
+    """Chi-square of the states kept with the errors that the file states, and the degrees of freedom left.
+
+    Neither errors taken because the file has none nor a model error that was found are the user's to answer for.
+    """
+    problem, unstated = mode.problem, [COLUMNS.index(name) for name in states.unstated]
+    errors, forces = problem.input_sigma.copy(), problem.forces.copy()
+    errors[:, [k for k in unstated if k < 3]] = 0.0
+    forces[:, [k - 3 for k in unstated if k > 2]] = np.nan
+    shares = problem.model_error if given else (LEAST_SHARE,) * 3
+    own = replace(problem, input_sigma=errors, forces=forces, model_error=shares)
+    white = own.white(mode.point[None])[0][mode.kept]
+    return float(np.sum(white**2)), float(np.isfinite(forces[mode.kept]).sum() - mode.freedom)
 
 
 def _ceilings(mode: Mode, given: bool) -> list[str]:
@@ -191,8 +219,10 @@ def _assumed(mode: Mode, given: bool, states: WheelStates, reduced: float | None
     if not given:
         said.append(f"normal errors of the model, a share of the load; {mode.alike:.1f} neighbouring states "
                     "count as one independent state")  # fmt: skip
-    if reduced is not None and reduced < REDUCED[0]:
+    if reduced is not None and reduced * degrees(mode) < least_chi_square(degrees(mode)):
         said.append(f"errors that the states do not show (reduced chi-square {reduced:.2g}), so intervals are wide")
+    if not mode.problem.contact:
+        said.append("contact angles of the wheel as known: where they are others, K_s, N and K_x are, too")
     if reduced is None:
         said.append("that the law holds: there are no more forces than parameters to test it")
     model = mode.problem.model

@@ -31,7 +31,8 @@ class InferRequest(IdentifyRequest):
     Attributes
     ----------
     prior : TOML file with priors in place of the lunar ones.
-    law : `given`, as the next options say, or `auto`, the one that predicts states left out best.
+    law : `given`, as the next options say, or `auto`, the one that predicts states left out best; None takes `auto`
+        where none of the next options is given, unless the forces were computed of a motion, by the closed form.
     exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
     shear, bulldozing, density [kg m^-3], gravity [m s^-2] : these choices.
     contact : contact angles and the exponent's slope in skid are unknown too; by integration.
@@ -44,7 +45,7 @@ class InferRequest(IdentifyRequest):
     """
 
     prior: str | None = None
-    law: Literal["given", "auto"] = "given"
+    law: Literal["given", "auto"] | None = None
     exact: bool = False
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
@@ -64,6 +65,10 @@ class InferRequest(IdentifyRequest):
             raise RequestError(f"`reading` {self.reading} only reproduces numbers; this needs signed")
         if self.law == "auto" and (self.exact or self.beyond):
             raise RequestError("`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`")
+
+    def chooses(self, computed: bool) -> bool:
+        """Whether the law is chosen by how it predicts, for forces that were measured or computed of a motion."""
+        return self.law == "auto" or (self.law is None and not (self.exact or self.beyond or computed))
 
     @property
     def beyond(self) -> bool:
@@ -191,13 +196,14 @@ def _posterior(
 ) -> "tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]":
     """The posterior, scores of the laws where one was chosen, and the file of priors."""
     from lunarsci.regolith.inference.posterior import infer_soil
-    from lunarsci.regolith.inference.prediction import candidates, compare_laws
+    from lunarsci.regolith.inference.prediction import candidates, compare_laws, disputed
     from lunarsci.regolith.prior import read_prior
 
+    chooses = asked.chooses(given.states.alike)
     source = read_input(asked.prior) if asked.prior else None
-    prior = read_prior(source, contact=asked.contact or asked.law == "auto") if source else None
+    prior = read_prior(source, contact=asked.contact or chooses) if source else None
     law, scores = asked.wheel_law, list[Any]()
-    if asked.law == "auto":
+    if chooses:
         laws = candidates(given.states, asked.density, asked.gravity)
         law, scores = compare_laws(
             given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
@@ -214,4 +220,5 @@ def _posterior(
         seed=asked.seed,
         progress=progress,
     )
+    found = replace(found, disputed=disputed(found, scores))
     return found, scores, {source.name: source.sha256} if source else {}
