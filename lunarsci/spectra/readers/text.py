@@ -101,8 +101,8 @@ def _header_and_body(
         begin = next((row for row in rows if not _is_header(row, separator == ";")), None)
         if begin and len(begin.fields) != len(first.fields):
             raise DataError(
-                f"{file}: lines of text before the table, whose numbers begin in line {begin.line}; keep only the line with "
-                "the names of the columns, or begin the others with #"
+                f"{file}: lines of text before the table, whose numbers begin in line {begin.line}; keep only the line "
+                "with the names of the columns, or begin the others with #"
             )
     width = len(_row(lines[1], separator, file).fields)
     return _names(lines[0][1], separator, width, f"{file}: line {first.line}"), lines[1:]
