@@ -49,7 +49,7 @@ def start(tmp_path: Path) -> Path:
     return path
 
 
-def fitted(run: Run, *arguments: object, command: str = "fit") -> dict[str, Any]:
+def fitted(run: Run, *arguments: object, command: str = "fit", code: int = 0) -> dict[str, Any]:
     done = run("spectra", command, *arguments, "--json")
     assert done.code == code, done.err
     record: dict[str, Any] = json.loads(done.out)["result"]["spectra"][0]
