@@ -97,11 +97,12 @@ def _header_and_body(
     if len(lines) == 1:
         raise DataError(f"{file}: holds a header and no data rows; check how it was made or downloaded")
     if _is_header(_row(lines[1], separator, file), separator == ";"):
-        begin = next((n for n, line in lines if not _is_header(_row((n, line), separator, file), separator == ";")), 0)
-        if begin:
+        rows = (_row(line, separator, file) for line in lines)
+        begin = next((row for row in rows if not _is_header(row, separator == ";")), None)
+        if begin and len(begin.fields) != len(first.fields):
             raise DataError(
-                f"{file}: lines of text before the table, whose numbers begin in line {begin}; keep only the line with "
-                "the names of the columns, or begin the others with #"
+                f"{file}: lines of text before the table, whose numbers begin in line {begin.line}; keep only the line "
+                "with the names of the columns, or begin the others with #"
             )
     width = len(_row(lines[1], separator, file).fields)
     return _names(lines[0][1], separator, width, f"{file}: line {first.line}"), lines[1:]
