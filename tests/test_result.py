@@ -8,7 +8,9 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, get_args
+from importlib import import_module
+from pkgutil import walk_packages
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -55,6 +57,48 @@ class Found(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [self.to_dict() | {"torque_nm": 2.0}, {"load_n": None, "note": "<b>"}]
+
+
+def _requests() -> list[type]:
+    found = {
+        one
+        for module in walk_packages(lunarsci.__path__, "lunarsci.")
+        if ".jobs." in module.name or module.name.endswith(".job")
+        for name, one in vars(import_module(module.name)).items()
+        if name.endswith("Request") and is_dataclass(one)
+    }
+    return sorted(found, key=lambda one: one.__name__)
+
+
+def test_a_value_that_is_no_choice_is_refused_by_every_request():
+    tried = 0
+    for kind in _requests():
+        for name, hint in get_type_hints(kind).items():
+            parts = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
+            for choices in map(get_args, parts):
+                with pytest.raises(RequestError, match=f"`{name}` cannot be 'xyz'; .*{choices[-1]}"):
+                    request_of(kind, None, {name: "xyz"})
+                tried += 1
+    assert tried > 40
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"load_n": "a"}, "`load_n` cannot be 'a'; give a number"),
+        ({"load_n": None}, "`load_n` cannot be None; give a number"),
+        ({"ties": 5}, "`ties` cannot be 5; give a list"),
+        ({"exact": "no"}, "`exact` cannot be 'no'; give True or False"),
+    ],
+)
+def test_a_value_of_another_type_is_refused(wrong, told):
+    with pytest.raises(RequestError, match=told):
+        request_of(Asked, None, wrong)
+
+
+def test_a_request_given_is_checked_too():
+    with pytest.raises(RequestError, match="`ties` cannot be 5"):
+        request_of(Asked, Asked(ties=5), {"load_n": 3})
 
 
 def test_a_table_has_units() -> None:
