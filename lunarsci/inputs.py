@@ -105,7 +105,8 @@ def read_input(source: Source) -> InputFile:
         return _read_path(str(source))
     given: Any = source
     if hasattr(given, "to_csv"):
-        return _filled("<table>", given.to_csv(index=False).encode())
+        named = any(name is not None for name in getattr(getattr(given, "index", None), "names", ()))
+        return _filled("<table>", (given.reset_index() if named else given).to_csv(index=False).encode())
     if hasattr(given, "colnames"):
         return _filled("<table>", _table_bytes(given))
     if hasattr(given, "read"):
@@ -192,8 +193,14 @@ def _table_bytes(table: Any) -> bytes:
 
     plain = table.copy()
     for name in plain.colnames:
-        if (unit := unit_of(name)) and getattr(plain[name], "unit", None) is not None:
+        own = getattr(plain[name], "unit", None)
+        if not (unit := unit_of(name)) or own is None:
+            continue
+        # A short name such as w is hardly a unit: the column's own counts.
+        if own.is_equivalent(unit):
             plain[name] = plain[name].to(unit)
+        elif "_" in name:
+            raise DataError(f"<table>: column {name} is in {own}, its name says {unit}; rename it or convert it")
     written = io.StringIO()
     ascii.write(plain, written, format="ecsv", delimiter=",")
     return written.getvalue().encode()
