@@ -193,13 +193,10 @@ def _table_bytes(table: Any) -> bytes:
 
     plain = table.copy()
     for name in plain.colnames:
-        own = getattr(plain[name], "unit", None)
-        if not (unit := unit_of(name)) or own is None:
-            continue
-        # A short name such as w is hardly a unit: the column's own counts.
-        if own.is_equivalent(unit):
+        unit, own = unit_of(name), getattr(plain[name], "unit", None)
+        if unit and own is not None and own.is_equivalent(unit):
             plain[name] = plain[name].to(unit)
-        elif "_" in name:
+        elif unit and own is not None and "_" in name:
             raise DataError(f"<table>: column {name} is in {own}, its name says {unit}; rename it or convert it")
     written = io.StringIO()
     ascii.write(plain, written, format="ecsv", delimiter=",")

@@ -12,14 +12,12 @@ import re
 import sys
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
-from numbers import Integral, Real
-from os import PathLike
 from textwrap import fill
-from types import FrameType, NoneType, UnionType
+from types import FrameType
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -27,7 +25,6 @@ from typing import (
     Literal,
     ParamSpec,
     TypeVar,
-    Union,
     get_args,
     get_origin,
     get_type_hints,
@@ -35,6 +32,7 @@ from typing import (
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, RequestError
 from lunarsci.names import one_of
+from lunarsci.option_values import check
 from lunarsci.provenance import Provenance, document, plain, to_json
 
 if TYPE_CHECKING:
@@ -142,7 +140,7 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
     meant = {name: _as_meant(value, hints[name]) for name, value in options.items()}
     given = {} if request is None else {name: getattr(request, name) for name in known}
     for name, value in (given | meant).items():
-        _check(name, value, hints[name])
+        check(name, value, hints[name])
     return kind(**meant) if request is None else dataclasses.replace(request, **meant)  # type: ignore[type-var]
 
 
@@ -152,45 +150,6 @@ def _as_meant(value: Any, hint: Any) -> Any:
         return (value,)
     real = float in (hint, *get_args(hint))
     return float(value) if real and isinstance(value, int) and not isinstance(value, bool) else value
-
-
-_MEANT: dict[Any, tuple[tuple[type, ...], str]] = {
-    str: ((str, PathLike), "text"),
-    float: ((Real,), "a number"),
-    int: ((Integral,), "a whole number"),
-    tuple: ((Iterable,), "a list"),
-    NoneType: ((NoneType,), "None"),
-}
-"""What is taken where a type is named, and how messages call it; other types are not checked."""
-
-
-def _check(name: str, value: Any, hint: Any) -> None:
-    """Refuse a value that is none of the choices of an option, or not of its kind."""
-    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    choices = [one for part in parts if get_origin(part) is Literal for one in get_args(part)]
-    kinds = [get_origin(part) or part for part in parts if get_origin(part) is not Literal]
-    if any(type(value) in (type(one), float) and value == one for one in choices):
-        return
-    if bool in kinds and _is_flag(value):
-        return
-    if any(kind not in _MEANT and kind is not bool for kind in kinds):
-        return
-    taken = [_MEANT[kind][0] for kind in kinds if kind in _MEANT and (kind is not tuple or _is_list(value))]
-    if not _is_flag(value) and any(isinstance(value, kind) for kind in taken):
-        return
-    if choices:
-        told = one_of(str(value), map(str, choices)) + (", None" if NoneType in kinds else "")
-    else:
-        told = "give " + " or ".join("True or False" if kind is bool else _MEANT[kind][1] for kind in kinds)
-    raise RequestError(f"`{name}` cannot be {value!r:.60}; {told}")
-
-
-def _is_flag(value: Any) -> bool:
-    return isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
-
-
-def _is_list(value: Any) -> bool:
-    return not isinstance(value, str | bytes | Mapping)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
