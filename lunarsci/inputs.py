@@ -97,7 +97,8 @@ def read_input(source: Source) -> InputFile:
         return _read_path(str(source))
     given: Any = source
     if hasattr(given, "to_csv"):
-        return _filled("<table>", given.to_csv(index=False).encode())
+        named = any(name is not None for name in getattr(getattr(given, "index", None), "names", ()))
+        return _filled("<table>", (given.reset_index() if named else given).to_csv(index=False).encode())
     if hasattr(given, "colnames"):
         return _filled("<table>", _table_bytes(given))
     if hasattr(given, "read"):
@@ -184,8 +185,11 @@ def _table_bytes(table: Any) -> bytes:
 
     plain = table.copy()
     for name in plain.colnames:
-        if (unit := unit_of(name)) and getattr(plain[name], "unit", None) is not None:
+        unit, own = unit_of(name), getattr(plain[name], "unit", None)
+        if unit and own is not None and own.is_equivalent(unit):
             plain[name] = plain[name].to(unit)
+        elif unit and own is not None and "_" in name:
+            raise DataError(f"<table>: column {name} is in {own}, its name says {unit}; rename it or convert it")
     written = io.StringIO()
     ascii.write(plain, written, format="ecsv", delimiter=",")
     return written.getvalue().encode()

@@ -36,6 +36,7 @@ SHARED = {
     "record_blocks",
     "names",
     "numerals",
+    "options",
     "sun",
     "templates",
 }

@@ -56,7 +56,7 @@ OPTIONS = {
         panel=LIMITS,
     ),
     "limits": option(
-        "TOML file with the mission's [limits], such as a plan; risk is counted against them, and they go into the "
+        "TOML file with the mission's limits, such as a plan; risk is counted against them, and they go into the "
         "plan. What it leaves out is as assumed of the rover.",
         panel=LIMITS,
         metavar="FILE",

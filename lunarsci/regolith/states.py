@@ -246,7 +246,10 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
 
     found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True)
     if found.unused:
-        warnings.warn(f"{found.file}: columns not used: {', '.join(found.unused)}", LunarSciWarning, stacklevel=2)
+        # An error under another name than NAME_sigma would go unread.
+        stems = [name.rpartition("_")[0] for name in found.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
+        hint = "; did you mean " + ", ".join(f"{stem}_sigma" for stem in stems) + "?" if stems else ""
+        warnings.warn(f"{found.file}: columns not used: {', '.join(found.unused)}{hint}", LunarSciWarning, stacklevel=2)
     keep, frame = _kept_rows(found), found.table
     values = found.values[keep]
     _check_values(found.file, values, np.flatnonzero(keep), wheel)

@@ -190,7 +190,11 @@ def _of_arrays(
     for k, values in enumerate(reflectance):
         name = f"spectrum {before + k + 1}"
         median = float(medians_above_0(values[None])[0])
-        scale = choice_of_unit(Column("", values, 2), median, reflectance_unit, f"<{name}>").scale
+        unit = choice_of_unit(Column("", values, 2), median, reflectance_unit, f"<{name}>")
+        if unit.remark:
+            told = f"{name}: a median of {median:.4g} is hardly {reflectance_unit}; is `reflectance_unit` right?"
+            warnings.warn(told, LunarSciWarning, stacklevel=2)
+        scale = unit.scale
         errors = None if sigma is None else scale * sigma[min(k, len(sigma) - 1)]
         found.append(Spectrum(name, wavelength, scale * values, errors))
     return found
