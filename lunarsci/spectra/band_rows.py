@@ -51,6 +51,7 @@ from lunarsci.spectra.band_shape import (
 )
 from lunarsci.spectra.band_slopes import BandGrid, Smoother, smooth
 from lunarsci.spectra.band_status import (
+    ABSENT_NM,
     AREA_CALIBRATION,
     AREA_NM,
     AREA_SIGMA,
@@ -67,6 +68,7 @@ from lunarsci.spectra.band_status import (
     DEPTH_SIGMA,
     GAUSSIAN,
     METHOD,
+    NO_BAND,
     NO_TIES,
     NOT_COVERED,
     NOTE,
@@ -176,6 +178,9 @@ def measure_rows(
         given = np.empty((0, own.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
         noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, own.shape), float)
         _measure(grid, places, own, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
+        if grid.wavelength_nm[-1] < ABSENT_NM:
+            two = codes[rows, -1, STATUS]
+            two[np.isin(two, NO_BAND)] = NOT_COVERED
         found = numbers[rows, -1]
         found[:, METHOD] = np.fmax(found[:, METHOD], short_by(found[:, CENTER], float(grid.wavelength_nm[-1])))
 

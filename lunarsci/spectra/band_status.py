@@ -109,6 +109,12 @@ STATUSES = (
     OK, FALLS, BELOW, AWAY, FEW, ELSEWHERE, NO_MINIMUM, SHALLOW, UNCERTAIN, SPARSE, NOT_COVERED, NO_TIES, UNUSABLE
 ) = range(len(STATUSES))  # fmt: skip
 
+NO_BAND = (FEW, ELSEWHERE, NO_MINIMUM, SHALLOW)
+"""Codes that say that there is none."""
+ABSENT_NM = 2300.0
+"""A spectrum that ends before this does not show that there is no band at 2 um, since that of a clinopyroxene has its
+minimum there; assumed, from centres of 2200 to 2300 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512). [nm]"""
+
 QUANTITIES = (
     "center_nm", "center_sigma_nm", "center_systematic_nm", "center_gaussian_nm", "center_method_nm", "depth",
     "depth_sigma", "area_nm", "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm",

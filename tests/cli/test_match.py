@@ -220,6 +220,10 @@ def test_a_rock_that_goes_with_nothing_comes_from_elsewhere(run: Run, tmp_path: 
         (("--modes", "ol=nan:0.1,opx=0.1:0.1"), "not a finite number"),
         ((*MODES, "--site", "95,0"), "latitude is 95"),
         ((*MODES, "--site", "1"), "give latitude and longitude"),
+        (
+            (*MODES, "--site", "20.19,30.77"),
+            "km from Chang'E-4, round which the embedded craters lie",
+        ),
         ((*MODES, "--rock-life", "80:40"), "must rise"),
         ((*MODES, "--rock-life", "1:2:3"), "LOW:HIGH"),
         ((*MODES, "--mineral-map", "olivine"), "MINERAL=FILE.tif"),

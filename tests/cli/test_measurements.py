@@ -43,7 +43,10 @@ def test_fit(run: Callable[..., object], reference_data: Path, file: str, count:
     done = run("spectra", "fit", reference_data / "spectra" / file, "--json")
     spectra = json.loads(done.out)["result"]["spectra"]
     doubtful = any(spectrum["status"] != "converged" for spectrum in spectra)
-    assert (done.code, [line.partition(":")[0] for line in done.err]) == (3 * doubtful, ["not to be trusted"] * doubtful)
+    assert (done.code, [line.partition(":")[0] for line in done.err]) == (
+        3 * doubtful,
+        ["not to be trusted"] * doubtful,
+    )
     assert len({spectrum["id"] for spectrum in spectra}) == count
     for spectrum in spectra:
         assert spectrum["status"]

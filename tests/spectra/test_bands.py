@@ -14,6 +14,7 @@ from lunarsci.errors import DataError
 from lunarsci.spectra.band_status import STATUSES
 from lunarsci.spectra.bands import BandFailure, SpectrumBands, band_arrays, measure_bands, measure_batch
 from lunarsci.spectra.continuum import ContinuumName, continuum
+from lunarsci.spectra.jobs.verdicts import bands_verdict
 from lunarsci.spectra.noise import scatter_noise_rows
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
@@ -328,6 +329,17 @@ def test_the_drawn_curve_goes_through_the_mark_of_a_band() -> None:
             band = found.bands[key]
             assert float(np.interp(band.center_nm, nm, curve)) == pytest.approx(1 - band.depth, abs=2e-4)
             assert nm[curve.argmin()] == pytest.approx(band.center_nm, abs=5.0)
+
+
+def test_a_band_that_a_short_spectrum_may_have_is_not_called_absent() -> None:
+    """MADE UP of a clinopyroxene: measured to 2150 nm, its band falls to the last channel."""
+    nm = np.arange(450.0, 2151.0, 5.0)
+    bands = [a * np.exp(-2.77 * ((nm - c) / w) ** 2) for a, c, w in ((0.4, 1010.0, 250.0), (0.3, 2260.0, 600.0))]
+    noise = 0.003 * np.random.default_rng(0).standard_normal(nm.size)
+    found = lunarsci.bands((nm, 0.3 * np.exp(-sum(bands)) * (1 + noise)))
+    [record] = found.to_dict()["spectra"]
+    assert record["band2000_status"].startswith("no result: the spectrum covers 1580-2150 nm of it")
+    assert "pyroxene and olivine are both open" in bands_verdict(record)
 
 
 @pytest.mark.reference

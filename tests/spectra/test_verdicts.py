@@ -151,6 +151,7 @@ def test_bands_that_are_missing_are_missed(first: float | None, second: float | 
     record: dict[str, Any] = {"bc1000_nm": first, "bc2000_nm": second, "chemistry": {}}
     for key in ("1000", "2000"):
         record |= {f"bc{key}_sigma_nm": 0.04, f"bc{key}_systematic_nm": None, f"bc{key}_method_nm": 5.7}
+    record["band2000_status"] = "ok" if second else "no band: its depth is within 4.5 sigma of 0"
     told = bands_verdict(record)
     assert said in told
     assert told.count(".0 ± 0.04 (noise) ± 5.7 (method) nm") == sum(one is not None for one in (first, second))

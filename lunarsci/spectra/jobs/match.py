@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from lunarsci.spectra.origin.prior import Range
 
 
+EMBEDDED_KM = 1000.0
+"""The embedded craters are those within some 600 km of Chang'E-4; assumed: for sites farther off they are not asked."""
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
 BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
@@ -177,11 +179,18 @@ def match(
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
     from lunarsci.spectra.origin.assumptions import assumptions
+    from lunarsci.spectra.origin.catalogue import distance_km
     from lunarsci.spectra.origin.match import match_rocks
+    from lunarsci.spectra.origin.prior import CHANG_E_4
     from lunarsci.tables import table_hashes
 
     asked = request_of(MatchRequest, request, options)
     settings, site = asked.settings(), _site(asked.site)
+    if asked.craters is None and (far := distance_km(CHANG_E_4, site)) > EMBEDDED_KM:
+        raise RequestError(
+            f"`site` {asked.site} is {far:.0f} km from Chang'E-4, round which the embedded craters lie; give the "
+            "craters round yours as `craters` (`lunarsci template craters`)"
+        )
     given = _rocks(list(rocks) if isinstance(rocks, list | tuple) else [rocks], asked)
     found = _candidates(asked)
     matches = match_rocks(given.rocks, found.craters, site, settings, progress)

@@ -45,6 +45,8 @@ def bands_meaning(record: Mapping[str, Any]) -> str:
     alone = any("pyroxene without olivine" in item["domain"] and item["in_range"] for item in chemistry)
     if not (one or two):
         return "no band, so nothing is said of its minerals"
+    if one and not two and not str(record["band2000_status"]).startswith("no band"):
+        return "a 1 µm band; whether there is one at 2 µm could not be measured, so pyroxene and olivine are both open"
     if one and not two:
         return (
             "a 1 µm band and none at 2 µm: olivine, or a pyroxene whose 2 µm band is hidden; `spectra fit` looks closer"
@@ -193,14 +195,16 @@ def _quotable(record: Mapping[str, Any]) -> list[str]:
     """Shares in domain; else the ratios of a rock; and whether the mixture misses the spectrum."""
     shares, parts = record["abundance"], []
     inside = [one for one in record["abundances"].values() if one["in_domain"]]
+    left = shares.get("rms_ln")
+    missed = left is not None and left > MISSED
     for one in inside:
         values = [f"{name} {_percent(one[name])}" for name in MINERALS if name in one]
-        parts.append(f"to be quoted, by `{one['method']}`, with its interval: {', '.join(values)}")
+        said = "with care" if missed and one["method"] == shares.get("method") else "to be quoted"
+        parts.append(f"{said}, by `{one['method']}`, with its interval: {', '.join(values)}")
     parts += [] if inside else [f"no share to be quoted: {shares['status'].removeprefix('out of domain: ')}"]
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in (shares.get("ratios") or {}).items()]
     parts += [f"ratios with their intervals: {', '.join(ratios)}"] if ratios else []
-    left = shares.get("rms_ln")
-    if left is not None and left > MISSED:
+    if missed and left is not None:
         parts.append(f"the mixture misses the spectrum by {100 * left:.0f} % (rms), level and slope apart")
     return parts
 

@@ -50,23 +50,37 @@ def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
     return [(line, dict(zip(names, row, strict=True))) for (line, _), row in zip(lines[1:], body, strict=False)]
 
 
-_WAVELENGTH = {"wavelength", "wavelengths"}
+_WAVELENGTH = {"wavelength", "wavelengths", "wellenlänge", "wellenlaenge", "wellenlange"}
 _WAVELENGTH_SHORT = {"wl", "wvl", "wav", "wave", "lambda", "λ", "nm", "um", "μm", "micron", "microns"}
 _UNIT_WORDS = {"nm", "um", "μm", "micron", "microns", "nanometer", "nanometers", "micrometer", "micrometers"}
 _POSITION_WORDS = {"band", "channel", "center", "centre", "central", "mean"}
 _NOT_A_SPECTRUM = {
     *("fwhm", "bandwidth", "resolution", "band", "bands", "channel", "channels", "index", "pixel"),
-    *("flag", "flags", "quality", "mask", "weight", "weights", "wavenumber", "wavenumbers"),
+    *("flag", "flags", "quality", "mask", "weight", "weights", "wavenumber", "wavenumbers", "kanal", "nr"),
 }
 _NOT_REFLECTANCE = {"radiance", "irradiance", "absorbance", "transmittance", "emissivity", "cal", "calibration"}
 _SIGMA = {
     *("sigma", "std", "stdev", "stddev", "error", "err", "unc", "uncertainty", "standarddeviation"),
-    *("1sigma", "stddeviation"),
+    *("1sigma", "stddeviation", "sd", "σ", "fehler", "unsicherheit", "standardabweichung"),
 }
-_SIGMA_SUFFIX = re.compile(r"^(.+?)[ _.-](sigma|std|stdev|err|error|unc|uncertainty)$", re.IGNORECASE)
+_SIGMA_SUFFIX = re.compile(r"^(.+?)[ _.-](sigma|sd|std|stdev|err|error|unc|uncertainty|fehler)$", re.IGNORECASE)
 _SYSTEMATIC = re.compile(r"^(.+?)_systematic_(\w+)$", re.IGNORECASE)
 _PLAIN = {
-    *("reflectance", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof", "albedo"),
+    *(
+        "reflectance",
+        "reflexion",
+        "refl",
+        "reflectivity",
+        "ref",
+        "r",
+        "rf",
+        "reff",
+        "radf",
+        "brf",
+        "i/f",
+        "iof",
+        "albedo",
+    ),
     *(
         "value",
         "values",

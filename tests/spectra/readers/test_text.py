@@ -31,6 +31,7 @@ REFLECTANCE = [0.1, 0.2, 0.3]
         '"wavelength_nm","reflectance"\n"400.5","0.1"\n500,0.2\n600,0.3\n',
         "wavelength_nm,reflectance,\n400.5,0.1,\n500,0.2,\n600,0.3,\n",
         "wavelength_nm,reflectance\n400.5,0.1,\n500,0.2,\n600,0.3,\n",
+        "Kanal;Wellenlaenge [nm];Reflexion;Fehler\n1;400,5;0,1;0,01\n2;500;0,2;0,01\n3;600;0,3;0,01\n",
         "reflectance,wavelength_nm\n0.1,400.5\n0.2,500\n0.3,600\n",
         ",reflectance,wavelength_nm\n,0.1,400.5\n,0.2,500\n,0.3,600\n".replace("\n,", "\n").removeprefix(","),
     ],
