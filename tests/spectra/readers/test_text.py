@@ -31,7 +31,6 @@ REFLECTANCE = [0.1, 0.2, 0.3]
         '"wavelength_nm","reflectance"\n"400.5","0.1"\n500,0.2\n600,0.3\n',
         "wavelength_nm,reflectance,\n400.5,0.1,\n500,0.2,\n600,0.3,\n",
         "wavelength_nm,reflectance\n400.5,0.1,\n500,0.2,\n600,0.3,\n",
-        "Kanal;Wellenlaenge [nm];Reflexion;Fehler\n1;400,5;0,1;0,01\n2;500;0,2;0,01\n3;600;0,3;0,01\n",
         "reflectance,wavelength_nm\n0.1,400.5\n0.2,500\n0.3,600\n",
         ",reflectance,wavelength_nm\n,0.1,400.5\n,0.2,500\n,0.3,600\n".replace("\n,", "\n").removeprefix(","),
     ],
@@ -254,3 +253,12 @@ def test_lines_before_the_table_are_said(read: Read, separator: str) -> None:
     rows = "".join(f"{nm}{separator}0.3\n" for nm in range(400, 410))
     with pytest.raises(DataError, match=r"lines of text before the table, whose numbers begin in line 4; keep"):
         read(f"Instrument: ASD\nOperator: A, B\nwavelength_nm{separator}rock\n{rows}")
+
+
+def test_channel_numbers_and_errors_of_another_language_are_no_spectra(read: Read) -> None:
+    with pytest.warns(LunarSciWarning, match="left out 'Kanal'"):
+        [spectrum] = read(
+            "Kanal;Wellenlaenge [nm];Reflexion;Fehler\n1;400,5;0,1;0,01\n2;500;0,2;0,01\n3;600;0,3;0,01\n"
+        )
+    assert np.allclose(spectrum.wavelength_nm, WAVELENGTH) and np.allclose(spectrum.reflectance, REFLECTANCE)
+    assert spectrum.reflectance_sigma is not None and np.allclose(spectrum.reflectance_sigma, 0.01)
