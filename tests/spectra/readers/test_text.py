@@ -261,4 +261,4 @@ def test_channel_numbers_and_errors_of_another_language_are_no_spectra(read: Rea
             "Kanal;Wellenlaenge [nm];Reflexion;Fehler\n1;400,5;0,1;0,01\n2;500;0,2;0,01\n3;600;0,3;0,01\n"
         )
     assert np.allclose(spectrum.wavelength_nm, WAVELENGTH) and np.allclose(spectrum.reflectance, REFLECTANCE)
-    assert spectrum.reflectance_sigma is not None and np.allclose(spectrum.reflectance_sigma, 0.01)
+    assert spectrum.uncertainty is not None and np.allclose(spectrum.uncertainty, 0.01)
