@@ -523,7 +523,10 @@ def soil_readers() -> dict[str, Reader]:
     states = table(
         "sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n,resistance_torque_nm"
     )
-    identified = {"schema": "lunarsci/regolith-identify/1", "result": former("identify joint")["result"]}
+    found = former("identify joint")["result"]
+    # Long lists are kept in parts there.
+    found |= {"joint": found["joint"] | {"correlation": [[float(i == k) for k in range(8)] for i in range(8)]}}
+    identified = {"schema": "lunarsci/regolith-identify/1", "result": found}
 
     def wheel_states(path: Path) -> Any:
         from lunarsci.regolith.wheel import read_wheel
@@ -836,6 +839,7 @@ READ_BY_COMMAND = {
     "spectra library plot files": f"library, {SPECTRA}",
     "spectra match rocks": "fitted rocks",
     "twin loads states": "states of poses",
+    "twin plan limits": "plan",
     "twin plan start": "start of a plan",
     "twin states track": f"track, {GROUND}",
 }
