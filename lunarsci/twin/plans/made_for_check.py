@@ -167,11 +167,6 @@ class MadeForCheck:
 
     def soil(self, driven: DrivenSoil, path: str) -> None:
         """Say it where a soil takes the place of the one that the terrain's file carries."""
-        if driven.of == "default" and self.terrain_asked and self.terrain.name != STAND_IN:
-            self.say(
-                f"no soil is named and {path} has none, so {driven.name} is driven on as if it were known; give `soil` "
-                "what was learned there, or priors before a first drive"
-            )
         if not driven.replaced:
             return
         what = "" if len(driven.replaced) == len(SOIL_COLUMNS) else f" ({', '.join(driven.replaced)})"
