@@ -43,6 +43,16 @@ def toml_document(content: str) -> dict[str, Any]:
     return document
 
 
+def toml_of(name: str, data: bytes | str) -> dict[str, Any]:
+    """The tables of a TOML file of that name. Raises DataError for one that is none."""
+    try:
+        return toml_document(data if isinstance(data, str) else data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise DataError(f"{name}: not a readable TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{name}: not valid TOML: {error}") from error
+
+
 def json_document(content: str, parse_constant: Callable[[str], Any] | None = None) -> Any:
     """The value of a JSON text; `parse_constant` is called for NaN and infinities.
 

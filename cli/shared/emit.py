@@ -31,8 +31,8 @@ NAMED = 5
 MOST_ANSWERED = 1000
 """Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
-OF_FITS = ("lunarsci/spectra-fit/1", "lunarsci/spectra-unmix/1")
-"""Results of which each spectrum says itself whether it is to be trusted."""
+OF_FITS = "lunarsci/spectra-fit/1"
+"""Results, of `spectra fit` and `unmix`, of which each spectrum says itself whether it is to be trusted."""
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
@@ -219,7 +219,7 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
 def _doubt_kept(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
     """Why a value of a stored result is not to be trusted: below one of many fits as that one is not, else as all."""
     kept = str((stored.get("provenance") or {}).get("untrusted") or "")
-    if not kept or str(stored.get("schema")) not in OF_FITS or len(steps) < 2 or steps[0] != "spectra":
+    if not kept or stored.get("schema") != OF_FITS or len(steps) < 2 or steps[0] != "spectra":
         return kept
     from lunarsci.spectra.jobs.verdicts import fit_doubt
 

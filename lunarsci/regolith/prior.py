@@ -10,7 +10,7 @@ from importlib.resources import files
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import toml_document
+from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
 from lunarsci.names import one_of
@@ -122,10 +122,7 @@ def read_prior(source: InputFile, contact: bool = False) -> dict[str, Law]:
 
     Raises DataError for text that is no TOML, an unknown parameter, or a law out of range.
     """
-    try:
-        document = toml_document(text(source))
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{source.name}: not valid TOML: {error}") from error
+    document = toml_of(source.name, text(source))
     laws = {**default_prior(), **(contact_prior() if contact else {})}
     for name, table in document.items():
         if name not in laws:

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
-from lunarsci.documents import toml_document
+from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import meant
 
@@ -84,11 +84,7 @@ def read_rover(rover: str) -> RoverDescription:
 
 
 def _parse(text: str, origin: str) -> RoverDescription:
-    try:
-        document = toml_document(text)
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{origin}: not valid TOML: {error}") from error
-    return _described(document, origin, text)
+    return _described(toml_of(origin, text), origin, text)
 
 
 def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescription:

@@ -112,8 +112,8 @@ STATUSES = (
 NO_BAND = (FEW, ELSEWHERE, NO_MINIMUM, SHALLOW)
 """Codes that say that there is none."""
 ABSENT_NM = 2300.0
-"""A spectrum that ends before this does not show that there is no band at 2 um, since that of a clinopyroxene has its
-minimum there; assumed, from centres of 2200 to 2300 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512). [nm]"""
+"""A spectrum that ends before this does not show that there is no band at 2 um: assumed, as clinopyroxenes have minima
+up to 2380 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512) and bands far wider than what would be missing. [nm]"""
 
 QUANTITIES = (
     "center_nm", "center_sigma_nm", "center_systematic_nm", "center_gaussian_nm", "center_method_nm", "depth",

@@ -39,11 +39,15 @@ CONTEXT.set_forkserver_preload(["lunarsci.cli", "lunarsci.spectra.jobs.fit", "lu
 
 @dataclass(frozen=True)
 class Case:
-    """A command without `-o`, the suffix of what it writes, and bytes of a disk that holds some of its blocks."""
+    """A command without `-o`, the suffix of what it writes, and bytes of a disk that holds some of its blocks.
+
+    `ends` is its exit code: of many made-up spectra some are fitted by strained bands.
+    """
 
     arguments: tuple[str, ...]
     suffix: str
     disk: int
+    ends: int = 0
 
 
 def made_up(count: int, seed: int = 0) -> np.ndarray:
@@ -81,7 +85,7 @@ def case_of(command: str, folder: Path, scale: float = 1.0) -> Case:
 
     if command == "fit":
         table = write_table(folder / "few.csv", made_up(int(5_000 * scale)))
-        return Case(("fit", table, "--assemblage", "OPX-CPX", "--starts", "1"), ".csv", int(1.5e6 * scale))
+        return Case(("fit", table, "--assemblage", "OPX-CPX", "--starts", "1"), ".csv", int(1.5e6 * scale), 3)
     if command == "bands":
         return Case(("bands", write_table(folder / "many.csv", made_up(int(20_000 * scale)))), ".csv", int(2e6 * scale))
     if command == "match":
@@ -125,16 +129,12 @@ class Killed:
     left: list[str]
 
 
-FINISHED = (0, 3)
-"""Exit codes of a run that came to its end: made-up spectra may be fitted by strained bands."""
-
-
 def whole(case: Case, folder: Path) -> tuple[bytes, float]:
     """What a run that is not stopped writes, and the processor seconds of the second one, which need not compile."""
     for name in ("first", "whole"):
         process = begun(case, target := folder / f"{name}{case.suffix}")
         process.join()
-        if process.exitcode not in FINISHED:
+        if process.exitcode != case.ends:
             raise SystemExit(target.with_suffix(".said").read_text())
     return target.read_bytes(), float(target.with_suffix(".spent").read_text())
 
@@ -165,7 +165,7 @@ def killed(case: Case, folder: Path, wanted: bytes, seconds: float, kills: int, 
     process = begun(case, target)
     process.join()
     left = [path.name for path in folder.iterdir() if path.name.startswith((f".{target.stem}", f"{target.name}."))]
-    return Killed(kept, same and process.exitcode in FINISHED and target.read_bytes() == wanted, left)
+    return Killed(kept, same and process.exitcode == case.ends and target.read_bytes() == wanted, left)
 
 
 def on_small_disk(case: Case, folder: Path, size: int) -> None:

@@ -525,7 +525,7 @@ def soil_readers() -> dict[str, Reader]:
     )
     found = former("identify joint")["result"]
     # Long lists are kept in parts there.
-    found |= {"joint": found["joint"] | {"correlation": [[float(i == k) for k in range(8)] for i in range(8)]}}
+    found = found | {"joint": found["joint"] | {"correlation": [[float(i == k) for k in range(8)] for i in range(8)]}}
     identified = {"schema": "lunarsci/regolith-identify/1", "result": found}
 
     def wheel_states(path: Path) -> Any:

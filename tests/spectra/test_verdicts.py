@@ -191,6 +191,11 @@ def test_no_share_out_of_domain_is_to_be_quoted() -> None:
     both = shares_verdict(record | {"abundances": {"unmix": unmix, "nbsr": nbsr}})
     assert "by `nbsr`, with its interval: orthopyroxene 40 % (95 %: 10 to 89)" in both and "49" not in both
 
+    good = unmix | {"in_domain": True, "status": "line"}
+    for left, said in ((0.05, "to be quoted, by `unmix`"), (0.19, "with care, by `unmix`")):
+        own = good | {"rms_ln": left}
+        assert said in shares_verdict(record | {"abundance": own, "abundances": {"unmix": own}})
+
 
 def test_centres_that_no_such_mineral_has_strain_a_fit() -> None:
     """An absorption at 880 nm asks for an orthopyroxene of less iron than none."""

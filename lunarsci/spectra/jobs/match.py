@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 
 EMBEDDED_KM = 1000.0
-"""The embedded craters are those within some 600 km of Chang'E-4; assumed: for sites farther off they are not asked."""
+"""The embedded craters lie within 739 km of Chang'E-4 (Antoniadi); for sites farther off than this, assumed, they are
+not asked."""
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
 BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
@@ -42,7 +43,7 @@ class MatchRequest:
     name, site : of that rock, and latitude and longitude where rocks were found. [deg]
     use : kind of composition that is compared.
     systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
-    craters : table of candidates, as a file or in memory; None for those around Chang'E-4.
+    craters : table of candidates, as a file or in memory; None for those around Chang'E-4, for a site within 1,000 km.
     mineral_map : `olivine=map.tif`, one a mineral, or one file that `spectra map` wrote of shares.
     annulus : ring around a crater that is read there. [rim radii]
     prior, ejecta_law, thickness_factor, surface_age, other, exposure : see

@@ -66,34 +66,9 @@ _SIGMA = {
 _SIGMA_SUFFIX = re.compile(r"^(.+?)[ _.-](sigma|sd|std|stdev|err|error|unc|uncertainty|fehler)$", re.IGNORECASE)
 _SYSTEMATIC = re.compile(r"^(.+?)_systematic_(\w+)$", re.IGNORECASE)
 _PLAIN = {
-    *(
-        "reflectance",
-        "reflexion",
-        "refl",
-        "reflectivity",
-        "ref",
-        "r",
-        "rf",
-        "reff",
-        "radf",
-        "brf",
-        "i/f",
-        "iof",
-        "albedo",
-    ),
-    *(
-        "value",
-        "values",
-        "data",
-        "y",
-        "spectrum",
-        "mean",
-        "average",
-        "intensity",
-        "radiancefactor",
-        "reflectancefactor",
-    ),
-    *("bidirectionalreflectance", "absolutereflectance"),
+    *("reflectance", "reflexion", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof"),
+    *("albedo", "value", "values", "data", "y", "spectrum", "mean", "average", "intensity", "radiancefactor"),
+    *("reflectancefactor", "bidirectionalreflectance", "absolutereflectance"),
 }
 
 

@@ -1,13 +1,12 @@
 """A mission: targets in order, ground to keep out of, time, hours of communication, and errors of localisation."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from lunarsci.documents import toml_document
+from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
 from lunarsci.names import one_of
@@ -142,12 +141,7 @@ def read_mission(source: Source) -> Mission:
     """
     file = read_input(source)
     try:
-        document = toml_document(file.data.decode("utf-8"))
-        return _mission(document, file.name)
-    except UnicodeDecodeError as error:
-        raise DataError(f"{file.name}: not a readable TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{file.name}: not valid TOML: {error}") from error
+        return _mission(toml_of(file.name, file.data), file.name)
     except ParameterError as error:
         raise DataError(f"{file.name}: {error}") from error
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Literal
 
-from lunarsci.documents import toml_document
+from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
 from lunarsci.names import one_of
@@ -270,17 +270,13 @@ def read_plan(source: "Source | None" = None) -> Plan:
     if source is None:
         return parse_plan(embedded, "the embedded plan")
     file = read_input(source)
-    try:
-        text = file.data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{file.name}: not a readable TOML file") from error
-    return parse_plan(text, file.name)
+    return parse_plan(file.data, file.name)
 
 
-def parse_plan(text: str, origin: str) -> Plan:
+def parse_plan(text: str | bytes, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
     try:
-        document = toml_document(text)
+        document = toml_of(origin, text)
         _check_keys(document, _KEYS, "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
         _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
@@ -302,8 +298,6 @@ def parse_plan(text: str, origin: str) -> Plan:
             target_m=_target(document),
             **{key: _number(value, key) for key, value in (start | drive).items()},
         )
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{origin}: not valid TOML: {error}") from error
     except ParameterError as error:
         raise DataError(f"{origin}: {error}") from error
 

@@ -1,10 +1,9 @@
 """Plans as TOML files."""
 
 import json
-import tomllib
 from pathlib import Path
 
-from lunarsci.documents import toml_document
+from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.inputs import Source, read_input
 from lunarsci.twin.plans.plan import Leg, Limit, Plan, parse_limit
@@ -52,16 +51,12 @@ def read_limits(source: Source) -> tuple[Limit, ...]:
     """The [limits] of a TOML file, which may be a plan. Raises DataError, also for one without any."""
     file = read_input(source)
     try:
-        table = toml_document(file.data.decode("utf-8")).get("limits")
+        table = toml_of(file.name, file.data).get("limits")
         if not isinstance(table, dict) or not table:
             raise ParameterError("no [limits] in it; write quantities and their limits there, as endpoint_miss_m = 0.5")
         if "keep_out_m" in table:
             raise ParameterError("limit keep_out_m is of the circles of one plan; leave it out, or make these wider")
         return tuple(parse_limit(quantity, entry, file.name) for quantity, entry in table.items())
-    except UnicodeDecodeError as error:
-        raise DataError(f"{file.name}: not a readable TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{file.name}: not valid TOML: {error}") from error
     except ParameterError as error:
         raise DataError(f"{file.name}: {error}") from error
 
