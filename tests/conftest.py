@@ -2,8 +2,6 @@
 
 import importlib.util
 import os
-import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -95,21 +93,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with a `lunarsci` that starts at once, see forked_program.py; for PATH."""
-    folder = tmp_path_factory.mktemp("program")
-    address = Path(tempfile.mkdtemp(prefix="lunarsci-")) / "line"
+    """A folder with a `lunarsci` that starts at once, see forked_program.py; for PATH.
+
+    Workers of one run share it: the first that needs it begins it, and it ends when all of them have ended.
+    """
     server = Path(__file__).with_name("forked_program.py")
     spec = importlib.util.spec_from_file_location("forked_program", server)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.write_program(folder / "lunarsci", address)
-    with subprocess.Popen([sys.executable, server, address], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None and process.stdin is not None
-        assert process.stdout.readline() == b"ready\n"
+    shared = tmp_path_factory.getbasetemp()
+    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
+    with module.begun(shared) as folder:
         yield folder
-        process.stdin.close()
-    shutil.rmtree(address.parent)
 
 
 @pytest.fixture(scope="session")

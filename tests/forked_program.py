@@ -1,6 +1,6 @@
 """`lunarsci` for tests that run many commands: each is forked from a process that has begun already.
 
-As a program it serves: `python forked_program.py SOCKET`. Each command has the arguments, folder, environment and open
+As a program it serves: `python forked_program.py FOLDER`. Each command has the arguments, folder, environment and open
 files of its caller, and a process of its own; only the second is saved that it takes to import everything and to read
 compiled code and fonts. That the program starts from nothing is shown by test_wheel.py and cli/test_startup.py.
 """
@@ -11,8 +11,10 @@ import json
 import os
 import pkgutil
 import socket
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 CALL = """#!{python} -SE
@@ -93,25 +95,62 @@ def answer(line: socket.socket) -> None:
     os._exit(0)
 
 
-def serve(address: str) -> None:
-    """Answer until nobody holds standard input open any more."""
+@contextlib.contextmanager
+def begun(shared: Path) -> Iterator[Path]:
+    """The folder of a program whose process has begun; it ends when all who were given it, by one folder, are done."""
+    import fcntl
+
+    with (shared / "program.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        at = shared / "program.at"
+        users = _user_of(Path(at.read_text())) if at.exists() else None
+        if users is None:
+            folder = Path(tempfile.mkdtemp(prefix="lunarsci-"))  # short, as the address of a socket must be
+            write_program(folder / "bin/lunarsci", folder / "line")
+            os.mkfifo(folder / "users")
+            command = [sys.executable, __file__, str(folder)]
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+            users = os.open(folder / "users", os.O_WRONLY)
+            assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+            at.write_text(str(folder))
+    try:
+        yield Path(at.read_text()) / "bin"
+    finally:
+        os.close(users)
+
+
+def _user_of(folder: Path) -> int | None:
+    """A file that keeps its process from ending while it is open; None where it has ended."""
+    with contextlib.suppress(OSError):
+        return os.open(folder / "users", os.O_WRONLY | os.O_NONBLOCK)
+    return None
+
+
+def serve(folder: Path) -> None:
+    """Answer until nobody holds the file of its users open any more."""
     import select
+    import shutil
     import signal
 
+    users = os.open(folder / "users", os.O_RDONLY)
     import_everything()
     warm_up()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX) as server:
-        server.bind(address)
+        server.bind(str(folder / "line"))
         server.listen()
         print("ready", flush=True)  # noqa: T201
-        while server in select.select([server, sys.stdin], [], [])[0]:
+        while server in select.select([server, users], [], [])[0]:
             line, _ = server.accept()
             if os.fork() == 0:
                 server.close()
                 answer(line)
             line.close()
+    for name in ("bin/lunarsci", "users", "line"):
+        (folder / name).unlink()
+    shutil.rmtree(folder / "bin")
+    folder.rmdir()
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1])
+    serve(Path(sys.argv[1]))

@@ -4,6 +4,8 @@ import ast
 import graphlib
 import tomllib
 from collections import Counter
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,11 +52,19 @@ ALLOWED = {
     "reproduce": {"reproduce", "pages", "spectra", "regolith", "images", "twin", *SHARED},
     "rovers": {"rovers", "errors", "documents", "names"},
 }
-TREES = {
-    path: ast.parse(path.read_text("utf-8"))
-    for folder in ("lunarsci", "cli", "spectra_data")
-    for path in (ROOT / folder).rglob("*.py")
-}
+MODULES = [path for folder in ("lunarsci", "cli", "spectra_data") for path in (ROOT / folder).rglob("*.py")]
+LIBRARY = [path for path in MODULES if ROOT / "lunarsci" in path.parents]
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """A module as Python reads it; when a test asks for it, as every worker of pytest imports this file."""
+    return ast.parse(path.read_text("utf-8"))
+
+
+def trees() -> Iterator[tuple[Path, ast.Module]]:
+    """Every module, and as Python reads it."""
+    return ((path, tree_of(path)) for path in MODULES)
 
 
 def imports(tree: ast.AST) -> set[str]:
@@ -71,30 +81,30 @@ def part_of(path: Path) -> str:
     return path.relative_to(ROOT / "lunarsci").parts[0].removesuffix(".py")
 
 
-@pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents], ids=str)
+@pytest.mark.parametrize("path", LIBRARY, ids=str)
 def test_arrows_point_one_way(path: Path) -> None:
-    used = {name.split(".")[1] for name in imports(TREES[path]) if name.startswith("lunarsci.")}
+    used = {name.split(".")[1] for name in imports(tree_of(path)) if name.startswith("lunarsci.")}
     part = part_of(path)
     assert "cli" not in used, "the library does not know the command line"
     assert used <= ALLOWED.get(part, SHARED), f"{part} may not import {used - ALLOWED.get(part, SHARED)}"
 
 
-@pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents], ids=str)
+@pytest.mark.parametrize("path", LIBRARY, ids=str)
 def test_the_library_has_no_command_line_and_does_not_print(path: Path) -> None:
-    assert not {name.split(".")[0] for name in imports(TREES[path])} & {"typer", "rich", "click", "argparse"}
+    assert not {name.split(".")[0] for name in imports(tree_of(path))} & {"typer", "rich", "click", "argparse"}
     calls = [
-        node.func.id for node in ast.walk(TREES[path]) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        node.func.id for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     ]
     assert "print" not in calls
-    assert not any(isinstance(node, ast.Assert) for node in ast.walk(TREES[path])), "assert is no argument check"
+    assert not any(isinstance(node, ast.Assert) for node in ast.walk(tree_of(path))), "assert is no argument check"
 
 
 def test_nobody_imports_click() -> None:
-    assert not any(name.split(".")[0] == "click" for tree in TREES.values() for name in imports(tree))
+    assert not any(name.split(".")[0] == "click" for _, tree in trees() for name in imports(tree))
 
 
 def test_cli_reaches_its_siblings_relatively() -> None:
-    for path, tree in TREES.items():
+    for path, tree in trees():
         if ROOT / "cli" in path.parents:
             assert not any(name.startswith(("cli", "lunarsci.cli")) for name in imports(tree)), path
 
@@ -118,7 +128,7 @@ def test_version_is_one() -> None:
 
 def lengths() -> list[tuple[str, int]]:
     found = []
-    for path, tree in TREES.items():
+    for path, tree in trees():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef):
                 doc = ast.get_docstring(node, clean=False)
@@ -129,13 +139,13 @@ def lengths() -> list[tuple[str, int]]:
 
 def test_functions_and_modules_stay_small() -> None:
     assert [row for row in lengths() if row[1] > 60] == []
-    assert [p.name for p in TREES if p.read_text("utf-8").count("\n") > 400] == []
+    assert [p.name for p in MODULES if p.read_text("utf-8").count("\n") > 400] == []
 
 
 def commands() -> list[tuple[str, int]]:
     """Name and lines of the body of every function that answers a command."""
     found = []
-    for path, tree in TREES.items():
+    for path, tree in trees():
         for node in tree.body if ROOT / "cli" in path.parents else ():
             if isinstance(node, ast.FunctionDef) and node.returns and ast.unparse(node.returns) == "Report":
                 body = node.body[1:] if ast.get_docstring(node) else node.body
@@ -151,10 +161,10 @@ def test_a_command_calls_a_job_and_no_more() -> None:
 def test_no_fragment_has_a_single_user() -> None:
     """Commands, which their group names, and jobs, which notebooks name, are what people use."""
     users: Counter[str] = Counter()
-    for path, tree in TREES.items():
+    for path, tree in trees():
         users.update(name for name in imports(tree) if name != ".".join(path.relative_to(ROOT).with_suffix("").parts))
     fragments = []
-    for path in TREES:
+    for path in MODULES:
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
         inner = (
             ROOT / "lunarsci" in path.parents
@@ -196,13 +206,13 @@ def circle_in(arrows: dict[str, set[str]]) -> list[str]:
 
 def test_no_folder_of_the_library_imports_in_a_circle() -> None:
     """At every level, imports inside of functions counted."""
-    files = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in TREES}
+    files = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in MODULES}
     folders = {name.removesuffix(".__init__") for name, path in files.items() if path.name == "__init__.py"}
     arrows: dict[str, set[str]] = {}
     for name, path in files.items():
         if ROOT / "lunarsci" in path.parents:
             own = name.rpartition(".")[0]
-            used = {part if part in folders else part.rpartition(".")[0] for part in imports(TREES[path])}
+            used = {part if part in folders else part.rpartition(".")[0] for part in imports(tree_of(path))}
             arrows.setdefault(own, set()).update(used & folders - {own})
     assert sum(map(len, arrows.values())) > 30, "or nothing was looked at"
     assert circle_in(arrows) == []
@@ -217,9 +227,9 @@ def reached(path: Path, node: ast.ImportFrom) -> set[str]:
 
 
 def test_no_module_of_the_command_line_imports_in_a_circle() -> None:
-    names = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in TREES}
+    names = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in MODULES}
     arrows: dict[str, set[str]] = {}
-    for path, tree in TREES.items():
+    for path, tree in trees():
         if ROOT / "cli" in path.parents and path != ROOT / "cli/__init__.py":
             nodes = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level]
             used = {name for node in nodes for name in reached(path, node)}
@@ -229,5 +239,5 @@ def test_no_module_of_the_command_line_imports_in_a_circle() -> None:
 
 
 def test_no_class_name_is_used_twice() -> None:
-    classes = [node.name for tree in TREES.values() for node in tree.body if isinstance(node, ast.ClassDef)]
+    classes = [node.name for _, tree in trees() for node in tree.body if isinstance(node, ast.ClassDef)]
     assert [name for name, count in Counter(classes).items() if count > 1] == []

@@ -1,5 +1,7 @@
 """Kinds of solutions: models of some bands beside the whole one, and who tries whose solution beside plain loops."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import strips
@@ -20,12 +22,17 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
 from lunarsci.spectra.mgm.model import mgm_model
 
 MODEL = mgm_model("OPX-CPX")
-GROUND = strips.mixtures(strips.EIGHTY_FIVE_NM, (6, 6), seed=77).reflectance.reshape(36, -1)
+
+
+@cache
+def ground() -> FloatArray:
+    """Spectra of a made-up strip, (36, channels)."""
+    return strips.mixtures(strips.EIGHTY_FIVE_NM, (6, 6), seed=77).reflectance.reshape(36, -1)
 
 
 def prepared() -> tuple[Channels, FloatArray]:
     """Spectra as the kernel takes them, less their mean, and these."""
-    rows = prepare_rows(strips.EIGHTY_FIVE_NM, GROUND)
+    rows = prepare_rows(strips.EIGHTY_FIVE_NM, ground())
     ln_reflectance = np.log(rows.reflectance)
     level = ln_reflectance.mean(axis=1)
     return channels_of(rows, MODEL, ln_reflectance - level[:, None]), level
@@ -53,7 +60,7 @@ def test_the_model_of_some_bands_is_the_whole_one_with_the_others_held_at_nothin
     found = descended(part.problem, spectra, starts[:, part.index], DescentOptions(False, 1e-3, 1e-9, 1000))
     points, size = part.whole(found[:, :-4]), part.index.size
     oracle = fit_arrays(
-        strips.EIGHTY_FIVE_NM, GROUND, held, starts=scaled(MODEL, np.where(held.upper == held.lower, 0, starts), level)
+        strips.EIGHTY_FIVE_NM, ground(), held, starts=scaled(MODEL, np.where(held.upper == held.lower, 0, starts), level)
     )
     same = np.abs(found[:, size + 1] - oracle.objective) < 1e-3
     assert same.mean() > 0.9  # where both came to one minimum
