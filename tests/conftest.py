@@ -1,7 +1,9 @@
 """Shared fixtures: the measured reference data, where present, and a cache of compiled code beside that of users."""
 
+import fcntl
 import importlib.util
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -21,24 +23,24 @@ os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to
 
 LONGEST = (
     "test_readme.py",
+    "test_calibrate.py",
+    "test_footprint.py",
+    "test_spoiled.py",
+    "test_fuzz.py",
     "test_atomic.py",
     "test_examples.py",
     "test_help.py",
-    "test_fuzz.py",
     "test_pictures.py",
     "test_pictures_page.py",
     "test_cluster.py",
-    "test_calibrate.py",
     "test_coverage.py",
     "test_laboratory.py",
     "test_mixtures.py",
     "test_wheel.py",
     "test_joint.py",
     "test_posterior.py",
-    "test_footprint.py",
     "test_measurements.py",
     "test_fit.py",
-    "test_spoiled.py",
     "test_bands.py",
     "test_orbital_grids.py",
     "test_force_soil.py",
@@ -49,7 +51,8 @@ LONGEST = (
     "test_outcomes.py",
 )
 """Files that take longest; they start first, so that no worker is left with one at the end. The README compiles nearly
-everything; beside it run files that need no compiled code, and the others, the wheel too, find it in the cache."""
+everything; beside it run the four files after it, which need little compiled code, so that two workers do not compile
+the same, and the others, the wheel too, find it in the cache."""
 
 
 QUICK = (
@@ -92,7 +95,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers of one run have together."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session")
+def program(shared: Path) -> Iterator[Path]:
     """A folder with a `lunarsci` that starts at once, see forked_program.py; for PATH.
 
     Workers of one run share it: the first that needs it begins it, and it ends when all of them have ended.
@@ -102,10 +112,27 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    shared = tmp_path_factory.getbasetemp()
-    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
     with module.begun(shared) as folder:
         yield folder
+
+
+@pytest.fixture(scope="session")
+def demo(shared: Path, program: Path) -> Path:
+    """A folder with what `lunarsci demo` wrote, once for all workers, and what it printed as `printed.txt`; to read."""
+    folder = shared / "demo"
+    environment = os.environ | {
+        "PATH": os.pathsep.join([str(program), os.environ["PATH"]]),
+        **{"PYTHONUTF8": "1", "MPLBACKEND": "Agg", "COLUMNS": "100"},
+    }
+    with (shared / "demo.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "printed.txt").exists():
+            folder.mkdir()
+            done = subprocess.run(["lunarsci", "demo"], cwd=folder, env=environment, capture_output=True, text=True)
+            assert done.returncode == 0, f"{done.stdout[-2000:]}{done.stderr}"
+            assert "Traceback" not in done.stderr
+            (folder / "printed.txt").write_text(done.stdout, "utf-8")
+    return folder
 
 
 @pytest.fixture(scope="session")

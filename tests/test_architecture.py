@@ -91,12 +91,11 @@ def test_arrows_point_one_way(path: Path) -> None:
 
 @pytest.mark.parametrize("path", LIBRARY, ids=str)
 def test_the_library_has_no_command_line_and_does_not_print(path: Path) -> None:
-    assert not {name.split(".")[0] for name in imports(tree_of(path))} & {"typer", "rich", "click", "argparse"}
-    calls = [
-        node.func.id for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    ]
+    tree = tree_of(path)
+    assert not {name.split(".")[0] for name in imports(tree)} & {"typer", "rich", "click", "argparse"}
+    calls = [node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
     assert "print" not in calls
-    assert not any(isinstance(node, ast.Assert) for node in ast.walk(tree_of(path))), "assert is no argument check"
+    assert not any(isinstance(node, ast.Assert) for node in ast.walk(tree)), "assert is no argument check"
 
 
 def test_nobody_imports_click() -> None:

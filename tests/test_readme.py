@@ -88,8 +88,8 @@ def commands_shown(text: str) -> list[tuple[str, str]]:
 class Reader:
     """Follows pages as a reader does who has activated the environment, each in a folder with the files of the demo."""
 
-    def __init__(self, folder: Path, programs: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, programs: Path, demo: Path | None = None) -> None:
+        self.folder, self.demo_folder = folder, demo or folder / "demo"
         self.environment = os.environ | {
             "PATH": os.pathsep.join([str(programs), str(Path(sys.executable).parent), os.environ["PATH"]]),
             "PYTHONUTF8": "1",
@@ -106,10 +106,13 @@ class Reader:
         assert "Traceback" not in done.stderr
         return done.stdout
 
-    @cache  # noqa: B019
     def demo(self) -> str:
-        (self.folder / "demo").mkdir()
-        return self.shell("lunarsci demo", self.folder / "demo")
+        """What the demo prints, which is run where that was not done before."""
+        printed = self.demo_folder / "printed.txt"
+        if not printed.exists():
+            self.demo_folder.mkdir()
+            printed.write_text(self.shell("lunarsci demo", self.demo_folder), "utf-8")
+        return printed.read_text("utf-8")
 
     def _after(self, page: Path) -> tuple[Path, list[Run]]:
         """The folder as the page leaves it, and what was run there."""
@@ -119,7 +122,7 @@ class Reader:
             shutil.copytree(self.after(one)[0], folder, symlinks=True)
         else:
             folder.mkdir()
-            (folder / "lunarsci-demo").symlink_to(self.folder / "demo/lunarsci-demo")
+            (folder / "lunarsci-demo").symlink_to(self.demo_folder / "lunarsci-demo")
         return folder, list(self._runs(page, folder))
 
     def _runs(self, page: Path, folder: Path) -> Iterator[Run]:
@@ -168,8 +171,8 @@ RUN_HERE = [page for page in PAGES if name_of(page) not in ELSEWHERE and list(bl
 
 
 @pytest.fixture(scope="module")
-def reader(tmp_path_factory: pytest.TempPathFactory, program: Path) -> Reader:
-    return Reader(tmp_path_factory.mktemp("pages"), program)
+def reader(tmp_path_factory: pytest.TempPathFactory, program: Path, demo: Path) -> Reader:
+    return Reader(tmp_path_factory.mktemp("pages"), program, demo)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ half-way, that cannot be written, and that has room again. What ends must have t
 import argparse
 import contextlib
 import ctypes
+import gc
 import io
 import json
 import multiprocessing
@@ -306,8 +307,9 @@ class _Known(BaseException):
 def killed_at_each_write(act: Callable[[], Any], folder: Path, calls: Calls, *, from_the_start: bool = False) -> Writes:
     """Kill what `act` does in the folder at each call that changes it; after each kill let it end.
 
-    What is computed is computed once: where `act` begins to write the process forks, once for every call and once more
-    for the run that ends. `from_the_start`: it forks before, as what is written on the way decides what is computed.
+    What is computed, and what the files will hold, is made once: where `act` begins to write the process forks, once
+    for every call and once more for the run that ends. `from_the_start`: it forks before, as what is written on the
+    way decides what is computed.
     """
     parent, found, begun = os.getpid(), Writes(0, [], []), False
 
@@ -332,6 +334,7 @@ def killed_at_each_write(act: Callable[[], Any], folder: Path, calls: Calls, *, 
             return
         begun = True
         calls.rest()
+        gc.freeze()  # or every fork would copy what the collector looks at
         before = all_files(folder)
         if (code := forked(0)) is None:
             return
@@ -357,9 +360,10 @@ def killed_at_each_write(act: Callable[[], Any], folder: Path, calls: Calls, *, 
             found.wrong += [f"call {point}, then let end: {name}" for name in other]
         raise _Known
 
-    def write(*given: Any, **named: Any) -> None:
+    def write(contents: dict[Path, Any], **named: Any) -> None:
+        made = {path: data if begun or isinstance(data, bytes) else list(data) for path, data in contents.items()}
         begin()
-        atomic.write_files(*given, **named)
+        atomic.write_files(made, **named)
 
     code = 99
     try:
@@ -426,6 +430,7 @@ def killed_writers(place: str, told: str, names: Sequence[str]) -> None:
     Path("small.toml").write_text(rig_text(read_rig("yutu2-hazcam").with_pixels(64)))
     Path("wheels.csv").write_text(_said("twin forces short.toml --csv")[1])
     case_of("map", folder, 4 / 640)
+    _said("spectra map cube.img --products bands -o ../map.nc")  # forks of it then begin with all that it imports
     for name, (line, targets) in WRITERS.items():
         if name in names:
             for target in targets.split():

@@ -59,9 +59,8 @@ def test_the_model_of_some_bands_is_the_whole_one_with_the_others_held_at_nothin
     starts = starting_points(MODEL, spectra.data, 1)[0]
     found = descended(part.problem, spectra, starts[:, part.index], DescentOptions(False, 1e-3, 1e-9, 1000))
     points, size = part.whole(found[:, :-4]), part.index.size
-    oracle = fit_arrays(
-        strips.EIGHTY_FIVE_NM, ground(), held, starts=scaled(MODEL, np.where(held.upper == held.lower, 0, starts), level)
-    )
+    free = np.where(held.upper == held.lower, 0, starts)
+    oracle = fit_arrays(strips.EIGHTY_FIVE_NM, ground(), held, starts=scaled(MODEL, free, level))
     same = np.abs(found[:, size + 1] - oracle.objective) < 1e-3
     assert same.mean() > 0.9  # where both came to one minimum
     off = np.abs(scaled(MODEL, points, level) - oracle.values)[same, MODEL.degrees :]
