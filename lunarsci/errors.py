@@ -12,7 +12,7 @@
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 
 class LunarSciError(Exception):
@@ -48,6 +48,12 @@ class Failure(str):
         made = cls(told if name in told and not spectrum else f"{place}{told}")
         made.input, made.spectrum = name, spectrum
         made.reason = told.removeprefix(name).lstrip(":, ") or told
+        return made
+
+    def worded(self, told: Callable[[str], str]) -> "Failure":
+        """The same, in which `told` words the sentence; names stay."""
+        made = type(self)(told(self))
+        made.input, made.spectrum, made.reason = self.input, self.spectrum, told(self.reason)
         return made
 
 

@@ -334,6 +334,16 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
     assert [why.split(": ")[0] for why in json.loads(listed.out)] == [empty, missing]
 
 
+def test_reasons_name_options_as_they_are_typed(run: Run, rock: Path, tmp_path: Path) -> None:
+    percent, kept = tmp_path / "percent.csv", tmp_path / "failed"
+    percent.write_text("wavelength_nm,reflectance\n" + "".join(f"{400 + 10 * k},{20 + 0.1 * k}\n" for k in range(90)))
+    said = "give --reflectance-unit percent"
+    alone = run("spectra", "bands", percent)
+    done = run("spectra", "bands", percent, rock, "--json", "--failed", kept)
+    assert (alone.code, done.code) == (1, 1) and said in alone.err[-1] and said in done.err[-2]
+    assert said in kept.read_text() and said in json.loads(done.out)["provenance"]["failures"][0]
+
+
 def test_a_batch_lists_what_failed_in_a_file(run: Run, rock: Path, bad_spectra: dict[str, Path]) -> None:
     listed = rock.parent / "bands.failed"
     empty, missing = bad_spectra["empty.csv"], bad_spectra["missing.csv"]

@@ -143,7 +143,7 @@ def test_micrometres_are_told_by_their_values_and_said() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ((WAVELENGTH_NM, 100 * REFLECTANCE), "no fraction; state --reflectance-unit percent"),
+        ((WAVELENGTH_NM, 100 * REFLECTANCE), "no fraction; give `reflectance_unit` percent"),
         (
             (WAVELENGTH_NM, REFLECTANCE[1:]),
             r"shape \(379,\) beside 380 wavelengths; give \(wavelength_nm, reflectance\)",
