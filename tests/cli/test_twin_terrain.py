@@ -74,7 +74,7 @@ def test_a_soil_that_nobody_named_is_said_to_be_assumed(run: Run, tmp_path: Path
     ground.write_text("x_m,y_m,height_m\n" + "".join(f"{x},{y},0\n" for x, y in nodes))
     said = "soil: that of longji, assumed: none is given, and the terrain has none (--soil)"
     page = "The soil is assumed to be that of longji"
-    drive = ("twin", "predict", plan, "--members", "1")
+    drive = ("twin", "predict", plan)
     for more, is_assumed in (((), True), (("--soil", "longji"), False)):
         shown = run(*drive, "--terrain", ground, *more)
         told = run(*drive, "--terrain", ground, *more, "--json", "-o", tmp_path / f"kept{len(more)}.json")

@@ -12,7 +12,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import FIRST_PAGE
 from lunarsci.pages.answers import ANSWERS, answer, contradictions
 from lunarsci.pages.documents import Document, _first_pages, document_of, read_results
-from lunarsci.pages.page import TITLES
+from lunarsci.pages.page import TITLES, Page
 from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
 from lunarsci.pages.sentences import DOUBT, GO, STOP
@@ -182,7 +182,7 @@ def test_what_drives_keep_is_the_end_of_the_command_and_ends_have_their_time() -
 
 def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     drive = of("predict")
-    pages = ["a.png: holds the first page only; a .pdf holds all", f"b.png: {FIRST_PAGE}"]
+    pages = ["a.png: holds the first page only; a .pdf holds all", f"b.png: {FIRST_PAGE}; left out: page 2; b.pdf has all"]
     record = {"untrusted": "", "warnings": pages}
     made = replace(drive, provenance=record)
     assert answer(made).trust == "The command found nothing against this result."
@@ -349,6 +349,8 @@ def test_notes_of_bands_of_many_spectra_name_them() -> None:
 def test_the_pages_of_a_plot_are_shown_and_more_are_said(drawn: int, shown: int) -> None:
     from matplotlib.figure import Figure
 
-    names = list(_first_pages((Figure((1, 1)) for _ in range(drawn)), "bands.png"))
-    assert len(names) == shown and names[0] == "bands.png"
-    assert ("--plot FILE.pdf has all" in names[-1]) == (drawn > shown)
+    pictures, cut = _first_pages((Figure((1, 1)) for _ in range(drawn)), "bands.png")
+    names = ["bands.png", *(f"bands-{number}.png" for number in range(2, shown + 1))]
+    assert list(pictures) == names and cut == (drawn > shown)
+    page = Page("page", [replace(of("bands"), pictures=pictures, cut=cut)]).html().decode()
+    assert ("the first 6 pages are shown; its command with --plot FILE.pdf has all" in page) == cut
