@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, ParameterError
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, NoFilesError, ParameterError
 from lunarsci.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
@@ -247,7 +247,7 @@ def expanded(files: Iterable[str], failures: list[Failure]) -> list[str]:
 
 
 def _without_results(folder: str, names: Sequence[str]) -> list[str]:
-    """The files of a folder but lunarsci's own results, with a warning. Raises DataError for none else."""
+    """The files of a folder but lunarsci's own results, with a warning. Raises NoFilesError for none else."""
     left = [name for name in names if is_result(name)]
     if not left:
         return list(names)
@@ -255,5 +255,5 @@ def _without_results(folder: str, names: Sequence[str]) -> list[str]:
     count = f"{len(left)} result{'s' if len(left) > 1 else ''}"
     warnings.warn(f"{folder}: left out, {count} of lunarsci: {told}", LunarSciWarning, 3)
     if len(left) == len(names):
-        raise DataError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
+        raise NoFilesError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
     return [name for name in names if name not in left]
