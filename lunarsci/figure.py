@@ -78,7 +78,7 @@ STYLE: Any = {
 FIRST_PAGE = "the picture has several pages, and this is the first"
 """What is said of a picture of several pages that takes one, before those that are left out."""
 MOST_NAMED = 3
-"""Pages left out that are named; more would have to be drawn for it."""
+"""Pages left out that are named; more would have to be drawn for it. Assumed."""
 
 
 def as_label(text: str, longest: int = 40) -> str:
