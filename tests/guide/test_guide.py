@@ -100,6 +100,8 @@ def test_a_rover_that_comes_along_is_a_file_to_begin_with(tmp_path: Path) -> Non
         own = own.replace(line, re.sub(r"\{ value = (.*), source = .*\}", r"\1", line))
     told = info_of(own.replace(body, "body_kg = { value = 20.0, source = 'weighed' }"), path)
     assert told["[mass] as of yutu2"] == "body_inertia_kg_m2: this rover's?"
+    changed = own.replace(body, body.replace("105.0", "20.0"))  # another number, the template's source left
+    assert changed != own and info_of(changed, path)["[mass] as of yutu2"] == "body_inertia_kg_m2: this rover's?"
 
 
 def info_of(text: str, path: Path) -> Mapping[str, Any]:
