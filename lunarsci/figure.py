@@ -6,6 +6,7 @@ import textwrap
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,8 +75,10 @@ STYLE: Any = {
 }
 """What every picture looks like unless it says otherwise: sober, of one size of text, of few lines."""
 
-FIRST_PAGE = "the picture has several pages, and this is the first; a .pdf has all"
-"""What is said of a picture of several pages that takes one."""
+FIRST_PAGE = "the picture has several pages, and this is the first"
+"""What is said of a picture of several pages that takes one, before those that are left out."""
+MOST_NAMED = 3
+"""Pages left out that are named; more would have to be drawn for it. Assumed."""
 
 
 def as_label(text: str, longest: int = 40) -> str:
@@ -255,8 +258,8 @@ def styled() -> "Iterator[None]":
 def picture_bytes(figures: "Iterable[Figure]", target: Path) -> bytes:
     """Render figures for a file named `target` (.png, .svg, .pdf), in the style of the house as they are drawn.
 
-    A PDF takes every figure as a page; the other formats take the first, and a LunarSciWarning says so when there are
-    more. Raises ParameterError for another suffix.
+    A PDF takes every figure as a page; the other formats take the first, and a LunarSciWarning names the next ones when
+    there are more. Raises ParameterError for another suffix.
     """
     suffix = target.suffix.lower()
     if suffix not in _DATELESS:
@@ -273,9 +276,20 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
     if first is None:
         raise ParameterError("there is nothing to draw; leave --plot out")
     content = _one(first, suffix)
-    if next(pages, None) is not None:
-        warnings.warn(f"{target}: {FIRST_PAGE}", LunarSciWarning, stacklevel=3)
+    if left_out := [_headline_of(one, number) for number, one in enumerate(islice(pages, MOST_NAMED), 2)]:
+        more = " and more" if next(pages, None) is not None else ""
+        text = (
+            f"{target}: {FIRST_PAGE}; left out: {'; '.join(left_out)}{more}; {target.with_suffix('.pdf').name} has all"
+        )
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
     return content
+
+
+def _headline_of(figure: "Figure", number: int) -> str:
+    """What is above all panels of a page, or above the first, else its number."""
+    titles = (figure.get_suptitle(), *(one.get_title() for one in figure.axes[:1]))
+    found = next((" ".join(text.replace(r"\$", "$").split()) for text in titles if text.strip()), "")
+    return f"page {number}{f' ({found})' if found else ''}"
 
 
 def _one(figure: "Figure", suffix: str) -> bytes:

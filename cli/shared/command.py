@@ -75,12 +75,13 @@ def command(
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
                     report = function(**handed, **({"output": output} if wants_output else {}))
+                    report = report.with_reasons(lambda text: _with_flags(text, context))
                     code = emit(report, output, _provenance(context, report, options, heard))
             except RequestError as error:
                 raise typer.BadParameter(_with_flags(_noted(error), context)) from error
             except BatchError as error:
-                emit_failed(error.failures, output)
-                raise BatchError(_with_flags(_noted(error), context)) from error
+                emit_failed([one.worded(lambda text: _with_flags(text, context)) for one in error.failures], output)
+                raise BatchError(_with_flags(_noted(error), context), error.failures) from error
             except LunarSciError as error:
                 raise type(error)(_with_flags(_noted(error), context)) from error
             except KeyboardInterrupt as error:

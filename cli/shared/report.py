@@ -1,7 +1,7 @@
 """What a command hands over to be shown."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +64,10 @@ class Report:
     options: Mapping[str, Any] = field(default_factory=dict)
     raw: Callable[[], str] | None = None
     stored: Mapping[str, Any] | None = None
+
+    def with_reasons(self, told: Callable[[str], str]) -> "Report":
+        """With the reasons of its failures as `told` words them."""
+        return replace(self, failures=[one.worded(told) for one in self.failures]) if self.failures else self
 
     @classmethod
     def of(

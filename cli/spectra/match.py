@@ -42,7 +42,11 @@ OPTIONS = {
         panel=ROCK,
     ),
     "name": option("Name of that rock.", panel=ROCK),
-    "site": option("Where the rock was found, in degrees, east positive.", panel=ROCK, metavar="LAT,LON"),
+    "site": option(
+        "Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; --craters need it.",
+        panel=ROCK,
+        metavar="LAT,LON",
+    ),
     "use": option("Which kind of composition is compared, where a crater has it.", panel=ROCK),
     "systematic": option("What two methods disagree by in the share of a mineral, one standard deviation.", panel=ROCK),
     "band_systematic": option("The same for band centres, in nm.", panel=ROCK),

@@ -61,7 +61,7 @@ def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     local = (rays * depth[:, None]) @ frame.turn
     near = np.linalg.norm(local, axis=1) <= farthest_m
     if near.sum() < 100:
-        raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger --farthest")
+        raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger `farthest`")
     return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[known][near])
 
 

@@ -48,6 +48,7 @@ class Document:
     result, provenance : of the document, in plain Python.
     folder : where the tables lie that were written with it; None where there are none.
     pictures : pictures that belong to it, by file name.
+    cut : whether its plot has more pages than the `pictures`.
     sha256 : of the document.
     """
 
@@ -57,6 +58,7 @@ class Document:
     provenance: Mapping[str, Any]
     folder: Path | None = None
     pictures: Mapping[str, bytes] = field(default_factory=dict)
+    cut: bool = False
     sha256: str = ""
 
     @property
@@ -112,22 +114,22 @@ def _in_memory(result: Result, number: int, drawn: bool) -> Document:
     schema = found["schema"].removeprefix("lunarsci/")
     command = found["provenance"]["command"].rpartition(".")[2]
     kind = "spectra-unmix" if command == "unmix" else schema.rpartition("/")[0]
-    pictures = _picture_of(result, f"{kind}.png") if drawn else {}
+    pictures, cut = _picture_of(result, f"{kind}.png") if drawn else ({}, False)
     return Document(
-        f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, sha256(made.encode())
+        f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, cut, sha256(made.encode())
     )
 
 
-def _picture_of(result: Result, name: str) -> dict[str, bytes]:
-    """What --plot draws of a result; none where it has nothing to draw."""
+def _picture_of(result: Result, name: str) -> tuple[dict[str, bytes], bool]:
+    """What --plot draws of a result, none where it has nothing to draw; and whether there are more pages."""
     try:
         return _first_pages(result.figures(), name)
     except ParameterError:
-        return {}
+        return {}, False
 
 
-def _first_pages(figures: "Iterator[Figure]", name: str) -> dict[str, bytes]:
-    """The first of some figures by names, the last of which says where all are if there are more.
+def _first_pages(figures: "Iterator[Figure]", name: str) -> tuple[dict[str, bytes], bool]:
+    """The first of some figures by names, and whether there are more.
 
     None that is, with those before it, more than a page takes. Raises ParameterError.
     """
@@ -143,13 +145,14 @@ def _first_pages(figures: "Iterator[Figure]", name: str) -> dict[str, bytes]:
                 break
             found.append(content)
     names = [name, *(f"{start}-{number}{suffix}" for number in range(2, len(found) + 1))]
-    if more and found:
-        names[-1] = f"{start}-{len(found)}, more pages are left out: its command with --plot FILE.pdf has all{suffix}"
-    return dict(zip(names, found, strict=False))
+    return dict(zip(names, found, strict=False)), more
 
 
-def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
-    """What --plot draws of a map, from its file; none where the file is gone, or is not the one that was written."""
+def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: Path) -> tuple[dict[str, bytes], bool]:
+    """What --plot draws of a map, from its file, and whether there are more pages.
+
+    None where the file is gone, or is not the one that was written.
+    """
     from lunarsci.spectra.cubes.figure import is_map_of, map_pages
 
     try:
@@ -158,8 +161,8 @@ def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: P
             if file.is_file() and is_map_of(file, result, record):
                 return _first_pages(map_pages(file, result), f"{file.stem}.png")
     except (DataError, ParameterError, LookupError, TypeError, ValueError, AttributeError):
-        return {}
-    return {}
+        return {}, False
+    return {}, False
 
 
 def _read(path: str | Path, drawn: bool) -> Document:
@@ -187,10 +190,11 @@ def _document(name: str, path: str | Path, folder: Path | None, drawn: bool) -> 
     schema, record = found.get("schema"), found.get("provenance")
     if not isinstance(schema, str) or not schema.startswith("lunarsci/") or not isinstance(record, dict):
         raise DataError(f"{file.name}: its key `schema` does not name a lunarsci result; {REMEDY}")
-    pictures = {} if folder is None else _pictures_in(folder)
+    pictures, cut = {} if folder is None else _pictures_in(folder), False
     if drawn and schema.startswith("lunarsci/spectra-map/"):
-        pictures |= _map_picture(found["result"], record, Path(path).parent)
-    return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, file.sha256)
+        pages, cut = _map_picture(found["result"], record, Path(path).parent)
+        pictures |= pages
+    return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, cut, file.sha256)
 
 
 def _belief(name: str, file: InputFile) -> Document:
@@ -208,9 +212,8 @@ def _belief(name: str, file: InputFile) -> Document:
         "untrusted": told.untrusted,
         "failures": [],
     }
-    return Document(
-        name, told.schema, told.to_dict(), record, None, {"the soil before any drive and now.svg": drawn}, file.sha256
-    )
+    pictures = {"the soil before any drive and now.svg": drawn}
+    return Document(name, told.schema, told.to_dict(), record, None, pictures, sha256=file.sha256)
 
 
 def _soil_map(name: str, file: InputFile) -> Document:
@@ -236,7 +239,7 @@ def _soil_map(name: str, file: InputFile) -> Document:
         "failures": [],
     }
     pictures = {one: content for one, content in pictures.items() if len(content) <= LARGEST_PICTURE}
-    return Document(name, "soil-map/1", told, record, None, pictures, file.sha256)
+    return Document(name, "soil-map/1", told, record, None, pictures, sha256=file.sha256)
 
 
 def _remedy(found: Any) -> str:

@@ -28,9 +28,13 @@ def predicted(result: Result) -> ResultAnswer:
 
 
 def _made_up(result: Result, what: str) -> str:
-    """What a drive on synthetic terrain is worth, in the words of the commands."""
-    synthetic = (result.get("terrain") or {}).get("synthetic")
-    return f" The terrain is synthetic; the {what} says nothing about a real site." if synthetic else ""
+    """What a drive on synthetic terrain, or on soil that nobody named, is worth, in the words of the commands."""
+    if (result.get("terrain") or {}).get("synthetic"):
+        return f" The terrain is synthetic; the {what} says nothing about a real site."
+    soil = result.get("soil") or {}
+    if soil.get("of") != "default" or not soil.get("parameters"):
+        return ""
+    return f" The soil is assumed to be that of {soil['name']}; none was given."
 
 
 def _broken(result: Result) -> list[str]:

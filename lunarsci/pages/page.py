@@ -6,15 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.pages import parts
-from lunarsci.pages.answers import answer, as_written, contradictions
+from lunarsci.pages.answers import answer, as_written, contradictions, namesakes
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
-from lunarsci.pages.sentences import DOUBT, GO, STOP, ResultAnswer
+from lunarsci.pages.sentences import DOUBT, GO, STOP, ResultAnswer, of_first_page
 from lunarsci.printable import printable
 from lunarsci.provenance import installed_version
 
@@ -76,11 +77,12 @@ class PagePicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """One result on the page."""
+    """One result on the page; of a plot that is `cut` so many pages are shown, 0 where all are."""
 
     title: str
     answer: ResultAnswer
     pictures: Sequence[PagePicture]
+    cut: int
     tables: Sequence[parts.PageTable]
     budget: parts.PageTable | None
     assumed: Sequence[str]
@@ -134,9 +136,9 @@ class Page:
     answers: Sequence[ResultAnswer] = field(init=False)
 
     def __post_init__(self) -> None:
-        against = contradictions(self.documents)
-        said = [(answer(one), against.get(one.name, "")) for one in self.documents]
-        answers = [replace(one, trust=f"{one.trust} {but}") if but else one for one, but in said]
+        against, others = contradictions(self.documents), namesakes(self.documents)
+        said = [(answer(one), against.get(one.name), others.get(one.name)) for one in self.documents]
+        answers = [replace(one, trust=" ".join(filter(None, (one.trust, *more)))) for one, *more in said]
         object.__setattr__(self, "answers", answers)
 
     def section_title(self, document: Document) -> str:
@@ -159,7 +161,7 @@ class Page:
             made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC" if time else "",
             sections=sections,
             first=first,
-            pictures=[_shown(one.name, one.content) for one in self.pictures],
+            pictures=[_shown(one.name, one.content, first=self._is_first(one.name)) for one in self.pictures],
             ground=None if ground is None else _ground(ground),
             sources=parts.sources(self.documents),
             rest="All digits are in the files that it was made from.",
@@ -167,13 +169,20 @@ class Page:
         )
         return str(text).encode()
 
+    def _is_first(self, picture: str) -> bool:
+        """Whether a command that wrote a picture of this name has said that it is the first page of several."""
+        heard = (str(text) for one in self.documents for text in one.provenance.get("warnings") or ())
+        return any(of_first_page(text) and Path(text.partition(": ")[0]).name == picture for text in heard)
+
     def _section(self, document: Document, said: ResultAnswer) -> Section:
         with as_written(document):
             drawn = [_drawn(chart) for chart in charts(document)]
-            drawn += [_shown(name, content) for name, content in document.pictures.items()]
+            plotted = document.pictures.items()
+            drawn += [_shown(name, content, first=self._is_first(name)) for name, content in plotted]
             main, alone = parts.apart(document)
             return Section(
-                printable(self.section_title(document)), said, drawn, parts.tables(main), parts.budget(main),
+                printable(self.section_title(document)), said, drawn, document.cut * len(plotted),
+                parts.tables(main), parts.budget(main),
                 parts.assumed(main), parts.unknown(main), parts.provenance(document), _made_up(document.result), alone,
             )  # fmt: skip
 
@@ -189,9 +198,10 @@ def _drawn(chart: Chart) -> PagePicture:
     return PagePicture(_address(chart.suffix, chart.content), chart.title, chart.words)
 
 
-def _shown(name: str, content: bytes) -> PagePicture:
+def _shown(name: str, content: bytes, *, first: bool = False) -> PagePicture:
     suffix = name[name.rfind(".") :].lower()
-    return PagePicture(_address(suffix, content), name, f"The picture {name}; what it shows is in its own labels.")
+    title = f"{name}, the first page of several; --plot FILE.pdf has all" if first else name
+    return PagePicture(_address(suffix, content), title, f"The picture {name}; what it shows is in its own labels.")
 
 
 def _ground(ground: GroundView) -> Mapping[str, Any]:

@@ -159,7 +159,8 @@ def match(result: Result) -> ResultAnswer:
     open_ones = [rock for rock in rocks if any(text in str(rock.get("status")) for text in UNDECIDED)]
     of = "" if len(open_ones) == len(rocks) else f" of {len(open_ones)} of {counted(len(rocks), 'rock')}"
     worth = f"Composition decides nothing{of}: the numbers are the prior's." if open_ones else ""
-    return ResultAnswer(each(rocks, _one_match, "rock", _match_in_short), trust=worth)
+    where = " The site is taken to be Chang'E-4's; none was given." if result["site"].get("assumed") else ""
+    return ResultAnswer(f"{each(rocks, _one_match, 'rock', _match_in_short)}{where}", trust=worth)
 
 
 def _one_match(rock: Result) -> str:

@@ -61,9 +61,14 @@ FORMER_PAGE = "holds the first page only; a .pdf holds all"
 """What results of former versions say in place of `FIRST_PAGE`."""
 
 
+def of_first_page(text: object) -> bool:
+    """Whether a warning is about a picture that has the first of several pages."""
+    return FIRST_PAGE in str(text) or str(text).endswith(FORMER_PAGE)
+
+
 def heard_of(record: Mapping[str, Any]) -> list[str]:
     """Warnings about a result: those about the pages of its picture say nothing of it."""
-    return [str(text) for text in record.get("warnings") or () if not str(text).endswith((FIRST_PAGE, FORMER_PAGE))]
+    return [str(text) for text in record.get("warnings") or () if not of_first_page(text)]
 
 
 def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:

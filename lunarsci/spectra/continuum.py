@@ -93,9 +93,9 @@ def continuum(name: ContinuumName, wavelength_nm: FloatArray, smoothed: FloatArr
     ties = ties_of(np.ascontiguousarray(wavelength_nm, float))
     if not ties.available[CONTINUA.index(name)]:
         raise DataError(
-            f"no channel near {_far_from(wavelength_nm):g} nm, where the conic continuum is tied; use --continuum hull"
+            f"no channel near {_far_from(wavelength_nm):g} nm, where the conic continuum is tied; give `continuum` hull"
             if name == "conic"
-            else "fewer than two band shoulders within the spectrum; use --continuum hull"
+            else "fewer than two band shoulders within the spectrum; give `continuum` hull"
         )
     values, levels = np.ascontiguousarray(smoothed, float), np.empty(smoothed.shape)
     t, tie, nodes, own = tables_of(ties, TIE_ROWS)

@@ -203,9 +203,24 @@ def test_a_rock_that_goes_with_nothing_comes_from_elsewhere(run: Run, tmp_path: 
     file = tmp_path / "craters.csv"
     columns = "olivine,olivine_sigma,plagioclase,plagioclase_sigma\n"
     file.write_text(HEADER.strip() + f",{columns}A,-45,178,10,0.05,0.02,0.95,0.02\nB,-44,178,10,0.1,0.02,0.9,0.02\n")
-    [rock] = result(run, "--modes", "ol=0.95:0.01,plg=0.05:0.01", "--craters", file)["rocks"]
+    site = ("--site", "-45.44,177.56")
+    [rock] = result(run, "--modes", "ol=0.95:0.01,plg=0.05:0.01", "--craters", file, *site)["rocks"]
     assert rock["best"] == "other source"
     assert rock["other"]["posterior"] > 0.99
+
+
+def test_craters_of_ones_own_need_a_site_and_the_embedded_ones_say_that_theirs_is_assumed(
+    run: Run, tmp_path: Path
+) -> None:
+    file = tmp_path / "craters.csv"
+    file.write_text(HEADER + "Far,20,30,10\nNear,-44,178,10\n")
+    done = run("spectra", "match", *MODES, "--craters", file)
+    assert (done.code, done.out, len(done.err)) == (2, "", 1), done
+    assert "give LAT,LON as --site" in done.err[0] and "nearest to it is Near, -44,178, 45 km" in done.err[0]
+    told = run("spectra", "match", *MODES).out
+    assert "site -45.44, 177.56 deg, that of Chang'E-4, since none was given (assumed)" in " ".join(told.split())
+    assert "assumed)" not in run("spectra", "match", *MODES, "--site=-45.44,177.56").out.split("craters from")[0]
+    assert result(run, *MODES)["site"] == {"latitude_deg": -45.44, "longitude_deg": 177.56, "assumed": True}
 
 
 @pytest.mark.parametrize(
@@ -272,7 +287,7 @@ def test_what_cannot_be_done_is_one_line_and_exit_1(run: Run, options: tuple[str
 def test_hostile_catalogues(run: Run, tmp_path: Path, rows: str, said: str) -> None:
     file = tmp_path / "craters.csv"
     file.write_text(HEADER + rows)
-    done = run("spectra", "match", *MODES, "--craters", file)
+    done = run("spectra", "match", *MODES, "--craters", file, "--site", "-45.44,177.56")
     assert (done.code, done.out, len(done.err)) == (1, "", 1), done
     assert said in done.err[0]
 

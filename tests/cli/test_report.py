@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,26 @@ def test_a_page_of_two_results(run: Run, rock: Path, tmp_path: Path) -> None:
     assert "a wheel carries 36.5 N" in html
     assert html.count("data:image/png;base64,") == 1
     assert "http" not in html.replace("http-equiv", "")
+
+
+def test_a_picture_of_several_pages_names_those_that_are_left_out(run: Run, rock: Path, tmp_path: Path) -> None:
+    made = {suffix: tmp_path / f"match.{suffix}" for suffix in ("json", "png", "pdf", "html")}
+    rocks = tmp_path / "rocks"
+    rocks.mkdir()
+    for number in range(3):
+        (rocks / f"stone-{number}.csv").write_text(rock.read_text().replace("synthetic_rock", f"stone {number}"))
+    bands = tmp_path / "bands.json"
+    assert run("spectra", "bands", rocks, "-o", bands).code == 0
+    done = run("spectra", "match", bands, "-o", made["json"], "--plot", made["png"])
+    [said] = [line for line in done.err if "several pages" in line]
+    assert "left out: page 2 (" in said and "page 3 (" in said and "match.pdf has all" in said and "more" not in said
+    assert run("report", made["json"], made["png"], "-o", made["html"]).code == 0
+    assert "match.png, the first page of several; --plot FILE.pdf has all" in made["html"].read_text("utf-8")
+    assert run("spectra", "match", bands, "-o", made["json"], "--plot", made["pdf"], "--force").code == 0
+    pages = re.search(rb"/Type /Pages.*?/Count (\d+)|/Count (\d+).*?/Type /Pages", made["pdf"].read_bytes(), re.DOTALL)
+    assert pages is not None and int(pages[1] or pages[2]) == 3
+    assert run("report", made["json"], "-o", made["html"], "--force").code == 0
+    assert "first page" not in made["html"].read_text("utf-8")
 
 
 def test_without_a_file_the_answers_are_printed(run: Run, rock: Path, tmp_path: Path) -> None:

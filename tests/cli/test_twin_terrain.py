@@ -67,6 +67,22 @@ def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     assert (driven.code, driven.out) == (0, "go\n")
 
 
+def test_a_soil_that_nobody_named_is_said_to_be_assumed(run: Run, tmp_path: Path) -> None:
+    plan, ground = tmp_path / "plan.toml", tmp_path / "flat.csv"
+    plan.write_text('name = "short"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.3\n')
+    nodes = ((0.25 * x, 0.25 * y) for x in range(-8, 13) for y in range(-8, 9))
+    ground.write_text("x_m,y_m,height_m\n" + "".join(f"{x},{y},0\n" for x, y in nodes))
+    said = "soil: that of longji, assumed: none is given, and the terrain has none (--soil)"
+    page = "The soil is assumed to be that of longji"
+    drive = ("twin", "predict", plan)
+    for more, is_assumed in (((), True), (("--soil", "longji"), False)):
+        shown = run(*drive, "--terrain", ground, *more)
+        told = run(*drive, "--terrain", ground, *more, "--json", "-o", tmp_path / f"kept{len(more)}.json")
+        assert (said in " ".join(shown.out.split())) == (page in " ".join(told.err)) == is_assumed, (shown, told)
+        assert shown.code == told.code == 0, shown.out
+    assert "assumed: none" not in run(*drive).out
+
+
 def test_the_maps_are_in_both_files(run: Run, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     assert run(*TERRAIN, *COARSE, "-o", tmp_path / "d", "--geotiff", "-q").code == 0

@@ -10,9 +10,9 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import FIRST_PAGE
-from lunarsci.pages.answers import ANSWERS, answer, contradictions
+from lunarsci.pages.answers import ANSWERS, answer, contradictions, namesakes
 from lunarsci.pages.documents import Document, _first_pages, document_of, read_results
-from lunarsci.pages.page import TITLES
+from lunarsci.pages.page import TITLES, Page
 from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
 from lunarsci.pages.quantities import quantities
 from lunarsci.pages.sentences import DOUBT, GO, STOP
@@ -182,7 +182,10 @@ def test_what_drives_keep_is_the_end_of_the_command_and_ends_have_their_time() -
 
 def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     drive = of("predict")
-    pages = ["a.png: holds the first page only; a .pdf holds all", f"b.png: {FIRST_PAGE}"]
+    pages = [
+        "a.png: holds the first page only; a .pdf holds all",
+        f"b.png: {FIRST_PAGE}; left out: page 2; b.pdf has all",
+    ]
     record = {"untrusted": "", "warnings": pages}
     made = replace(drive, provenance=record)
     assert answer(made).trust == "The command found nothing against this result."
@@ -338,6 +341,26 @@ def test_a_fit_and_shares_that_contradict_each_other_are_told_on_both_sections()
     assert not contradictions([fitted, other])
 
 
+def test_spectra_of_one_name_and_other_data_are_said() -> None:
+    """Beside the answer of both results; not where the data are the same, nor where a file is not known."""
+
+    def held(name: str, digest: str, **more: Any) -> Document:
+        one = KNOWN["bands"]["result"]["spectra"][0] | {"source": "rock.ecsv"}
+        known = of("bands", spectra=[one | {"id": "rock"}])
+        inputs = [{"path": "rock.ecsv", "sha256": digest}]
+        return replace(known, name=name, provenance={"untrusted": "", "inputs": inputs}, **more)
+
+    first, same, other = held("a.json", "1" * 64), held("b.json", "1" * 64), held("c.json", "2" * 64)
+    assert namesakes([first, same]) == {}
+    assert namesakes([first, replace(other, provenance={})]) == {}
+    told = namesakes([first, same, other])
+    assert told["a.json"] == "This result has the name of a spectrum of other data here: rock (of c.json)."
+    assert told["c.json"].endswith("rock (of a.json, b.json).") and len(told) == 3
+    page = Page("page", [first, other])
+    assert all("has the name of a spectrum of other data here" in one.trust for one in page.answers)
+    assert page.html().decode().count("rock (of a.json)") == 1
+
+
 def test_notes_of_bands_of_many_spectra_name_them() -> None:
     one = KNOWN["bands"]["result"]["spectra"][0] | {"band2000_note": "conic not used"}
     two = [one | {"id": name} for name in ("rock", "stone")]
@@ -349,6 +372,8 @@ def test_notes_of_bands_of_many_spectra_name_them() -> None:
 def test_the_pages_of_a_plot_are_shown_and_more_are_said(drawn: int, shown: int) -> None:
     from matplotlib.figure import Figure
 
-    names = list(_first_pages((Figure((1, 1)) for _ in range(drawn)), "bands.png"))
-    assert len(names) == shown and names[0] == "bands.png"
-    assert ("--plot FILE.pdf has all" in names[-1]) == (drawn > shown)
+    pictures, cut = _first_pages((Figure((1, 1)) for _ in range(drawn)), "bands.png")
+    names = ["bands.png", *(f"bands-{number}.png" for number in range(2, shown + 1))]
+    assert list(pictures) == names and cut == (drawn > shown)
+    page = Page("page", [replace(of("bands"), pictures=pictures, cut=cut)]).html().decode()
+    assert ("the first 6 pages are shown; its command with --plot FILE.pdf has all" in page) == cut

@@ -51,7 +51,7 @@ def test_linear_meets_the_spectrum_at_its_ties() -> None:
 
 def test_a_spectrum_that_ends_before_the_ties_says_what_to_use() -> None:
     short = GRID < 1200
-    with pytest.raises(DataError, match="--continuum hull"):
+    with pytest.raises(DataError, match="`continuum` hull"):
         continuum("conic", GRID[short], spectrum()[None, short])
 
 

@@ -289,7 +289,7 @@ def test_a_blend_that_is_late_is_said_beside_the_clock(drive: SyntheticDrive, yu
     """With one join a late clock steers as a blend behind the join does."""
     plan = dataclasses.replace(PLAN, legs=(Leg(2.9, 0.15), Leg(2.1, -0.13)))
     with pytest.warns(
-        LunarSciWarning, match=r"clock offset.*late.*give --start-time 2; if the clock is right, blend_m"
+        LunarSciWarning, match=r"clock offset.*late.*give `start_time` 2; if the clock is right, blend_m"
     ):
         states(csv(drive.telemetry), yutu2, plan)
 
@@ -378,7 +378,7 @@ def test_times_of_another_clock_are_said_with_their_start_and_taken_from_there(
     begins: float, drive: SyntheticDrive, yutu2: Rover
 ) -> None:
     late = csv(drive.telemetry.assign(time_s=drive.telemetry.time_s + begins))
-    with pytest.raises(DataError, match=rf"goes from {begins:.12g} to .* those of the plan with --start-time (\d\S+)$"):
+    with pytest.raises(DataError, match=rf"goes from {begins:.12g} to .* those of the plan with `start_time` (\d\S+)$"):
         states(late, yutu2)
     findings = Findings("sent.csv")
     told = read_telemetry(InputFile("sent.csv", late), yutu2, findings, start_s=begins)

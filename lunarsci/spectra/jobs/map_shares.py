@@ -151,6 +151,7 @@ class MatchProduct:
         from lunarsci.spectra.jobs.bands import bands
         from lunarsci.spectra.jobs.fit import fit
         from lunarsci.spectra.jobs.match import match
+        from lunarsci.spectra.origin.prior import CHANG_E_4
 
         spectra, names = _spectra(wavelength_nm, reflectance), list(self.names)
         how: dict[str, Any] = {"assemblage": self.fit.assemblage, "continuum": self.fit.continuum}
@@ -163,7 +164,9 @@ class MatchProduct:
             with suppress(DataError):  # none of them has a result
                 results.append(job())
         with suppress(DataError):
-            for found in match(results, craters=self.craters, exposure=False, re_excavation=False).matches:
+            site = ",".join(map(str, CHANG_E_4))  # moves the prior alone, and no factor
+            how = {"craters": self.craters, "site": site, "exposure": False, "re_excavation": False}
+            for found in match(results, **how).matches:
                 by_name = {item.crater.name: item.ln_bayes_factor for item in found.craters}
                 factors[int(found.rock.id)] = [by_name[name] for name in names]
         known = np.isfinite(factors).all(axis=1)

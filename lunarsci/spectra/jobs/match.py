@@ -40,7 +40,8 @@ class MatchRequest:
     modes : `ol=0.2:0.05,opx=…`, share and error of two minerals or more. [-]
     bands : `bc1000=930:5,…`, centres and errors. [nm]
     kind : of target that its modes were unmixed from: errors are then at least those that were measured of it.
-    name, site : of that rock, and latitude and longitude where rocks were found. [deg]
+    name : of that rock.
+    site : latitude and longitude where rocks were found; None for Chang'E-4's, which craters of one's own refuse. [deg]
     use : kind of composition that is compared.
     systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
     craters : table of candidates, as a file or in memory; None for those around Chang'E-4, for a site within 1,000 km.
@@ -55,7 +56,7 @@ class MatchRequest:
     bands: str | None = None
     kind: Literal["powder-mixture", "ordinary-chondrite", "dark-rock-powder", "solid-rock"] | None = None
     name: str = "rock"
-    site: str = "-45.44,177.56"
+    site: str | None = None
     use: Literal["both", "modes", "bands"] = "both"
     systematic: float = 0.10
     band_systematic: float = 10.0
@@ -110,6 +111,7 @@ class Matches(Result):
 
     matches: "Sequence[RockMatch]"
     site: "Point"
+    site_assumed: bool
     settings: "MatchSettings"
     assumptions: Sequence[str]
     maps: "Sequence[MapReport]"
@@ -138,7 +140,11 @@ class Matches(Result):
         from lunarsci.spectra.origin.match import match_records
 
         return {
-            "site": {"latitude_deg": self.site[0], "longitude_deg": self.site[1]},
+            "site": {
+                "latitude_deg": self.site[0],
+                "longitude_deg": self.site[1],
+                "assumed": self.site_assumed,
+            },
             "rocks": in_blocks(len(self.matches), self._of_some(match_records), rows=BLOCK_ROCKS),
             "assumptions": self.assumptions,
             "maps": [
@@ -180,30 +186,54 @@ def match(
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
     from lunarsci.spectra.origin.assumptions import assumptions
-    from lunarsci.spectra.origin.catalogue import distance_km
     from lunarsci.spectra.origin.match import match_rocks
-    from lunarsci.spectra.origin.prior import CHANG_E_4
     from lunarsci.tables import table_hashes
 
     asked = request_of(MatchRequest, request, options)
-    settings, site = asked.settings(), _site(asked.site)
-    if asked.craters is None and (far := distance_km(CHANG_E_4, site)) > EMBEDDED_KM:
-        raise RequestError(
-            f"`site` {asked.site} is {far:.0f} km from Chang'E-4, round which the embedded craters lie; give the "
-            "craters round yours as `craters` (`lunarsci template craters`)"
-        )
+    settings, stated = asked.settings(), None if asked.site is None else _site(asked.site)
+    if asked.craters is None:
+        _check_near(asked.site, stated)
     given = _rocks(list(rocks) if isinstance(rocks, list | tuple) else [rocks], asked)
     found = _candidates(asked)
+    site = stated or _assumed_site(asked, found)
     matches = match_rocks(given.rocks, found.craters, site, settings, progress)
     return Matches(
         matches,
         site,
+        stated is None,
         settings,
-        assumptions(matches, (found.source, found.map_reports), site, settings),
+        assumptions(matches, (found.source, found.map_reports), (site, stated is None), settings),
         found.map_reports,
         given.inputs | found.inputs,
         found.tables | table_hashes(*(table for rock in given.rocks for table in rock.tables)),
         given.failures,
+    )
+
+
+def _check_near(text: str | None, site: "Point | None") -> None:
+    """Raises RequestError for a site that the embedded craters do not lie round."""
+    from lunarsci.spectra.origin.catalogue import distance_km
+    from lunarsci.spectra.origin.prior import CHANG_E_4
+
+    if site is not None and (far := distance_km(CHANG_E_4, site)) > EMBEDDED_KM:
+        raise RequestError(
+            f"`site` {text} is {far:.0f} km from Chang'E-4, round which the embedded craters lie; give the "
+            "craters round yours as `craters` (`lunarsci template craters`)"
+        )
+
+
+def _assumed_site(asked: MatchRequest, found: "Candidates") -> "Point":
+    """Chang'E-4's, round which the embedded craters lie. Raises RequestError for craters of one's own."""
+    from lunarsci.spectra.origin.catalogue import distance_km
+    from lunarsci.spectra.origin.prior import CHANG_E_4
+
+    if asked.craters is None:
+        return CHANG_E_4
+    near = min(found.craters, key=lambda crater: distance_km(CHANG_E_4, crater.center))
+    raise RequestError(
+        f"`craters` {found.source} are your own, and nothing says where the rocks were found; give LAT,LON as `site`, "
+        f"of Chang'E-4 {CHANG_E_4[0]:g},{CHANG_E_4[1]:g} (nearest to it is {near.name}, {near.latitude_deg:g},"
+        f"{near.longitude_deg:g}, {distance_km(CHANG_E_4, near.center):.0f} km)"
     )
 
 

@@ -13,13 +13,17 @@ BEYOND_LAW_KM = 2729.0
 
 
 def assumptions(
-    matches: Sequence[RockMatch], given: tuple[str, Sequence[MapReport]], site: Point, settings: MatchSettings
+    matches: Sequence[RockMatch],
+    given: tuple[str, Sequence[MapReport]],
+    found_at: tuple[Point, bool],
+    settings: MatchSettings,
 ) -> list[str]:
-    """In sentences; `given` are where the craters are from, and what maps gave of them."""
-    source, maps = given
-    prior = settings.prior
+    """In sentences; `given` are where the craters are from and what maps gave of them, `found_at` the site of the
+    rocks and whether it is that of Chang'E-4 because none was given."""
+    (source, maps), (site, site_assumed) = given, found_at
+    prior, whose = settings.prior, ", that of Chang'E-4, since none was given (assumed)" if site_assumed else ""
     lines = [
-        f"site {site[0]:g}, {site[1]:g} deg; craters from {source}",
+        f"site {site[0]:g}, {site[1]:g} deg{whose}; craters from {source}",
         f"two methods disagree by {settings.systematic:g} in the share of a mineral and "
         f"{settings.band_systematic_nm:g} nm in a band centre, one standard deviation (assumed)",
         f"other sources than these craters: prior {prior.other_weight:g}, any composition (assumed)",

@@ -186,14 +186,12 @@ def _wavelength_choice(
             _warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
         return stated, "caller"
     if found is not None:
-        raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; state --wavelength-unit nm|um")
+        raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; give `wavelength_unit` nm or um")
     for unit, (least, most) in SURELY.items():
         if least <= low and high <= most:
-            _warn(
-                f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or state --wavelength-unit {unit}"
-            )
+            _warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
             return unit, "values"
-    raise DataError(f"{what} have no unit and the values do not tell it; state --wavelength-unit nm|um")
+    raise DataError(f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um")
 
 
 def _plausible(unit: str, low: float, high: float) -> bool:
@@ -235,10 +233,10 @@ def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | No
     if median > _MAX_PERCENT:
         raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
     if found is not None:
-        raise DataError(f"{what}, which is no {found} as the file says; state --reflectance-unit fraction|percent")
+        raise DataError(f"{what}, which is no {found} as the file says; give `reflectance_unit` fraction or percent")
     if _contradicts("fraction", median):
         raise DataError(
-            f"{what}, no fraction; state --reflectance-unit percent, or calibrate it if it is radiance or DN"
+            f"{what}, no fraction; give `reflectance_unit` percent, or calibrate it if it is radiance or DN"
         )
     return ReflectanceChoice(1.0, "values", None)
 

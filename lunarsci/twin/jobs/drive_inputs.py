@@ -191,15 +191,17 @@ class DriveInputs:
         return found | {key: text for key, text in told.items() if text}
 
     def soil_notes(self, members: int, drawn: int) -> list[str]:
-        """Which soil `members` drives have, where it is not the common one, and what a belief in its place means.
+        """Which soil `members` drives have, but for that of the stand-in, and what a belief in its place means.
 
         `drawn` is how many parameters each drive has for itself.
         """
         belief = self.given.belief
         if belief is None:
-            named = self.driven.of != "default" and drawn < len(SOIL_COLUMNS)
+            standing_in = self.driven.of == "default" and self.options.get("terrain") == SYNTHETIC
             rest = f", what it lacks of {self.driven.rest}" if self.driven.rest else ""
-            return [f"soil: that of {self.driven.name}{rest}"] if named else []
+            why = ", assumed: none is given, and the terrain has none (--soil)" if self.driven.of == "default" else ""
+            named = not standing_in and drawn < len(SOIL_COLUMNS)
+            return [f"soil: that of {self.driven.name}{rest}{why}"] if named else []
         start = "no drive yet, only on " + ("the priors" if belief.verdict is None else "a fit to wheel states")
         drives = start if not belief.history else f"{len(belief.history)} drive(s)"
         unread = len(belief.history) - self.given.learned

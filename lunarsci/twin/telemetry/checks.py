@@ -53,7 +53,7 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
     if telemetry.time_s[0] < 0:
         raise DataError(
             f"{telemetry.file}: time_s begins at {telemetry.time_s[0]:.6g}; it counts from the start of the plan: give "
-            f"--start-time {telemetry.time_s[0]:.6g} if that is its start, or --since 0 to leave out what was before"
+            f"`start_time` {telemetry.time_s[0]:.6g} if that is its start, or `since` 0 to leave out what was before"
         )
     return telemetry
 

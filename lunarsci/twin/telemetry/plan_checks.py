@@ -76,7 +76,7 @@ def _check_coverage(telemetry: Telemetry, schedule: Schedule, longer_s: float, f
         findings.add("early end", what, "there are no states after", time_s=last)
     if last > end + EDGE_S:
         what = f"telemetry goes on for {last - end:.4g} s after the plan's end"
-        done = "kept; is it the plan that was driven? --until leaves out what was after"
+        done = "kept; is it the plan that was driven? `until` leaves out what was after"
         findings.add("late end", what, done, time_s=last)
 
 
@@ -248,10 +248,10 @@ def _check_commands(beside: _Beside, findings: Findings) -> None:
     good = np.flatnonzero(shares <= shares.min() + 1e-12)
     best = int(good[np.argmin(np.abs(shifts[good] - (first if far else 0.0)))])
     fits = bool(shares[best] < min(FITS, 0.5 * now) and abs(shifts[best]) > step)
-    start = f"--start-time {beside.start_s + shifts[best]:.12g}"
+    start = f"`start_time` {beside.start_s + shifts[best]:.12g}"
     text = f"the commands of {100 * now:.0f} % of the rows are not those of the plan at their times"
     if far:
-        told = f"they are those of the plan with {start}" if fits else "give the time_s of its start with --start-time"
+        told = f"they are those of the plan with {start}" if fits else "give the time_s of its start as `start_time`"
         raise DataError(
             f"{beside.file}: time_s counts from the start of the plan, which ends at {end:.4g} s, but goes from "
             f"{times[0] + beside.start_s:.12g} to {times[-1] + beside.start_s:.12g}; the wheels first turn at "

@@ -269,7 +269,7 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
             raise DataError(f"{file}: no column {missing}, but those of other wheels; add it or drop them all")
     first = str(next(iter(table["time_s"].dropna()), ""))
     if DATE.match(first):
-        text = "write seconds, such as those since 1970, and give those of the plan's start as --start-time"
+        text = "write seconds, such as those since 1970, and give those of the plan's start as `start_time`"
         raise DataError(f"{file}, time_s: '{first}' is a date; {text}")
     return {name: numbers_of(file, name, table[name]) for name in known}
 

@@ -88,7 +88,7 @@ def test_values_decide_last_and_this_is_said(read: Read, values: list[float], un
 
 @pytest.mark.parametrize("values", [[4.0, 25.0], [0.4, 2500.0], [100.0, 500.0], [1.0, 222.0], [4000.0, 6000.0]])
 def test_values_that_tell_nothing_are_refused(refuse: Refuse, values: list[float]) -> None:
-    assert "--wavelength-unit nm|um" in refuse(table("wavelength", values))
+    assert "give `wavelength_unit` nm or um" in refuse(table("wavelength", values))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_values_that_tell_nothing_are_refused(refuse: Refuse, values: list[float
 def test_a_name_that_contradicts_the_values_needs_the_callers_word(
     read: Read, refuse: Refuse, name: str, values: list[float], truth: str, factor: int
 ) -> None:
-    assert "as the file says; state --wavelength-unit nm|um" in refuse(table(name, values))
+    assert "as the file says; give `wavelength_unit` nm or um" in refuse(table(name, values))
     (spectrum,) = read(table(name, values), wavelength_unit=truth)
     np.testing.assert_allclose(spectrum.wavelength_nm, np.multiply(values, factor))
 
@@ -141,7 +141,7 @@ def test_an_uncertainty_in_percent_of_a_fraction_is_ambiguous(refuse: Refuse) ->
 
 def test_values_above_two_need_a_word(read: Read, refuse: Refuse) -> None:
     content = table("wavelength_nm", [400, 500, 600], scale=10.0)
-    assert "--reflectance-unit percent" in refuse(content)
+    assert "give `reflectance_unit` percent" in refuse(content)
     (spectrum,) = read(content, reflectance_unit="percent")
     np.testing.assert_allclose(spectrum.reflectance, [0.1, 0.2, 0.3])
     with pytest.warns(LunarSciWarning, match="unlikely"):
