@@ -2,9 +2,9 @@
 
 Where wheels steer over, turn the rover on the spot, start or stop, positions and headings say when the rover did so: a
 lag after the columns of the wheels. Put back by the way and turn that the rover makes in a lag, they are the likelier
-the nearer it is to the true one. All else of `filter` is linear, so that the logarithm of this is a parabola: its top is
-the lag, its width the error (Tarantola & Valette 1982, 10.1029/RG020i002p00219). Along one arc at one speed a lag moves
-all positions and headings alike. There it does not show, and slip does not depend on it.
+the nearer it is to the true one. All else of `filter` is linear, so that the logarithm of this is a parabola: its top
+is the lag, its width the error (Tarantola & Valette 1982, 10.1029/RG020i002p00219). Along one arc at one speed a lag
+moves all positions and headings alike. There it does not show, and slip does not depend on it.
 """
 
 import dataclasses
@@ -78,12 +78,10 @@ def lag_of(nodes: Nodes, whole: Nodes, smoothed: Smoothed, row_s: float) -> Lag:
     way = nodes.way_m / np.diff(nodes.time_s)
     speed = float(np.median(way[way > 0])) if (way > 0).any() else 0.0
     path, change = _path(nodes, smoothed), smoothed.change
-    left = _counted(nodes) < _counted(whole)
-    if left:
-        lag, _ = _top(whole, path, smoothed.state, change)
-        fitting = _fitting(whole, path, lag, change)
-        nodes = fitting if _counted(fitting) > _counted(nodes) else nodes
-    lag, sigma = _top(nodes, path, smoothed.state, change)
+    lag = 0.0
+    if _counted(nodes) < _counted(whole):
+        lag, nodes = _with_odd(nodes, whole, path, smoothed)
+    lag, sigma = _top(nodes, path, smoothed.state, change, lag)
     if abs(lag) > sigma:
         change = change_of(_moved(nodes, path, lag))
         lag, sigma = _top(nodes, path, smoothed.state, change, lag)
@@ -106,21 +104,33 @@ def _top(
     return lag_s, information**-0.5
 
 
+def _with_odd(kept: Nodes, whole: Nodes, path: FloatArray, smoothed: Smoothed) -> tuple[float, Nodes]:
+    """A lag with which all positions and headings fit better than without, and those that do; else 0 and `kept`."""
+    least, best = _misfit(whole, path, 0.0, smoothed.change)[0], (0.0, kept)
+    lag = _top(whole, path, smoothed.state, smoothed.change)[0]
+    for _ in range(ROUNDS):
+        misfit, fitting = _misfit(whole, path, lag, smoothed.change)
+        if misfit < least:
+            least, best = misfit, (lag, fitting)
+        lag = _top(fitting, path, smoothed.state, smoothed.change, lag)[0]
+    return best
+
+
+def _misfit(nodes: Nodes, path: FloatArray, lag_s: float, change: SlipProcess) -> tuple[float, Nodes]:
+    """Squared distances of positions and headings from the motion if there is such a lag, none as more than that of an
+    outlier, summed; and the nodes without those outliers."""
+    found = smooth(_moved(nodes, path, lag_s), change)
+    far = np.concatenate([found.squared_distance, found.yaw_squared_distance])
+    with np.errstate(invalid="ignore"):
+        odd, turned = found.squared_distance > OUTLIER, found.yaw_squared_distance > OUTLIER
+    fix_m = np.where(odd[:, None], np.nan, nodes.fix_m)
+    fitting = dataclasses.replace(nodes, fix_m=fix_m, yaw_rad=np.where(turned, np.nan, nodes.yaw_rad))
+    return float(np.nansum(np.minimum(far, OUTLIER))), fitting
+
+
 def _counted(nodes: Nodes) -> int:
     """Positions and headings."""
     return int(np.isfinite(nodes.fix_m).all(axis=1).sum() + np.isfinite(nodes.yaw_rad).sum())
-
-
-def _fitting(nodes: Nodes, path: FloatArray, lag_s: float, change: SlipProcess) -> Nodes:
-    """Without positions and headings that fit no motion if there is such a lag."""
-    found = smooth(_moved(nodes, path, lag_s), change)
-    with np.errstate(invalid="ignore"):
-        odd, turned = found.squared_distance > OUTLIER, found.yaw_squared_distance > OUTLIER
-    return dataclasses.replace(
-        nodes,
-        fix_m=np.where(odd[:, None], np.nan, nodes.fix_m),
-        yaw_rad=np.where(turned, np.nan, nodes.yaw_rad),
-    )
 
 
 def _path(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
@@ -156,9 +166,9 @@ def check_lag(lag: Lag, findings: Findings) -> None:
     """Say a lag that is one for sure; slip and soil are in doubt for it."""
     if lag.found:
         done = (
-            f"times are kept as they are: give --lag {lag.lag_s:.2f} if positions and headings are by another clock, or "
-            "wheels act late; measured angles of steering and wheels (steered_W_deg, angle_W_deg) by the clock of the "
-            "positions have none"
+            f"times are kept as they are: --lag {lag.lag_s:.2f} puts positions and headings back to their wheels, if "
+            "they are by another clock or wheels act late; what steering and wheels did, measured by the clock of the "
+            "positions (steered_W_deg, angle_W_deg), has no lag"
         )
         findings.add("lag", lag.text, done, doubt=True)
 
