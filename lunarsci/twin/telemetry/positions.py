@@ -78,7 +78,7 @@ def with_positions(telemetry: Telemetry, positions: Positions, file: str, findin
     at = np.clip(positions.time_s[good], times[0], times[-1])
     merged = np.union1d(times, at)
     columns: dict[str, Any] = {
-        item.name: values_at(merged, times, value)
+        item.name: _between(merged, times, value)
         for item in dataclasses.fields(telemetry)
         if isinstance(value := getattr(telemetry, item.name), np.ndarray)
     }
@@ -93,7 +93,7 @@ def with_positions(telemetry: Telemetry, positions: Positions, file: str, findin
     return dataclasses.replace(telemetry, **columns)
 
 
-def values_at(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
     """Values (n, ...) at more times: linear between two that are known and no half turn apart, else blank."""
     flat = values.reshape(len(times), -1)
     low = np.clip(np.searchsorted(times, merged, side="right") - 1, 0, len(times) - 1)
