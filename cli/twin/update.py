@@ -168,8 +168,8 @@ def _mass_notes(learned: "LearnedSoil") -> list[str]:
         return []
     rover = learned.known.rover
     return [
-        f"stiffness and cohesion are those of a rover of {rover.mass_kg:.4g} kg (its file): were it heavier by a tenth, "
-        "both would be larger by a tenth, and all else the same; slip, sinkage and positions do not tell the mass"
+        f"stiffness and cohesion are those of a rover of {rover.mass_kg:.4g} kg, as its file says: of one heavier by a "
+        "tenth both would be larger by a tenth, and all else the same; slip, sinkage and positions do not tell the mass"
     ]
 
 

@@ -26,7 +26,7 @@ def heavier(rover: Rover, factor: float) -> Rover:
 
 @pytest.mark.parametrize("factor", [0.6, 1.4])
 def test_a_heavier_rover_on_stiffer_soil_of_more_cohesion_drives_alike(yutu2: Rover, factor: float) -> None:
-    """Forces of the wheels are proportional to stiffness and cohesion together, by any of the laws: all stresses are."""
+    """Stresses are proportional to stiffness and cohesion together, and so are all forces of the wheels."""
     ground = synthetic_longji()
     light = predict(yutu2, ground.with_soil(**SOIL), PLAN, sweep=())
     scaled = {name: factor * value for name, value in SOIL.items()}
