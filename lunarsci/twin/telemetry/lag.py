@@ -36,7 +36,7 @@ TOLD_S = 0.2
 """And how long it must be: commands of made-up drives are themselves 0.1 s early; assumed. [s]"""
 HARM_M = 0.01
 """Way within a lag from which on states are in doubt, assumed: in drives by the twin with 2.5 cm of it 95 % intervals
-of slip hold 82 % (docs/validation/drive.md). [m]"""
+of slip hold 81 % (docs/validation/drive.md). [m]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
