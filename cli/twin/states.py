@@ -40,6 +40,11 @@ OPTIONS = {
         "before it are left out. Without it times count from the start of the plan.",
         metavar="S",
     ),
+    "lag": option(
+        "By how much positions, headings and attitude are later than the columns of the wheels, as of another clock or "
+        "of wheels that follow commands late; they are put back by it. Result and findings say what the drive tells.",
+        metavar="S",
+    ),
 }
 Telemetry = Annotated[
     str,
@@ -75,6 +80,10 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Wheels that turned more than 2 %
     off the plan's speed are said, with exit code 3: a soil learned with this plan would be another.
 
+    Positions and headings that are later than the wheels, by another clock or because wheels act late, are found where
+    wheels steer over, turn, start or stop, and said with the --lag that puts them back; with exit code 3 where wheels
+    roll more than 1 cm within it. Along one arc at one speed no slip depends on it.
+
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin loads` read.
     """
@@ -104,6 +113,8 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
         f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
         DEEPEST if result["sinkages"] else "no sinkage: give the depth of the track with --track",
     ]
+    if put_back := result["lag"]["put_back_s"]:
+        notes.append(f"positions, headings and attitude were put back by {put_back:g} s to their wheels (--lag)")
     notes.append(_rolling_note(found, result))
     if not found.planned:
         notes.append("clock, commands and speed were not compared with a plan: none was given")

@@ -159,7 +159,18 @@ def _notes(learned: "LearnedSoil") -> list[str]:
         notes.append("--save-map learns the soil of each stretch on its own")
     if not found.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
-    return [*notes, EFFECTIVE]
+    return [*notes, *_mass_notes(learned), EFFECTIVE]
+
+
+def _mass_notes(learned: "LearnedSoil") -> list[str]:
+    """What the soil owes to the mass in the rover file, which no motion tells."""
+    if learned.forces_told:
+        return []
+    rover = learned.known.rover
+    return [
+        f"stiffness and cohesion are those of a rover of {rover.mass_kg:.4g} kg, as its file says: of one heavier by a "
+        "tenth both would be larger by a tenth, and all else the same; slip, sinkage and positions do not tell the mass"
+    ]
 
 
 def _slip_notes(learned: "LearnedSoil") -> list[str]:

@@ -15,6 +15,7 @@ from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.telemetry.checks import WheelPace
+from lunarsci.twin.telemetry.lag import Lag, check_lag, without_lag
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, states_of
@@ -417,3 +418,48 @@ def test_a_halt_that_the_plan_lacks_is_told_from_a_late_clock(rates: bool, drive
     (longer,) = [one for one in states(sent, yutu2, short).findings.entries if one.kind == "unplanned halt"]
     (again,) = re.findall(r"set stop_s = ([\d.]+) in leg 2", longer.done)
     assert float(again) == pytest.approx(stop, abs=1.0)
+
+
+STEERS = Plan(name="bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(1.5, 0.25)), speed_m_s=0.05)
+
+
+def as_sent(yutu2: Rover, plan: Plan, later_s: float, seed: int = 5) -> SyntheticDrive:
+    """Telemetry of a drive whose positions and headings are by a clock that is so much late."""
+    out = predict(yutu2, GROUND, plan, sweep=(), time_step_s=0.05, sample_m=0.05)
+    times, path = out.time_s, out.paths[0]
+    begin, end = ((path[a] - path[b]) / (times[a] - times[b]) for a, b in ((1, 0), (-1, -2)))
+    late = np.column_stack([np.interp(times - later_s, times, column) for column in path.T])
+    late += np.minimum(times - later_s - times[0], 0.0)[:, None] * begin
+    late += np.maximum(times - later_s - times[-1], 0.0)[:, None] * end
+    return simulate_telemetry(dataclasses.replace(out, paths=late[None]), SensorErrors(), seed)
+
+
+@pytest.mark.parametrize("later_s", [0.5, 1.0, -0.5])
+def test_a_lag_is_said_with_its_number_and_put_back(later_s: float, yutu2: Rover) -> None:
+    drive = as_sent(yutu2, STEERS, later_s)
+    with pytest.warns(LunarSciWarning, match=rf"lag: the rover moves .* {'later' if later_s > 0 else 'earlier'} than"):
+        found = states(csv(drive.telemetry), yutu2, STEERS)
+    assert found.lag.found and abs(found.lag.lag_s - later_s) < 3.0 * found.lag.sigma_s < 0.5
+    assert "lag" in found.findings.doubt
+    findings = Findings("sent.csv")
+    sent = read_telemetry(InputFile("sent.csv", csv(drive.telemetry)), yutu2, findings)
+    mended = states_of(without_lag(sent, later_s, findings), yutu2, GROUND, findings, STEERS)
+    assert not mended.lag.found and not mended.findings.doubt
+    # Positions are at the time of their wheels: the last one of the drive at its end, not a lag later.
+    first = sent.time_s[sent.fixed][1]
+    assert np.abs(mended.telemetry.time_s[mended.telemetry.fixed] - (first - later_s)).min() < 1e-9
+
+
+def test_honest_clocks_have_no_lag_and_one_arc_does_not_tell(yutu2: Rover) -> None:
+    honest = states(csv(as_sent(yutu2, STEERS, 0.0).telemetry), yutu2, STEERS)
+    assert not honest.lag.found and not honest.findings.entries and honest.lag.sigma_s < 0.2
+    straight = dataclasses.replace(STEERS, legs=(Leg(3.0, 0.0),))
+    one_arc = states(csv(as_sent(yutu2, straight, 1.0).telemetry), yutu2, straight)
+    assert not one_arc.lag.found and one_arc.lag.sigma_s > 1.0
+
+
+def test_a_lag_of_less_than_a_centimetre_is_no_doubt() -> None:
+    findings = Findings("sent.csv")
+    with pytest.warns(LunarSciWarning, match="--lag 0.50"):
+        check_lag(Lag(lag_s=0.5, sigma_s=0.05, speed_m_s=0.01), findings)
+    assert findings.entries and not findings.doubt

@@ -6,6 +6,7 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, open_input, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
 DEEPEST = "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
+LONGEST_LAG_S = 10.0
+"""Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
 
@@ -38,6 +41,7 @@ class StatesRequest:
     since, until : rows whose time_s is before or after are left out; None takes all. [s]
     start_time : time_s of the start of the plan, by the clock of telemetry and `positions`, such as seconds since 1970;
         rows before are left out. None: times count from the start of the plan. [s]
+    lag : by how much positions, headings and attitude are later than the columns of the wheels; they are put back. [s]
     """
 
     rover: str | None = None
@@ -48,6 +52,11 @@ class StatesRequest:
     since: float | None = None
     until: float | None = None
     start_time: float | None = None
+    lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.lag) <= LONGEST_LAG_S:
+            raise RequestError(f"`lag` is {self.lag}; give -{LONGEST_LAG_S:g} to {LONGEST_LAG_S:g} s")
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -65,6 +74,7 @@ class MeasuredStates(Result):
     name : of the telemetry.
     planned : whether clock and commands were compared with a plan.
     drive : the states, the motion, and what was found wrong with the telemetry.
+    put_back_s : lag that was asked to be put back. [s]
     """
 
     schema = "twin-states/1"
@@ -72,6 +82,7 @@ class MeasuredStates(Result):
     name: str
     planned: bool
     drive: "DriveStates"
+    put_back_s: float = 0.0
 
     @property
     def made_from(self) -> MadeFrom:
@@ -109,6 +120,7 @@ class MeasuredStates(Result):
             "slip_changes": _changes(drive),
             "slope_effects": _slope_effects(drive),
             "pace": None if drive.pace is None else drive.pace.to_dict(),
+            "lag": drive.lag.to_dict() | {"put_back_s": self.put_back_s},
             "rolling_radius_m": drive.rover.wheel.shearing_radius_m,
             "findings": [asdict(entry) for entry in drive.findings.entries],
             "wheels": {wheel: _of_wheel(drive, k) for k, wheel in enumerate(drive.rover.wheels)},
@@ -148,6 +160,7 @@ def states(
     Raises DataError for telemetry that cannot be used.
     """
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.telemetry.lag import without_lag
     from lunarsci.twin.telemetry.positions import with_positions
     from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
     from lunarsci.twin.telemetry.sinkage import with_sinkage
@@ -168,10 +181,11 @@ def states(
         located = read_positions(fixes)
         located = located._replace(time_s=located.time_s - sent.start_s)
         sent = with_positions(sent, located, fixes.name, findings)
+    sent = without_lag(sent, asked.lag, findings)
     drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None)
     if asked.track is not None:
         drive = with_sinkage(drive, _read_track(known, asked.track, asked.interpolation), known.terrain)
-    return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive)
+    return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
 
 
 def _read_track(known: "DriveInputs", track: Any, interpolation: str) -> "RutPoints | Terrain":

@@ -172,6 +172,11 @@ class LearnedSoil(Result):
         return "; ".join(part for part in (*self.doubts, self.before.doubt) if part)
 
     @property
+    def forces_told(self) -> bool:
+        """Whether forces were measured: without, the soil is that of the mass in the rover file."""
+        return bool((self.record.values[:, 3:] == self.record.values[:, 3:]).any())
+
+    @property
     def doubts(self) -> list[str]:
         """Why what was learned is doubtful, each reason once."""
         parts = [self.found] if self.segments is None else [one.found for one in self.segments if one.learned]
@@ -205,6 +210,7 @@ class LearnedSoil(Result):
             "changes": [asdict(change) | {"text": change.text} for change in self.changes],
             "made_for": self.known.made_for,
             "rover": self.known.rover.name,
+            "mass_kg": self.known.rover.mass_kg,
             "soil": self._soil_record(),
             "zones": None if self.segments is None else [segment.to_dict() for segment in self.segments],
             "map": None

@@ -26,6 +26,7 @@ from lunarsci.twin.telemetry.checks import (
     time_gaps,
 )
 from lunarsci.twin.telemetry.filter import Nodes
+from lunarsci.twin.telemetry.lag import Lag, check_lag, lag_of
 from lunarsci.twin.telemetry.nodes import (
     denser,
     mean_speed,
@@ -47,7 +48,7 @@ from lunarsci.twin.telemetry.smoother import (
     smooth,
     without_outliers,
 )
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
+from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, check_wheels_agree, wheel_motion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,8 +58,6 @@ LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
 UNEVEN = 0.2
 """Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
-DISAGREE = 0.03
-"""Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
 ON_THE_SPOT = 0.1
 """Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
 
@@ -103,6 +102,7 @@ class DriveStates:
     gaps : begin and end of the gaps in time. (g, 2) [s]
     left_out : positions that fit no motion: time, x, y. (o, 3) [s, m, m]
     findings : what was found wrong.
+    lag : how much later the rover moves than its wheels say.
     pace : how fast the wheels turned beside the plan; None where there is no plan, or nothing measured.
     """
 
@@ -116,6 +116,7 @@ class DriveStates:
     gaps: FloatArray
     left_out: FloatArray
     findings: Findings
+    lag: Lag
     pace: WheelPace | None = None
 
     @property
@@ -152,7 +153,7 @@ def states_of(
     steering = np.radians(angle)
     schedule = None if plan is None else make_schedule(plan, rover)
     twist, off, way = _way(rover, telemetry, wheels, steering, schedule)
-    _check_wheels_agree(wheels, off, findings)
+    check_wheels_agree(wheels, off, findings)
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
     telemetry = usable_positions(telemetry, way, findings)
     telemetry = usable_headings(telemetry, turned, findings)
@@ -181,6 +182,7 @@ def _along_the_ground(
     dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
     twist, _, way = _way(rover, dense, wheels, steering, schedule)
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
+    every = nodes
     smoothed, nodes, left_out = without_outliers(nodes, findings)
     first = prescribed_loads(
         rover, terrain, motion_at(dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
@@ -193,6 +195,9 @@ def _along_the_ground(
     check_scatter(smoothed, nodes, findings)
     check_glide(smoothed, findings)
     check_change(smoothed, nodes, findings)
+    whole = dataclasses.replace(nodes, fix_m=every.fix_m - sway, yaw_rad=every.yaw_rad)
+    lag = lag_of(nodes, whole, smoothed, float(np.median(np.diff(telemetry.time_s))))
+    check_lag(lag, findings)
     check_attitude(dense, held, rows, findings)
     return DriveStates(
         rover=rover,
@@ -205,6 +210,7 @@ def _along_the_ground(
         gaps=between,
         left_out=left_out,
         findings=findings,
+        lag=lag,
     )
 
 
@@ -221,15 +227,6 @@ def _way(
     twist, off = body_twist(rover, rims, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, off, way
-
-
-def _check_wheels_agree(wheels: WheelMotion, off_m_s: FloatArray, findings: Findings) -> None:
-    """The wheels of one rigid rover must tell of one motion."""
-    share = off_m_s[wheels.moving] / wheels.usual_m_s
-    if share.size and float(np.median(share)) > DISAGREE:
-        what = f"rims and steering of the wheels differ by {100 * float(np.median(share)):.2g} % from any one motion"
-        done = "their best fit is taken; are the wheels named as they should be?"
-        findings.add("wheels disagree", what, done, doubt=True)
 
 
 def _state_rows(

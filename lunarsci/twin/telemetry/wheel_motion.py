@@ -38,6 +38,8 @@ MOSTLY = 0.6
 """Share of equal readings above which a channel is merely coarse or free of noise; assumed."""
 OBEYED = 0.03
 """Share by which wheels may be off their commands unsaid; assumed."""
+DISAGREE = 0.03
+"""Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
 TOO_FAST = 3.0
 """Times the rover's highest speed which no rim has; assumed."""
 
@@ -347,3 +349,12 @@ def _missing(telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: Boo
                 count=int(lost[:, k].sum()),
                 time_s=first,
             )
+
+
+def check_wheels_agree(wheels: WheelMotion, off_m_s: FloatArray, findings: Findings) -> None:
+    """The wheels of one rigid rover must tell of one motion."""
+    share = off_m_s[wheels.moving] / wheels.usual_m_s
+    if share.size and float(np.median(share)) > DISAGREE:
+        what = f"rims and steering of the wheels differ by {100 * float(np.median(share)):.2g} % from any one motion"
+        done = "their best fit is taken; are the wheels named as they should be?"
+        findings.add("wheels disagree", what, done, doubt=True)
