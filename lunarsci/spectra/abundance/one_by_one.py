@@ -6,8 +6,9 @@ both (`posterior`) give a mean and a standard deviation of each share; measured 
 little beyond what was drawn (`TELLING`).
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +21,7 @@ from lunarsci.spectra.abundance.mixing import HapkeSurface, mixing_laws
 from lunarsci.spectra.abundance.posterior import (
     CHONDRITE,
     DARK,
+    MOST_MISFIT,
     MOST_WIDE,
     POWDER,
     SOLID,
@@ -30,7 +32,7 @@ from lunarsci.spectra.abundance.posterior import (
     calibrations,
 )
 from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
-from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction
+from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction, refused
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -50,7 +52,10 @@ MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each."""
+    """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each.
+
+    `missed` says what of the spectrum no mixture has; empty where it may be told.
+    """
 
     shares: FloatArray
     weight: FloatArray
@@ -61,6 +66,7 @@ class _Found:
     prior_sigma: FloatArray
     unlike: float
     rms_ln: float
+    missed: str
 
     def moments(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         weight = self.weight * chosen
@@ -170,6 +176,7 @@ def _drawn(spectrum: Spectrum, model: _Model, kinds: Mapping[str, float]) -> _Fo
         prior_sigma=np.max([one.prior_sigma for one in parts], axis=0),
         unlike=max(one.unlike for one in parts),
         rms_ln=min(one.rms_ln for one in parts),
+        missed=parts[0].missed if all(one.missed for one in parts) else "",
     )
 
 
@@ -189,6 +196,18 @@ def _of_kind(comparison: Comparison, found: DrawnShares, kind: str, share: float
         mixtures.shares.std(axis=0),
         found.unlike,
         found.rms_ln,
+        _missed(found) if found.misfit > TARGETS[kind].most_misfit else "",
+    )
+
+
+def _missed(found: DrawnShares) -> str:
+    """What of the spectrum no mixture has, and what next."""
+    side = "darker" if found.worst_ln < 0 else "brighter"
+    return (
+        f"contradicted by the spectrum: the mixtures most like it miss it by {found.misfit:.1f} times what powders "
+        f"differ by (at most {MOST_MISFIT:g}), most near {found.worst_nm:.0f} nm, where it is "
+        f"{100 * abs(math.expm1(found.worst_ln)):.0f} % {side}; see which minerals its bands need with `spectra fit "
+        "--assemblage auto`, or give end members like it (`--library`)"
     )
 
 
@@ -204,6 +223,8 @@ def _comparison(kind: str, model: _Model, channels: bytes) -> Comparison:
 def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abundance:
     name, chosen = _class(found, kind.kind)
     mean, sigma = found.moments(chosen)
+    if found.missed:
+        return replace(refused(id, model.method, model.minerals, found.missed), rms_ln=found.rms_ln, dark=_dark(found))
     known = _calibration(_kinds_of(kind), name)
     told = _told(sigma, found, model.minerals, kind.kind) if name != CHONDRITE else np.full(mean.size, True)
     stated = model.dark.phase_stated or model.dark.iron_stated
