@@ -54,7 +54,8 @@ MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 class _Found:
     """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each.
 
-    `missed` says what of the spectrum no mixture has; empty where it may be told.
+    `prior` has the shares of all random mixtures of each kind; `missed` says what of the spectrum none of them has, and
+    is empty where shares may be told.
     """
 
     shares: FloatArray
@@ -63,10 +64,15 @@ class _Found:
     phase: IntArray
     iron: IntArray
     dark_share: FloatArray
-    prior_sigma: FloatArray
+    prior: tuple[FloatArray, ...]
     unlike: float
     rms_ln: float
     missed: str
+
+    @property
+    def prior_sigma(self) -> FloatArray:
+        """Standard deviation of each share before the spectrum was seen, (m,)."""
+        return np.asarray(np.max([shares.std(axis=0) for shares in self.prior], axis=0))
 
     def moments(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         weight = self.weight * chosen
@@ -119,12 +125,12 @@ def estimate_each(
 
 def raw_shares(
     spectrum: Spectrum, minerals: Sequence[str], kind: str, end_members: Sequence[EndMember] | None = None
-) -> tuple[str, FloatArray, FloatArray, float]:
-    """What calibration starts from: name of the class, mean and standard deviation (m,) of shares, and `unlike`."""
+) -> tuple[str, FloatArray, FloatArray, float, bool]:
+    """What calibration starts from: class, mean and standard deviation (m,) of shares, `unlike`, and whether told."""
     model = _Model(tuple(minerals), _kept(end_members), "hapke", None, Darkening())
     found = _drawn(spectrum, model, {kind: 1.0})
     name, chosen = _class(found, kind)
-    return (name, *found.moments(chosen), found.unlike)
+    return (name, *found.moments(chosen), found.unlike, not found.missed)
 
 
 def _kinds_of(kind: KindVerdict) -> dict[str, float]:
@@ -173,7 +179,7 @@ def _drawn(spectrum: Spectrum, model: _Model, kinds: Mapping[str, float]) -> _Fo
     }
     return _Found(
         **joined,
-        prior_sigma=np.max([one.prior_sigma for one in parts], axis=0),
+        prior=tuple(shares for one in parts for shares in one.prior),
         unlike=max(one.unlike for one in parts),
         rms_ln=min(one.rms_ln for one in parts),
         missed=parts[0].missed if all(one.missed for one in parts) else "",
@@ -193,7 +199,7 @@ def _of_kind(comparison: Comparison, found: DrawnShares, kind: str, share: float
         mixtures.phase[index],
         mixtures.iron[index],
         mixtures.dark_share[index],
-        mixtures.shares.std(axis=0),
+        (mixtures.shares,),
         found.unlike,
         found.rms_ln,
         _missed(found) if found.misfit > TARGETS[kind].most_misfit else "",
@@ -321,14 +327,22 @@ RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene"
 
 
 def _ratios(found: _Found, minerals: Sequence[str], known: KindCalibration) -> tuple[MineralFraction, ...]:
-    """Shares of one mineral in several, by volume."""
+    """Shares of one mineral in several, by volume; anything where the spectrum says little of them (`TELLING`)."""
     ratios = []
     for name, (above, below) in RATIOS.items():
         if set(below) <= set(minerals):
-            part = found.shares[:, [minerals.index(mineral) for mineral in above]].sum(axis=1)
-            whole = found.shares[:, [minerals.index(mineral) for mineral in below]].sum(axis=1)
-            value = part / np.maximum(whole, 1e-6)
+            places = [[minerals.index(mineral) for mineral in some] for some in (above, below)]
+            value, *before = (_ratio(shares, *places) for shares in (found.shares, *found.prior))
             mean = float(found.weight @ value)
             sigma = max(float(np.sqrt(found.weight @ (value - mean) ** 2)), LEAST_SIGMA)
-            ratios.append(_fraction(name, mean, sigma, True, known))
+            told = sigma <= TELLING * max(one.std() for one in before)
+            ratios.append(
+                _fraction(name, mean, sigma, True, known)
+                if told
+                else MineralFraction(name, math.nan, 0.0, 1.0, 0.0, 1.0)
+            )
     return tuple(ratios)
+
+
+def _ratio(shares: FloatArray, above: Sequence[int], below: Sequence[int]) -> FloatArray:
+    return np.asarray(shares[:, above].sum(axis=1) / np.maximum(shares[:, below].sum(axis=1), 1e-6))

@@ -52,7 +52,7 @@ class Discrepancy:
     level, slope, bend : of what is constant, linear (per um) and quadratic (per um^2) in wavelength. [-]
     detail : of what varies over `WIDTH_NM`. [-]
     channel : of what differs between channels of 20 nm. [-]
-    edge : of the edge in the ultraviolet at 450 nm, which traces of iron and titanium make and no share of a mineral. [-]
+    edge : of the edge in the ultraviolet at 450 nm, which traces of iron and titanium make. [-]
     """
 
     level: float
@@ -85,7 +85,7 @@ class DrawnShares:
         without bands (`Discrepancy`): a constant, a slope and a bend, here the best ones. [-]
     misfit : what ln R has beside that mean, all of it, in standard deviations of the discrepancy and the noise: root
         mean square over independent directions. [-]
-    worst_nm, worst_ln : where what `rms_ln` is of is largest, and how much. [nm, -]
+    worst_nm, worst_ln : where what `rms_ln` is of is largest beside what is allowed, and how much. [nm, -]
     """
 
     draws: FloatArray
@@ -189,7 +189,7 @@ class Comparison:
         allowed = self.discrepancy.covariance(self.wavelength_nm) + np.diag(noise**2)
         misfit = float(np.sqrt(left @ np.linalg.solve(allowed, left) / left.size))
         left -= self._bandless @ (self._bandless.T @ left)
-        worst = int(np.abs(left).argmax())
+        worst = int((np.abs(left) / np.sqrt(np.diag(allowed))).argmax())
         unlike = float(_nearest(noisy, seen[None])[0]) / self._usual
         rms_ln = float(np.sqrt(np.mean(left**2)))
         return DrawnShares(
@@ -230,10 +230,11 @@ MOST_WIDE = 0.12
 """Half of the widest interval of 68 % with which a spectrum is in domain: its worst share is mostly within 0.15,
 measured on the suites left out."""
 POWDER_TYPES = (
-    RockType("any", 0.5),
-    RockType("led-by-one", 0.5, leading=6.0),
+    RockType("any", 0.4),
+    RockType("led-by-one", 0.4, leading=6.0),
+    RockType("one-alone", 0.2, leading=60.0),
 )
-"""Half of the powders of any shares, half led by one mineral; assumed."""
+"""Powders of any shares, led by one mineral, and of nearly one alone; assumed."""
 ROCK_TYPES = (
     RockType("any", 0.3),
     RockType(
