@@ -133,7 +133,7 @@ def test_what_a_mixture_misses_is_told_beside_level_and_slope() -> None:
 
 
 def orthopyroxene(edge: float, bend: float = 0.0) -> Spectrum:
-    """Gaussians in ln R of an orthopyroxene alone, and an edge in the ultraviolet; `bend`: a band that no mineral has."""
+    """Gaussians in ln R of an orthopyroxene alone, and an edge in the ultraviolet; `bend`: a band of no mineral."""
     parts = ((920, 75, 0.7), (1850, 190, 0.5), (350, 70, edge), (1500, 60, bend))
     ln_reflectance = sum(-depth * np.exp(-0.5 * ((NM - center) / width) ** 2) for center, width, depth in parts)
     return Spectrum("opx", NM, 0.5 * np.exp(ln_reflectance))
