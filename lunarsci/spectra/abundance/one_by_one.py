@@ -6,8 +6,9 @@ both (`posterior`) give a mean and a standard deviation of each share; measured 
 little beyond what was drawn (`TELLING`).
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +21,7 @@ from lunarsci.spectra.abundance.mixing import HapkeSurface, mixing_laws
 from lunarsci.spectra.abundance.posterior import (
     CHONDRITE,
     DARK,
+    MOST_MISFIT,
     MOST_WIDE,
     POWDER,
     SOLID,
@@ -30,7 +32,7 @@ from lunarsci.spectra.abundance.posterior import (
     calibrations,
 )
 from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
-from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction
+from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction, refused
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -50,7 +52,11 @@ MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each."""
+    """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each.
+
+    `prior` has the shares of all random mixtures of each kind; `misfit` is that of `DrawnShares` over the most that is
+    allowed; `missed` says what of the spectrum no mixture has, and is empty where shares may be told.
+    """
 
     shares: FloatArray
     weight: FloatArray
@@ -58,9 +64,16 @@ class _Found:
     phase: IntArray
     iron: IntArray
     dark_share: FloatArray
-    prior_sigma: FloatArray
+    prior: tuple[FloatArray, ...]
     unlike: float
     rms_ln: float
+    misfit: float
+    missed: str
+
+    @property
+    def prior_sigma(self) -> FloatArray:
+        """Standard deviation of each share before the spectrum was seen, (m,)."""
+        return np.asarray(np.max([shares.std(axis=0) for shares in self.prior], axis=0))
 
     def moments(self, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
         weight = self.weight * chosen
@@ -113,12 +126,12 @@ def estimate_each(
 
 def raw_shares(
     spectrum: Spectrum, minerals: Sequence[str], kind: str, end_members: Sequence[EndMember] | None = None
-) -> tuple[str, FloatArray, FloatArray, float]:
-    """What calibration starts from: name of the class, mean and standard deviation (m,) of shares, and `unlike`."""
+) -> tuple[str, FloatArray, FloatArray, float, float]:
+    """What calibration starts from: class, mean and standard deviation (m,) of shares, `unlike`, and `misfit`."""
     model = _Model(tuple(minerals), _kept(end_members), "hapke", None, Darkening())
     found = _drawn(spectrum, model, {kind: 1.0})
     name, chosen = _class(found, kind)
-    return (name, *found.moments(chosen), found.unlike)
+    return (name, *found.moments(chosen), found.unlike, found.misfit)
 
 
 def _kinds_of(kind: KindVerdict) -> dict[str, float]:
@@ -167,9 +180,11 @@ def _drawn(spectrum: Spectrum, model: _Model, kinds: Mapping[str, float]) -> _Fo
     }
     return _Found(
         **joined,
-        prior_sigma=np.max([one.prior_sigma for one in parts], axis=0),
+        prior=tuple(shares for one in parts for shares in one.prior),
         unlike=max(one.unlike for one in parts),
         rms_ln=min(one.rms_ln for one in parts),
+        misfit=min(one.misfit for one in parts),
+        missed=parts[0].missed if all(one.missed for one in parts) else "",
     )
 
 
@@ -186,9 +201,22 @@ def _of_kind(comparison: Comparison, found: DrawnShares, kind: str, share: float
         mixtures.phase[index],
         mixtures.iron[index],
         mixtures.dark_share[index],
-        mixtures.shares.std(axis=0),
+        (mixtures.shares,),
         found.unlike,
         found.rms_ln,
+        found.misfit / TARGETS[kind].most_misfit,
+        _missed(found) if found.misfit > TARGETS[kind].most_misfit else "",
+    )
+
+
+def _missed(found: DrawnShares) -> str:
+    """What of the spectrum no mixture has, and what next."""
+    side = "darker" if found.worst_ln < 0 else "brighter"
+    return (
+        f"contradicted by the spectrum: the mixtures most like it miss it by {found.misfit:.1f} times what powders "
+        f"differ by (at most {MOST_MISFIT:g}), most near {found.worst_nm:.0f} nm, where it is "
+        f"{100 * abs(math.expm1(found.worst_ln)):.0f} % {side}; see which minerals its bands need with `spectra fit "
+        "--assemblage auto`, or give end members like it (`--library`)"
     )
 
 
@@ -204,6 +232,8 @@ def _comparison(kind: str, model: _Model, channels: bytes) -> Comparison:
 def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abundance:
     name, chosen = _class(found, kind.kind)
     mean, sigma = found.moments(chosen)
+    if found.missed:
+        return replace(refused(id, model.method, model.minerals, found.missed), rms_ln=found.rms_ln, dark=_dark(found))
     known = _calibration(_kinds_of(kind), name)
     told = _told(sigma, found, model.minerals, kind.kind) if name != CHONDRITE else np.full(mean.size, True)
     stated = model.dark.phase_stated or model.dark.iron_stated
@@ -300,14 +330,22 @@ RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene"
 
 
 def _ratios(found: _Found, minerals: Sequence[str], known: KindCalibration) -> tuple[MineralFraction, ...]:
-    """Shares of one mineral in several, by volume."""
+    """Shares of one mineral in several, by volume; anything where the spectrum says little of them (`TELLING`)."""
     ratios = []
     for name, (above, below) in RATIOS.items():
         if set(below) <= set(minerals):
-            part = found.shares[:, [minerals.index(mineral) for mineral in above]].sum(axis=1)
-            whole = found.shares[:, [minerals.index(mineral) for mineral in below]].sum(axis=1)
-            value = part / np.maximum(whole, 1e-6)
+            places = [[minerals.index(mineral) for mineral in some] for some in (above, below)]
+            value, *before = (_ratio(shares, *places) for shares in (found.shares, *found.prior))
             mean = float(found.weight @ value)
             sigma = max(float(np.sqrt(found.weight @ (value - mean) ** 2)), LEAST_SIGMA)
-            ratios.append(_fraction(name, mean, sigma, True, known))
+            told = sigma <= TELLING * max(one.std() for one in before)
+            ratios.append(
+                _fraction(name, mean, sigma, True, known)
+                if told
+                else MineralFraction(name, math.nan, 0.0, 1.0, 0.0, 1.0)
+            )
     return tuple(ratios)
+
+
+def _ratio(shares: FloatArray, above: Sequence[int], below: Sequence[int]) -> FloatArray:
+    return np.asarray(shares[:, above].sum(axis=1) / np.maximum(shares[:, below].sum(axis=1), 1e-6))
