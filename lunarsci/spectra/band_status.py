@@ -172,6 +172,9 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
         wavelength_nm[(wavelength_nm >= low) & (wavelength_nm <= high)] if code == NOT_COVERED else wavelength_nm[:0]
     )
     first, last = (inside[0], inside[-1]) if inside.size else (np.nan, np.nan)
+    if inside.size and first <= band.reach_nm[0] and last >= band.reach_nm[1]:
+        widest = int(np.argmax(np.diff(inside)))
+        return f"no result: no usable channel from {inside[widest]:g} to {inside[widest + 1]:g} nm"
     return SENTENCES[STATUSES[code]].format(
         deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
     )
