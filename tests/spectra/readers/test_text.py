@@ -285,7 +285,7 @@ def test_columns_of_an_exporter_that_are_no_spectrum_are_left_out_and_said(read:
 
 
 @pytest.mark.parametrize(
-    "error", ["A Std.Abw.", "A_écart-type", "A incertidumbre", "A_погрешность", "Fehler A", "err_A", "A_误差", "A_stderr"]
+    "error", ["A Std.Abw.", "A_écart-type", "A incertidumbre", "A_погрешность", "Fehler A", "err_A", "A_stderr"]
 )
 def test_errors_are_known_in_other_languages_too(read: Read, error: str) -> None:
     first, second = read(f"wavelength_nm,A,B,{error}\n400.5,.1,.4,.01\n500,.2,.5,.02\n600,.3,.6,.03\n")
