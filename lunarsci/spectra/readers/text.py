@@ -86,11 +86,12 @@ def read_text(source: InputFile) -> SpectrumTable:
 
 
 def _texts(rows: Sequence[Row]) -> list[int]:
-    """Places of columns without a digit in any of their cells, which are no numbers that were spoilt."""
+    """Places of columns without a digit in any of their cells; none where fewer than two others are left."""
     texts = [k for k in range(len(rows[0].fields)) if rows[0].fields[k]] if rows else []
     for row in rows:
         texts = [k for k in texts if not _DIGIT.search(row.fields[k])]
-    return [k for k in texts if not all(is_missing(row.fields[k]) for row in rows)]
+    texts = [k for k in texts if not all(is_missing(row.fields[k]) for row in rows)]
+    return texts if rows and len(rows[0].fields) - len(texts) > 1 else []
 
 
 def _warn_of_commented_rows(
