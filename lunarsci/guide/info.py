@@ -19,6 +19,7 @@ from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
+from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.tables import separator_of
 
 
@@ -106,6 +107,7 @@ WAVELENGTH = re.compile(
 SPECTRAL, LEAST_LINES, MOST_LINES = ((0.2, 5.0), (200.0, 5000.0)), 8, 200
 """Where a first column of another name may lie, in µm and nm; rows that it needs at least, and that are looked at;
 assumed."""
+_NUMBER = re.compile(r"\s*[+-]?[0-9]+([.,][0-9]*)?([eE][+-]?[0-9]+)?\s*[;,\t ]")
 LONG = 1 << 26
 """Bytes from which on telemetry is read in pieces."""
 _Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]
@@ -289,7 +291,7 @@ def _kind_of_toml(file: InputFile) -> str:
 def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if suffix == ".fit":
         return "mgm"
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    lines = _from_names([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
     columns = _cells(name, lines[:1])
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
@@ -299,7 +301,15 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
         return "library" if "mineral" in text and "end_member" in text else "spectra"
     if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns):
         return "table"
-    return "spectra" if len(columns) < 2 or _is_wavelength(columns[0], name, lines) else "table"
+    named = any(is_wavelength(column) for column in columns[1:])
+    return "spectra" if named or len(columns) < 2 or _is_wavelength(columns[0], name, lines) else "table"
+
+
+def _from_names(lines: list[str]) -> list[str]:
+    """A table from the line above its first numbers on, which has their names; lines of text may be before it."""
+    numeric = [_NUMBER.match(line) is not None for line in lines]
+    begin = next((k for k in range(len(lines) - 2) if all(numeric[k : k + 3])), 0)
+    return lines[max(begin - 1, 0) :]
 
 
 def _cells(name: str, lines: Sequence[str], separator: str = "") -> list[str]:

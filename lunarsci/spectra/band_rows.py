@@ -86,7 +86,7 @@ from lunarsci.spectra.band_window import NARROW, WIDE, window_of
 from lunarsci.spectra.continuum import CONTINUA, HULL, LEVEL, LINEAR, SMOOTHED, tables_of, tie_down, ties_of
 from lunarsci.spectra.lane_rows import take_eight, uncounted
 from lunarsci.spectra.noise import WINDOW, running_medians
-from lunarsci.spectra.spectrum import smoothing_operator
+from lunarsci.spectra.spectrum import reaches_over, smoothing_operator
 
 FEWEST_IN_WINDOW = 14
 
@@ -145,7 +145,7 @@ def _range(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[i
 def _missing(inside_nm: FloatArray, band: Band) -> int:
     if inside_nm.size < FEWEST_IN_WINDOW:
         return SPARSE
-    return NOT_COVERED if inside_nm[0] > band.reach_nm[0] or inside_nm[-1] < band.reach_nm[1] else OK
+    return OK if reaches_over(inside_nm, *band.reach_nm) else NOT_COVERED
 
 
 def measure_rows(

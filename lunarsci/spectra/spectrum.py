@@ -11,6 +11,10 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 
+WIDEST_GAP_NM = 100.0
+"""Channels farther apart than this may hide the bottom of a band of olivine or pyroxene, whose narrowest are some
+170 nm wide at half depth (`mgm_bands.csv`); assumed. [nm]"""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
@@ -97,6 +101,14 @@ class Spectrum:
     def usable(self) -> BoolArray:
         """True for the channels that may be used; shape (n,)."""
         return ~np.asarray(self.mask, dtype=bool)
+
+
+def reaches_over(wavelength_nm: FloatArray, low_nm: float, high_nm: float) -> bool:
+    """Whether channels, ascending, lie on both sides of a range, and nowhere in it too far apart. [nm]"""
+    if not wavelength_nm.size or wavelength_nm[0] > low_nm or wavelength_nm[-1] < high_nm:
+        return False
+    first, last = np.searchsorted(wavelength_nm, low_nm, side="right") - 1, np.searchsorted(wavelength_nm, high_nm)
+    return bool(np.diff(wavelength_nm[first : last + 1]).max(initial=0.0) <= WIDEST_GAP_NM)
 
 
 def channel_noise(spectrum: Spectrum) -> FloatArray:

@@ -206,6 +206,15 @@ def test_templates_of_states_and_priors_say_the_same_as_their_readers() -> None:
     assert soil.sinkage_exponent == 1.0 and found == pytest.approx(soil.stiffness_kpa_m_n, rel=0.01)
 
 
+def test_a_table_of_an_exporter_is_known_by_any_column_and_below_lines_of_text(tmp_path: Path) -> None:
+    rows = "".join(f"{k};{400 + 10 * k};0,{k + 1}\n" for k in range(9))
+    table = f"Kanal;Wellenlänge [nm];Refl\n{rows}"
+    found = info(written(tmp_path, "one.csv", table))
+    assert (found.kind, found.trouble, found.contents["channels"]) == ("spectra", "", 9)
+    found = info(written(tmp_path, "two.csv", f"Labor Nord\nGerät: X\n{table}"))
+    assert found.kind == "spectra" and "begin the others with #" in found.trouble
+
+
 def test_a_terrain_says_its_size(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", x_m=np.arange(3) * 0.5, y_m=np.arange(4) * 0.5, height_m=np.zeros((4, 3)))
     found = info(tmp_path / "a.npz")

@@ -298,6 +298,14 @@ def test_a_short_spectrum_measures_what_it_holds() -> None:
     assert record["band2000_status"] == "no result: the spectrum covers 1580-1695 nm of it"
 
 
+def test_a_gap_in_the_channels_hides_a_band() -> None:
+    kept = (GRID < 800) | (GRID > 1000)
+    record = measure_bands(Spectrum("gap", GRID[kept], reflectance()[kept]), continuum_name="hull").to_dict()
+    assert record["bc1000_nm"] is None
+    assert record["band1000_status"] == "no result: no usable channel from 795 to 1005 nm"
+    assert record["bc2000_nm"] == pytest.approx(CENTRE_2, abs=20)
+
+
 def test_masked_channels_are_left_out() -> None:
     spoiled = reflectance()
     spoiled[100:103] = 5.0

@@ -22,6 +22,7 @@ from lunarsci.spectra.mgm.result import (
     pyroxene_pair,
 )
 from lunarsci.spectra.mgm.uncertainty import composition_moments, follow_shifts
+from lunarsci.spectra.spectrum import reaches_over
 
 NOT_FITTED = 3
 """Status of a row without a fit, beside those of the kernel."""
@@ -326,7 +327,7 @@ def _ratios(
     """NBSR of a region, (n, 4), as in `FitBatch`."""
     found = np.full((len(points), 4), np.nan)
     pair, (low, high) = pyroxene_pair(model.assemblage.bands, region), REACH_NM[region]
-    if pair is None or rows.wavelength_nm[0] > low or rows.wavelength_nm[-1] < high:
+    if pair is None or not reaches_over(rows.wavelength_nm, low, high):
         return found
     one, other = (model.degrees + 3 * position + 2 for position in pair)
     opx, cpx = points[:, one], points[:, other]

@@ -10,7 +10,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.noise import deepest_below_hull, scatter_noise_rows
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 
 FIT_RANGE_NM = (400.0, 2600.0)
 """What is fitted of a spectrum: the silicates' electronic bands; assumed."""
@@ -134,21 +134,32 @@ def prepare_rows(
 
     Raises
     ------
-    DataError with fewer than 40 channels, or, without `whole`, where they do not reach over 800-1300 nm.
+    DataError with fewer than 40 channels, or, without `whole`, where they do not reach over 800-1300 nm, or leave more
+    than 100 nm out there.
     """
     keep = _inside(wavelength_nm, whole)
     kept = wavelength_nm[keep]
     if kept.size < MIN_CHANNELS:
         between = "" if whole else " between {:g} and {:g} nm".format(*FIT_RANGE_NM)
         raise DataError(f"{kept.size} usable channels{between}; {MIN_CHANNELS} are needed")
-    if not whole and (kept[0] > REQUIRED_NM[0] or kept[-1] < REQUIRED_NM[1]):
-        raise DataError(f"the channels do not reach over {REQUIRED_NM[0]:g}-{REQUIRED_NM[1]:g} nm")
+    if not whole:
+        _check_reach(kept)
     noise = scatter_noise_rows(reflectance) if sigma is None else sigma
     own = np.ascontiguousarray(reflectance[:, keep])
     error = expected_misfit(kept, own) if model_error is None else np.broadcast_to(np.float64(model_error), len(own))
     weight = 1 / ((noise[:, keep] / own) ** 2 + error[:, None] ** 2)
     shared = np.empty((len(own), 0, kept.size)) if shifts is None else shifts[:, :, keep] / own[:, None]
     return MgmRows(kept, own, weight, shared, error)
+
+
+def _check_reach(wavelength_nm: FloatArray) -> None:
+    if not reaches_over(wavelength_nm, *REQUIRED_NM):
+        low, high = REQUIRED_NM
+        between = wavelength_nm[(wavelength_nm > low) & (wavelength_nm < high)]
+        steps = np.diff([low, *between, high])
+        first, width = [low, *between][int(steps.argmax())], steps.max()
+        gap = f": {width:.0f} nm without a usable channel from {first:.0f} nm on" if width > WIDEST_GAP_NM else ""
+        raise DataError(f"the channels do not reach over {low:g}-{high:g} nm{gap}")
 
 
 def _inside(wavelength_nm: FloatArray, whole: bool) -> BoolArray:

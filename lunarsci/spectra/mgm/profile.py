@@ -15,6 +15,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
+from lunarsci.spectra.spectrum import reaches_over
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ def ratio_rows(model: MgmModel, wavelength_nm: FloatArray) -> dict[str, tuple[in
     rows: dict[str, tuple[int, int]] = {}
     for region, (low, high) in REACH_NM.items():
         pair = pyroxene_pair(model.assemblage.bands, region)
-        if pair and wavelength_nm[0] <= low and wavelength_nm[-1] >= high:
+        if pair and reaches_over(wavelength_nm, low, high):
             rows[region] = (model.degrees + 3 * pair[0] + 2, model.degrees + 3 * pair[1] + 2)
     return rows
 

@@ -10,6 +10,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.assemblages import BandPrior
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.model import MgmModel
+from lunarsci.spectra.spectrum import reaches_over
 
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
@@ -270,8 +271,7 @@ def _ratio(
     opx, cpx = (bands[position].strength for position in pair)
     total, block = opx + cpx, covariance[np.ix_(rows, rows)]
     low, high = REACH_NM[region]
-    beyond = wavelength_nm[0] > low or wavelength_nm[-1] < high
-    if beyond or total == 0:
+    if not reaches_over(wavelength_nm, low, high) or total == 0:
         return None
     slope = np.array([cpx, -opx]) / total**2
     sigma = float(np.sqrt(slope @ block @ slope))

@@ -7,12 +7,16 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.table import Column, name_tokens, without_unit
+from lunarsci.names import some_of
+from lunarsci.spectra.readers.table import MAX_FRACTION, Column, SpectrumTable, name_tokens, states_unit, without_unit
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
 
 
@@ -63,7 +67,22 @@ _SIGMA = {
     *("sigma", "std", "stdev", "stddev", "error", "err", "unc", "uncertainty", "standarddeviation"),
     *("1sigma", "stddeviation", "sd", "σ", "fehler", "unsicherheit", "standardabweichung"),
 }
-_SIGMA_SUFFIX = re.compile(r"^(.+?)[ _.-](sigma|sd|std|stdev|err|error|unc|uncertainty|fehler)$", re.IGNORECASE)
+_SIGMA_WORD = re.compile(
+    r"st(d|and)?(ard)?(abw|afw|dev|err)|stdev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|errore|"
+    r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"
+    r"onzekerheid"
+)
+"""How names of errors begin in the languages of Europe, Russian, Chinese and Japanese."""
+_LAST_WORD, _FIRST_WORD = re.compile(r"^(.+)[ _.-]([^ _.-]+)$"), re.compile(r"^([^ _.-]+)[ _.-](.+)$")
+_FOREIGN_UNITS = {
+    *("ms", "s", "sec", "µs", "μs", "us", "min", "°c", "degc", "celsius", "°f", "degf", "kelvin", "dn", "adu"),
+    *("counts", "cts", "count", "mv", "v", "volt", "ma", "mw", "nm", "nanometer", "deg", "°", "hz", "khz", "hpa", "db"),
+}
+"""Units in brackets of columns that are no reflectance: times, temperatures, raw numbers, widths, angles."""
+MOST_NAMED = 4
+ERROR_SHARE, ERROR_MOST = 0.05, 0.02
+"""A column of no more than this share of the one before it, and this reflectance, looks like its error; assumed."""
+_BRACKETED = re.compile(r"[(\[{]([^)\]}]*)[)\]}]\s*$")
 _SYSTEMATIC = re.compile(r"^(.+?)_systematic_(\w+)$", re.IGNORECASE)
 _PLAIN = {
     *("reflectance", "reflexion", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof"),
@@ -107,6 +126,8 @@ def is_not_a_spectrum(name: str) -> bool:
     """Whether a name says something other than reflectance: 'fwhm_nm', 'band', 'solar_irradiance'."""
     tokens = name_tokens(name)
     if "fwhm" in tokens or (len(tokens) == 1 and tokens[0] in _NOT_A_SPECTRUM):
+        return True
+    if (unit := _BRACKETED.search(name)) is not None and unit[1].strip().casefold() in _FOREIGN_UNITS:
         return True
     # 'radiance factor' is a reflectance, a 'calibration factor' is none.
     foreign = _NOT_REFLECTANCE & set(tokens)
@@ -165,10 +186,16 @@ def _wavelength_place(names: Sequence[str], file: str) -> int:
 
 
 def _is_wavelength_error(name: str) -> bool:
-    match = _SIGMA_SUFFIX.match(name)
-    if match is not None and is_wavelength(match[1]):
+    match = _LAST_WORD.match(name)
+    if match is not None and _says_error(match[2]) and is_wavelength(match[1]):
         return True
     return is_wavelength(name) and bool(_SIGMA & set(name_tokens(name)))
+
+
+def _says_error(name: str) -> bool:
+    """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
+    word = "".join(name_tokens(name))
+    return word in _SIGMA or _SIGMA_WORD.match(word) is not None
 
 
 def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, int]:
@@ -178,15 +205,18 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
     bare = []
     for k in places:
         name = without_unit(names[k])
-        match = _SIGMA_SUFFIX.match(name)
-        if "".join(name_tokens(name)) in _SIGMA:
+        last, first = _LAST_WORD.match(name), _FIRST_WORD.match(name)
+        if _says_error(name):
             bare.append(k)
-        elif match is not None:
-            _pair(pairs, plain.get(match[1].strip()), k, names, file)
+        elif last is not None and _says_error(last[2]):
+            _pair(pairs, plain.get(last[1].strip()), k, names, file)
+        elif first is not None and _says_error(first[1]) and first[2].strip() in plain:
+            _pair(pairs, plain[first[2].strip()], k, names, file)
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
+    plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
     for k in bare:
-        _pair(pairs, alone[0] if len(alone) == 1 else None, k, names, file)
+        _pair(pairs, plainly[0] if len(plainly) == 1 else None, k, names, file)
     return pairs
 
 
@@ -213,6 +243,46 @@ def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[
         both = f"{quoted(names[pairs[owner]])} and {quoted(names[sigma])}"
         raise DataError(f"{file}: {both} are both uncertainties of {quoted(names[owner])}; keep one")
     pairs[owner] = sigma
+
+
+def only_spectra(table: SpectrumTable) -> SpectrumTable:
+    """A table less the columns that hold one and the same value above any reflectance, as a temperature or a time.
+
+    They are named in a LunarSciWarning, and so is a column that looks like the error of the one before it.
+    """
+    if len(table.spectra) < 2:
+        return table
+    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
+    low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
+    unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
+    constant = unnamed & (low == high) & (low > MAX_FRACTION)
+    if constant.any() and not constant.all():
+        dropped = some_of([column.label for column, sigma in _at(table.spectra, constant)], MOST_NAMED)
+        _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, no reflectance")
+        kept = np.flatnonzero(~constant).tolist()
+        shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
+        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=None)
+        high = high[kept]
+    for (before, known), (column, own), most in zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False):
+        if known is None and own is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
+            text = f"column {column.label} is below {100 * ERROR_SHARE:g} % of {before.label} before it"
+            own_name = quoted(without_unit(before.name) + "_sigma")
+            _warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
+    return table
+
+
+def _at(spectra: Sequence[tuple[Column, Column | None]], which: BoolArray) -> list[tuple[Column, Column | None]]:
+    return [spectra[k] for k in np.flatnonzero(which).tolist()]
+
+
+def _looks_like_error(values: FloatArray, beside: FloatArray) -> bool:
+    with np.errstate(invalid="ignore"):
+        both = (values > 0) & (beside > 0)
+        return bool(both.any() and np.median(beside[both] / values[both]) <= ERROR_SHARE)
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, LunarSciWarning, stacklevel=3)
 
 
 def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:

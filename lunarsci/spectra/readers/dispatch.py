@@ -13,7 +13,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
-from lunarsci.spectra.readers.columns import spectrum_ids
+from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
 from lunarsci.spectra.readers.table import (
     Column,
@@ -22,6 +22,7 @@ from lunarsci.spectra.readers.table import (
     SpectrumTable,
     StatedUnits,
     WavelengthUnit,
+    check_alike,
     medians_above_0,
     reflectance_unit,
     uncertainty_scale,
@@ -165,6 +166,7 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     """
     file = table.source.name
     kept, left_out = _rows_with_wavelength(table)
+    kept = only_spectra(kept)
     values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
     order, order_name = _ascending(values, kept)
     common = {
@@ -234,7 +236,9 @@ def _assembled(
     with np.errstate(invalid="ignore"):
         not_positive = (values <= 0).sum(axis=1)
     measured = np.isfinite(values).sum(axis=1)
-    units, which, factors = _units(table, medians_above_0(values), stated.reflectance)
+    medians = medians_above_0(values)
+    check_alike([column for column, _ in table.spectra], medians.tolist(), stated.reflectance, table.source.name)
+    units, which, factors = _units(table, medians, stated.reflectance)
     scale, remarks = (np.array([getattr(unit, key) for unit in units])[which] for key in ("scale", "remark"))
     values *= scale[:, None]
     sigma, lacking, counts = _uncertainties(table, values > 0, factors)

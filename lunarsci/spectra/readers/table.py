@@ -8,9 +8,10 @@ says so.
 import re
 import unicodedata
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -110,7 +111,7 @@ _PLAUSIBLE_NM = (50.0, 200_000.0)
 SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
 """Values that can only be meant in that unit; assumed."""
 _SCALE = {"fraction": 1.0, "percent": 0.01}
-_MAX_FRACTION = 2.0
+MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
@@ -254,6 +255,28 @@ def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: st
     return _SCALE[found]
 
 
+def check_alike(columns: Sequence[Column], medians: Sequence[float], stated: ReflectanceUnit | None, file: str) -> None:
+    """Reflectances without a unit of their own must be possible in one and the same.
+
+    Raises DataError, which names two that are not: one of them is no reflectance, or has another unit.
+    """
+    least = MAX_FRACTION if stated is None else _MIN_PERCENT
+    known = [(m, c) for c, m in zip(columns, medians, strict=True) if m > 0 and not states_unit(c)]
+    if stated == "fraction" or not known:
+        return
+    (low, one), (high, other) = min(known, key=itemgetter(0)), max(known, key=itemgetter(0))
+    if low < least < high:
+        raise DataError(
+            f"{file}: columns {one.label} and {other.label} have medians of {low:.3g} and {high:.3g}, not reflectances "
+            f"in one unit; take out what is none, or write units into the names, as in {quoted(other.name + ' (%)')}"
+        )
+
+
+def states_unit(column: Column) -> bool:
+    """Whether a column says that it is in fractions or percent, by its name or its file."""
+    return _unit_of(column) is not None
+
+
 def _unit_of(column: Column) -> str | None:
     if column.unit is not None:
         return column.unit
@@ -265,7 +288,7 @@ def _unit_of(column: Column) -> str | None:
 
 
 def _contradicts(unit: str, median: float) -> bool:
-    return median > _MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > _MAX_PERCENT
+    return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > _MAX_PERCENT
 
 
 def _warn(message: str) -> None:

@@ -7,6 +7,7 @@ Geological Survey Data Series 1035, 10.3133/ds1035).
 """
 
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.columns import Roles, assign_roles, is_wavelength
 from lunarsci.spectra.readers.table import Column, SpectrumTable
@@ -37,6 +38,7 @@ _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
 _COUNT = re.compile(r"[0-9]+")
 _SPLIB_HEADER = re.compile(r"\s*(splib0[67]\w*|s0[67]\w*)\s+Record=(\d+):\s*(\S.*?)\s*$", re.IGNORECASE)
+_DIGIT = re.compile(r"[0-9]")
 _OTHER_FILE = re.compile(r"wavelengths?|bandpass", re.IGNORECASE)
 _FILE_NAME = re.compile(r"(splib0[67]|s0[67])\w*_(wavelengths|bandpass)", re.IGNORECASE)
 _SPECTROMETERS = ("ASD", "BECK", "NIC4", "AVIRIS")
@@ -60,7 +62,9 @@ def read_text(source: InputFile) -> SpectrumTable:
         values = None
         names, rows = _rows(names, body, separator, source.name)
     width = len(rows[0].fields) if values is None else len(values)
-    roles = _roles_without_names(width, source.name) if names is None else assign_roles(names, source)
+    texts = _texts(rows) if names else []
+    roles = _roles_without_names(width, source.name) if names is None else assign_roles(names, source, left_out=texts)
+    _warn_of_commented_rows(body, comments, separator, source.name)
     titles = names or [""] * width
 
     def column(k: int) -> Column:
@@ -79,6 +83,29 @@ def read_text(source: InputFile) -> SpectrumTable:
         roles.systematic_columns(column),
         None if values is None else _block(values, [r for r, _ in roles.spectra]),
     )
+
+
+def _texts(rows: Sequence[Row]) -> list[int]:
+    """Places of columns without a digit in any of their cells; none where fewer than two others are left."""
+    texts = [k for k in range(len(rows[0].fields)) if rows[0].fields[k]] if rows else []
+    for row in rows:
+        texts = [k for k in texts if not _DIGIT.search(row.fields[k])]
+    texts = [k for k in texts if not all(is_missing(row.fields[k]) for row in rows)]
+    return texts if rows and len(rows[0].fields) - len(texts) > 1 else []
+
+
+def _warn_of_commented_rows(
+    body: Sequence[tuple[int, str]], comments: Sequence[tuple[int, str]], separator: str, file: str
+) -> None:
+    """Rows whose first cell begins with the sign of a comment, as errors of a spreadsheet do (#N/A), are left out."""
+    fields = body[0][1].count(separator) if separator != " " else 0
+    lost = [n for n, text in comments if body[0][0] < n < body[-1][0] and fields and text.count(separator) == fields]
+    if lost:
+        warnings.warn(
+            f"{file}: left out {len(lost)} lines among the data that begin as comments do, the first is line {lost[0]}",
+            LunarSciWarning,
+            stacklevel=3,
+        )
 
 
 def _block(values: FloatArray, places: Sequence[int]) -> FloatArray:

@@ -1,5 +1,6 @@
 """Fits of spectra made from known bands, invariances, hostile spectra, and real measurements."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,14 @@ def test_spectra_that_cannot_be_fitted_say_why() -> None:
     assert "800-1300 nm" in results[2].status
     assert "0 usable channels" in results[3].status
     assert results[0].to_dict().keys() == results[1].to_dict().keys()
+
+
+@pytest.mark.parametrize(("first", "last", "refused"), [(736, 2136, True), (800, 1000, True), (1000, 1090, False)])
+def test_a_fit_needs_channels_without_a_wide_gap(first: float, last: float, refused: bool) -> None:
+    good = made(STRENGTHS, seed=5)
+    [result] = fit_spectra([replace(good, mask=(first < GRID) & (last > GRID))], MODEL)
+    assert isinstance(result, MgmFailure) == refused
+    assert ("without a usable channel from 8" in result.status) == refused
 
 
 def test_a_subset_of_minerals_has_their_bands_only() -> None:

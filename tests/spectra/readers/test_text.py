@@ -262,3 +262,59 @@ def test_channel_numbers_and_errors_of_another_language_are_no_spectra(read: Rea
         )
     assert np.allclose(spectrum.wavelength_nm, WAVELENGTH) and np.allclose(spectrum.reflectance, REFLECTANCE)
     assert spectrum.uncertainty is not None and np.allclose(spectrum.uncertainty, 0.01)
+
+
+_EXPORTED = """\
+Kanal;Wellenlänge [nm];Refl;StdAbw [-];Integr.Zeit [ms];Detektor;temp
+1;400,5;0,1;0,001;12;VIS;12,4
+2;500;0,2;0,002;12;VIS;12,4
+3;600;0,3;0,003;12;SWIR;12,4
+"""
+
+
+def test_columns_of_an_exporter_that_are_no_spectrum_are_left_out_and_said(read: Read) -> None:
+    with pytest.warns(LunarSciWarning) as heard:
+        (spectrum,) = read(_EXPORTED)
+    assert spectrum.id == "rock"
+    np.testing.assert_array_equal(spectrum.reflectance, REFLECTANCE)
+    np.testing.assert_array_equal(spectrum.uncertainty, [0.001, 0.002, 0.003])
+    assert sorted(str(one.message) for one in heard) == [
+        "rock.csv: left out 'Kanal', 'Integr.Zeit [ms]', 'Detektor': no reflectance by name, unit or content",
+        "rock.csv: left out 'temp': the same value in all rows, no reflectance",
+    ]
+
+
+@pytest.mark.parametrize(
+    "error", ["A Std.Abw.", "A_écart-type", "A incertidumbre", "A_погрешность", "Fehler A", "err_A", "A_stderr"]
+)
+def test_errors_are_known_in_other_languages_too(read: Read, error: str) -> None:
+    first, second = read(f"wavelength_nm,A,B,{error}\n400.5,.1,.4,.01\n500,.2,.5,.02\n600,.3,.6,.03\n")
+    np.testing.assert_array_equal(first.uncertainty, [0.01, 0.02, 0.03])
+    assert second.uncertainty is None
+
+
+def test_a_sample_whose_name_begins_like_an_error_stays_a_spectrum(read: Read) -> None:
+    names = [one.id for one in read("wavelength_nm,Std 99,Errol 2,devitrified\n400,.1,.4,.3\n500,.2,.5,.3\n")]
+    assert names == ["Std 99", "Errol 2", "devitrified"]
+
+
+def test_a_column_as_small_as_an_error_is_said(read: Read) -> None:
+    with pytest.warns(LunarSciWarning, match="'q' is below 5 % of 'rock A' before it: .* name it 'rock A_sigma'"):
+        assert len(read("wavelength_nm,rock A,q\n400,.1,.001\n500,.2,.002\n600,.3,.003\n")) == 2
+
+
+@pytest.mark.parametrize("stated", [None, "percent"])
+def test_a_column_in_another_unit_is_not_taken_for_a_spectrum_in_percent(refuse: Refuse, stated: str | None) -> None:
+    rows = "400,.1,12.1\n500,.2,12.4\n600,.3,12.2\n"
+    message = refuse(f"wavelength_nm,rock,temp\n{rows}", reflectance_unit=stated)
+    assert "'rock' and 'temp' have medians of 0.2 and 12.2" in message
+    assert "'temp (%)'" in message
+
+
+def test_rows_that_begin_as_comments_are_counted(read: Read) -> None:
+    rows = [f"{400 + 10 * k},0.{k + 1}" for k in range(9)]
+    rows[3:5] = ["#N/A,0.4", "#N/A,0.5"]
+    text = "# made, today\nwavelength_nm,rock\n" + "\n".join(rows) + "\n"
+    with pytest.warns(LunarSciWarning, match="left out 2 lines among the data .* the first is line 6"):
+        (spectrum,) = read(text)
+    assert len(spectrum.wavelength_nm) == 7
