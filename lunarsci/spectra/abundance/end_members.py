@@ -11,7 +11,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 from lunarsci.tables import table_rows
 
 STEP_NM, LOWEST_NM, HIGHEST_NM = 20.0, 450.0, 2450.0
@@ -67,8 +67,11 @@ def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
     """Mean wavelength, mean ln R and its standard error by number of the channel."""
     usable = spectrum.usable
     wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
-    if not wavelength.size or wavelength[0] > NEEDED_NM[0] or wavelength[-1] < NEEDED_NM[1]:
-        raise DataError(f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm")
+    if not reaches_over(wavelength, *NEEDED_NM):
+        raise DataError(
+            f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, nowhere more than {WIDEST_GAP_NM:g} nm "
+            "without a usable channel"
+        )
     noise = np.zeros_like(wavelength)
     if spectrum.uncertainty is not None:
         noise = spectrum.uncertainty[usable] / reflectance
