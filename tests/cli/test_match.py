@@ -63,12 +63,11 @@ def test_a_decided_crater_leaves_with_0_and_an_undecided_rock_beside_it_with_3(
 ) -> None:
     """Composition of one crater is that of the rock, of the other far from it; of the fitted rock it knows nothing."""
     file = tmp_path / "craters.csv"
-    columns = ",olivine,olivine_sigma,orthopyroxene,orthopyroxene_sigma\n"
-    file.write_text(
-        HEADER.strip() + f"{columns}Big,-45,178,40,0.05,0.02,0.95,0.02\nSmall,-45.2,177.3,15,0.9,0.02,0.1,0.02\n"
-    )
+    columns = ",olivine,olivine_sigma,orthopyroxene,orthopyroxene_sigma,clinopyroxene,clinopyroxene_sigma\n"
+    own = "Big,-44,178,40,0.1,0.02,0.2,0.02,0.7,0.02\nSmall,-45.2,177.3,15,0.6,0.02,0.2,0.02,0.2,0.02\n"
+    file.write_text(HEADER.strip() + columns + own)
     where = ("--craters", file, "--site=-45.44,177.56")
-    rock = ("--modes", "ol=0.9:0.02,opx=0.1:0.02", "--systematic", "0.02")
+    rock = ("--modes", "ol=0.6:0.02,opx=0.2:0.02,cpx=0.2:0.02", "--systematic", "0.02")
     done = run("spectra", "match", *rock, *where, "--field", "rocks.0.best")
     assert (done.code, done.out) == (0, "Small\n"), done
     unknown = run("spectra", "match", fitted[0], *where)
