@@ -106,7 +106,7 @@ def paragraphs(function: Callable[..., Any]) -> str:
 
 @contextmanager
 def _told_of_earlier_runs(output: Output) -> Iterator[None]:
-    """Where a command fails, note which of its files are still those of an earlier run: they may be taken for its own."""
+    """Where a command fails, note which of its files are of an earlier run: they could be taken for its own."""
     before = {path: _state(path) for path in (output.path, output.plot, output.failed) if path}
     try:
         yield

@@ -18,6 +18,7 @@ from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 FIRST = (
     *("station", "wheel", "limit", "sense", "p50", "p95", "kept_by_95", "margin", "ok"),
     *("prior", "posterior", "log_bayes_factor"),
+    *("band1000_status", "bc1000_nm", "bd1000", "band2000_status", "bc2000_nm", "bd2000"),
 )
 """Columns that stand first in a table."""
 SAYS = ("best", "sure", "open", "status")

@@ -62,7 +62,7 @@ def two_craters(near: dict[str, Any] | None, far: dict[str, Any] | None, **prior
     made = [Composition(modes) if modes else Composition() for modes in (near, far)]
     craters = [
         Crater(name="near", latitude_deg=-45.0, longitude_deg=178.0, diameter_km=20.0, composition=made[0]),
-        Crater(name="far", latitude_deg=-43.0, longitude_deg=190.0, diameter_km=20.0, composition=made[1]),
+        Crater(name="far", latitude_deg=-43.0, longitude_deg=190.0, diameter_km=5.0, composition=made[1]),
     ]
     settings = MatchSettings(systematic=0.02, prior=PriorSettings(**prior))  # type: ignore[arg-type]
     return match_rocks([Rock("rock", Composition(CLEAR))], craters, CHANG_E_4, settings)[0]
