@@ -1,4 +1,4 @@
-"""The script of `docs/howto/scripts.md` for cron, over nights: what is mailed is of that night, or says that there is nothing."""
+"""The script of `docs/howto/scripts.md` for cron, over nights: what is mailed is of that night, or says there is none."""
 
 import email
 import email.policy

@@ -106,16 +106,15 @@ def paragraphs(function: Callable[..., Any]) -> str:
 
 @contextmanager
 def _told_of_earlier_runs(output: Output) -> Iterator[None]:
-    """Where a command fails, note which of its files are of an earlier run: they could be taken for its own."""
+    """Where a command fails, say which of its files are of an earlier run: they could be taken for its own."""
     before = {path: _state(path) for path in (output.path, output.plot, output.failed) if path}
     try:
         yield
     except (Exception, KeyboardInterrupt) as error:
         new = [output.failed] if isinstance(error, BatchError) else []
         left = [str(path) for path, state in before.items() if state and state == _state(path) and path not in new]
-        if left:
-            kept = "is of an earlier run and was left as it is"
-            error.add_note("; ".join(f"{path} {kept}" for path in left))
+        for path in left:
+            say(f"{path} is of an earlier run and was left as it is")
         raise
 
 

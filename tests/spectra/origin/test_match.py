@@ -80,7 +80,7 @@ def test_where_the_prior_alone_leads_no_crater_is_decided() -> None:
     alike = two_craters(CLEAR, CLEAR, other_weight=0.001)
     for match in (unknown, alike):
         odds = match.craters[0].posterior / match.craters[1].posterior
-        assert odds > 100
+        assert odds > 20
         assert match.best is None
         assert match.remaining[0] == "near"
     assert "composition decides nothing" in unknown.status
