@@ -14,11 +14,11 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.atomic import STOPPING, written
-from lunarsci.errors import TakenError
+from lunarsci.errors import BatchError, NoFilesError, TakenError
 from lunarsci.names import nearest
 
 from .shared.aliases import current
-from .shared.talk import FAILED, USAGE, failure_line, interrupt, interrupted, say
+from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
 
 GROUPS = {
     "spectra": "What the rock is made of: absorption bands and minerals from reflectance spectra.",
@@ -48,7 +48,7 @@ MOMENT_S = 2.0
 """What a command is given to end by itself after Ctrl-C; assumed."""
 EXIT_CODES = (
     "Exit codes: 0 done; 1 failed, or some inputs of a batch; 2 wrong usage, or --force is wanted; 3 finished, but not "
-    "to be trusted or not safe; 130 interrupted by Ctrl-C, 143 by SIGTERM."
+    "to be trusted or not safe; 4 no file to read in the folders given; 130 interrupted by Ctrl-C, 143 by SIGTERM."
 )
 
 
@@ -135,6 +135,8 @@ def _report(error: Exception, *, verbose: bool) -> int:
         import traceback
 
         traceback.print_exception(error)
+    if isinstance(error, NoFilesError) or (isinstance(error, BatchError) and error.no_files):
+        return NO_FILES
     return USAGE if isinstance(error, TakenError) else FAILED
 
 

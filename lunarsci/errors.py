@@ -2,6 +2,7 @@
 
     LunarSciError
     ├── DataError         an input file or table cannot be used as it is
+    │   ├── NoFilesError  a folder, or a pattern, has nothing in it to read
     │   └── BatchError    none of several inputs can; it has the reason of each
     ├── ParameterError    a value lies outside what the formula or the command accepts
     │   └── RequestError  options of a job that are impossible, alone or together
@@ -26,6 +27,10 @@ class DataError(LunarSciError, ValueError):
     """An input file or table cannot be used as it is."""
 
 
+class NoFilesError(DataError):
+    """A folder, or a pattern, has nothing in it to read, as an inbox may at times."""
+
+
 class Failure(str):
     """A sentence on an input that gave no result, which begins with its name.
 
@@ -34,11 +39,13 @@ class Failure(str):
     input : its name, as it was given or found.
     reason : the sentence without the name.
     spectrum : the one of the input that gave none; empty where the whole input did not.
+    no_files : whether the input is a folder or pattern with nothing in it to read.
     """
 
     input: str
     reason: str
     spectrum: str
+    no_files: bool
 
     @classmethod
     def of(cls, name: str, why: object, spectrum: str = "") -> "Failure":
@@ -46,7 +53,7 @@ class Failure(str):
         told = str(why)
         place = f"{name}: {spectrum}: " if spectrum else f"{name}: "
         made = cls(told if name in told and not spectrum else f"{place}{told}")
-        made.input, made.spectrum = name, spectrum
+        made.input, made.spectrum, made.no_files = name, spectrum, isinstance(why, NoFilesError)
         made.reason = told.removeprefix(name).lstrip(":, ") or told
         return made
 
@@ -54,6 +61,7 @@ class Failure(str):
         """The same, in which `told` words the sentence; names stay."""
         made = type(self)(told(self))
         made.input, made.spectrum, made.reason = self.input, self.spectrum, told(self.reason)
+        made.no_files = self.no_files
         return made
 
 
@@ -63,6 +71,11 @@ class BatchError(DataError):
     def __init__(self, message: str, failures: Sequence[Failure] = ()) -> None:
         super().__init__(message)
         self.failures = failures
+
+    @property
+    def no_files(self) -> bool:
+        """Whether there was nothing to read in any input."""
+        return bool(self.failures) and all(one.no_files for one in self.failures)
 
     @classmethod
     def of(cls, failures: Sequence[Failure]) -> "BatchError":

@@ -78,7 +78,7 @@ STYLE: Any = {
 FIRST_PAGE = "the picture has several pages, and this is the first"
 """What is said of a picture of several pages that takes one, before those that are left out."""
 MOST_NAMED = 3
-"""Pages left out that are named; more would have to be drawn for it."""
+"""Pages left out that are named; more would have to be drawn for it. Assumed."""
 
 
 def as_label(text: str, longest: int = 40) -> str:
@@ -278,7 +278,9 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
     content = _one(first, suffix)
     if left_out := [_headline_of(one, number) for number, one in enumerate(islice(pages, MOST_NAMED), 2)]:
         more = " and more" if next(pages, None) is not None else ""
-        text = f"{target}: {FIRST_PAGE}; left out: {'; '.join(left_out)}{more}; {target.with_suffix('.pdf').name} has all"
+        text = (
+            f"{target}: {FIRST_PAGE}; left out: {'; '.join(left_out)}{more}; {target.with_suffix('.pdf').name} has all"
+        )
         warnings.warn(text, LunarSciWarning, stacklevel=3)
     return content
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from lunarsci.documents import json_document
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, NoFilesError, ParameterError
 from lunarsci.names import some_of
 
 if TYPE_CHECKING:
@@ -332,7 +332,7 @@ def expand_inputs(paths: Iterable[str], *, all_files: bool = False) -> list[str]
 
     Names that exist, `-`, and plain names are kept as they are: reading them tells what is wrong with one. Hidden
     files are left out, and of a folder what is no data by its name, with a warning, unless `all_files` is set by who
-    chooses by name itself. Raises DataError when a folder is empty or a pattern matches no file.
+    chooses by name itself. Raises NoFilesError when a folder is empty or a pattern matches no file.
     """
     return list(dict.fromkeys(name for path in paths for name in _expanded(path, all_files=all_files)))
 
@@ -345,7 +345,7 @@ def _expanded(path: str, *, all_files: bool) -> Iterator[str]:
     # Path.glob takes no absolute patterns.
     found = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
     if not found:
-        raise DataError(f"{path}: matches no file; check the pattern")
+        raise NoFilesError(f"{path}: matches no file; check the pattern")
     return iter(found)
 
 
@@ -355,12 +355,12 @@ def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
     except OSError as error:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
     if not found:
-        raise DataError(f"{path}: folder holds no files; name the files or a pattern")
+        raise NoFilesError(f"{path}: folder holds no files; name the files or a pattern")
     data = [name for name in found if all_files or not no_data(name)]
     if left := [Path(name).name for name in found if not all_files and no_data(name)]:
         warnings.warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}", LunarSciWarning, 2)
     if not data:
-        raise DataError(f"{path}: folder holds no files of data; name the files or a pattern")
+        raise NoFilesError(f"{path}: folder holds no files of data; name the files or a pattern")
     return data
 
 

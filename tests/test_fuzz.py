@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 import lunarsci
 
+PROMISES = Path(__file__).parents[1] / "docs/promises.md"
 LIBRARY = Path(lunarsci.__file__).parent
 INPUTS, SECONDS, EXAMPLES = 60, 1.0, 25
 PICTURE = (
@@ -123,6 +124,7 @@ def test_every_file_of_a_command_comes_to_a_reader_that_is_tried(fuzz: ModuleTyp
     assert undeclared == [], "add these to READ_BY, READ_BY_COMMAND or NO_FILE of tests/benchmarks/fuzz_readers.py"
     reached = {reader for found in parameters.values() for reader in found or ()}
     assert reached == set(fuzz.readers())
+    assert f"for the {len(reached)} readers that are tried" in PROMISES.read_text("utf-8")
     last = {name.rpartition(" ")[2] for name in parameters}
     assert {*table.READ_BY, *table.READ_BY_COMMAND, *table.NO_FILE} <= last | parameters.keys()
 

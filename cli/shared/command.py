@@ -82,7 +82,7 @@ def command(
                 raise typer.BadParameter(_with_flags(_noted(error), context)) from error
             except BatchError as error:
                 emit_failed([one.worded(lambda text: _with_flags(text, context)) for one in error.failures], output)
-                raise BatchError(_with_flags(_noted(error), context)) from error
+                raise BatchError(_with_flags(_noted(error), context), error.failures) from error
             except LunarSciError as error:
                 raise type(error)(_with_flags(_noted(error), context)) from error
             except KeyboardInterrupt as error:

@@ -8,7 +8,7 @@ from typing import Any
 from lunarsci.errors import LunarSciError
 from lunarsci.printable import printable, shortened
 
-FAILED, USAGE, UNTRUSTED = 1, 2, 3
+FAILED, USAGE, UNTRUSTED, NO_FILES = 1, 2, 3, 4
 _heard = [int(signal.SIGINT)]
 
 

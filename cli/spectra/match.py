@@ -43,7 +43,7 @@ OPTIONS = {
     ),
     "name": option("Name of that rock.", panel=ROCK),
     "site": option(
-        "Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; needed with --craters.",
+        "Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; --craters need it.",
         panel=ROCK,
         metavar="LAT,LON",
     ),

@@ -25,7 +25,7 @@ OPTIONS = {
     "positions": option("Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2.", **FILE),
     "plan": option("Plan that was driven (TOML): refused if another was predicted.", **FILE),
     "belief": option("Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.", **FILE),
-    "rover": option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2"),
+    "rover": option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="that of the prediction"),
     "seed": option("Seed of everything random.", min=0),
 }
 Predicted = Annotated[

@@ -86,6 +86,8 @@ def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
+    from lunarsci.regolith.written_names import ground_name
+
     headers = [
         "drive",
         "states",
@@ -114,6 +116,8 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
     notes += [f"drive {d['drive']} was learned with a warning: {d['caution']}" for d in drives if d["caution"]]
     rovers = list(dict.fromkeys(drive["rover"] for drive in drives if drive["rover"]))
     notes += [f"driven by {'; '.join(rovers)}"] if rovers else []
+    grounds = list(dict.fromkeys(ground_name(drive["ground"]) for drive in drives if drive["ground"]))
+    notes += [f"driven on {'; '.join(grounds)}"] if grounds else []
     notes.append("surprise: how far the soil found lies from what was believed before; about 1 or less as expected")
     return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
 

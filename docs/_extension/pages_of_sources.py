@@ -165,8 +165,8 @@ def works_text() -> str:
     """The works of `references.toml`, with what of them was recalled and the tables that rest on them."""
     lines = [
         "Authors, titles and places are as an index record, a reference list or a public bibliography has them, which "
-        "does not say that the work itself was read. What was written down from memory is called recalled; no DOI is. Of "
-        "six works no title was found, one here and five that the soils below cite by author, year and place.",
+        "does not say that the work itself was read. What was written down from memory is called recalled; no DOI is. "
+        "Of six works no title was found, one here and five that the soils below cite by author, year and place.",
         "",
         "| key | work | tables |",
         "| --- | --- | --- |",
@@ -175,7 +175,11 @@ def works_text() -> str:
         who = work.get("author", work.get("editor", "")).strip("{}").split(" and ")
         names = " and ".join(who) if len(who) < 4 else f"{who[0]} and others"
         place = " ".join(work[one] for one in ("journal", "booktitle", "institution", "publisher") if one in work)
-        parts = [work.get("title", "title not found"), f"{place} {work.get('volume', work.get('number', ''))}".strip(), work.get("pages")]
+        parts = [
+            work.get("title", "title not found"),
+            f"{place} {work.get('volume', work.get('number', ''))}".strip(),
+            work.get("pages"),
+        ]
         said = ", ".join(
             str(part).replace("--", "-") for part in [*parts, work.get("doi"), work.get("howpublished")] if part
         )

@@ -3,12 +3,15 @@
 import re
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, read_json, text
 from lunarsci.names import some_of
+
+if TYPE_CHECKING:
+    from lunarsci.rovers import RoverDescription
 
 LARGEST_WHEEL = "lrv"
 """Whose radius no sinkage passes, where the rover is not known."""
@@ -101,25 +104,29 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
         return told | {"parts": WHEEL_ALONE}
     rover = build_rover(description)
     told |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
-    return told | _as_yutu2(description.tables)
+    return told | _as_in_template(description)
 
 
-def _as_yutu2(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Numbers of a rover that are Yutu-2's to the last digit, by their table; none where all are."""
-    from lunarsci.rovers import read_rover
+def _as_in_template(rover: "RoverDescription") -> dict[str, str]:
+    """Numbers that a template had and that nobody replaced, by their table; none where all are."""
+    from lunarsci.rovers import known_rovers, read_rover
 
-    same, known = dict[str, str](), read_rover("yutu2").tables
-    numbers = {
-        name: {key: value == known.get(name, {}).get(key) for key, value in table.items() if _is_numeric(value)}
-        for name, table in tables.items()
+    numbers = {f"{name}.{key}": value for name, table in rover.tables.items() for key, value in table.items()}
+    numbers = {key: value for key, value in numbers.items() if _is_numeric(value)}
+    asked = dict[str, list[str]]()
+    for key, of in rover.left.items():
+        table, _, name = key.partition(".")
+        known = read_rover(of).tables.get(table, {}) if of in known_rovers() else {}
+        if key in numbers and numbers[key] == known.get(name):
+            asked.setdefault(f"[{table}] as of {of}", []).append(name)
+    if sum(map(len, asked.values())) == len(numbers):
+        return {}
+    whole = {title: len(keys) == sum(key.startswith(f"{title[1:].partition(']')[0]}.") for key in numbers)
+             for title, keys in asked.items()}  # fmt: skip
+    return {
+        title: f"{'all' if whole[title] and len(keys) > 1 else ', '.join(keys)}: this rover's?"
+        for title, keys in asked.items()
     }
-    if all(all(equal.values()) for equal in numbers.values()):
-        return same
-    for name, equal in numbers.items():
-        if keys := [key for key, is_equal in equal.items() if is_equal]:
-            listed = "all" if len(keys) == len(equal) > 1 else ", ".join(keys)
-            same[f"[{name}] as of yutu2"] = f"{listed}: this rover's?"
-    return same
 
 
 def _is_numeric(value: Any) -> bool:

@@ -110,7 +110,7 @@ def _soil() -> str:
 
 def _rover(known: str = "yutu2") -> str:
     from lunarsci.regolith.wheel import Wheel
-    from lunarsci.rovers import read_rover
+    from lunarsci.rovers import PLACE_HOLDER, read_rover
     from lunarsci.twin.electrics import Motors, PowerSupply
     from lunarsci.twin.ground.hazards import Mobility
     from lunarsci.twin.rover import Body, Rover
@@ -127,15 +127,15 @@ def _rover(known: str = "yutu2") -> str:
     description = read_rover(known)
     lines = [
         f"# A rover; the numbers are those of {known}, most of them assumed. Each is a value, or a table of value,",
-        "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` says which",
-        "# numbers are still Yutu-2's.",
+        "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` asks for those",
+        f"# whose source still ends in '{PLACE_HOLDER}'.",
         "",
         'name = "my rover"',
     ]
     for table, keys in description.tables.items():
         guessed = [key for key in keys if f"{table}.{key}" in description.assumed]
         entries = {
-            key: {"value": value, "source": f"{known}; replace it"} | ({"assumed": True} if key in guessed else {})
+            key: {"value": value, "source": f"{known}; {PLACE_HOLDER}"} | ({"assumed": True} if key in guessed else {})
             for key, value in keys.items()
         }
         lines += ["", f"[{table}]", *_block(entries, told.get(table, of_rover))]

@@ -51,6 +51,26 @@ def contradictions(documents: Sequence[Document]) -> dict[str, str]:
     return {name: some_of(list(told), MOST, " ") for name, told in found.items()}
 
 
+def namesakes(documents: Sequence[Document]) -> dict[str, str]:
+    """Where a spectrum of another result has the same name and is of another file, by the names of their documents."""
+    seen: dict[str, dict[Any, list[Document]]] = {}
+    for document in documents:
+        hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
+        with as_written(document):
+            for record in document.result.get("spectra") or ():
+                if isinstance(record, Mapping) and (known := hashes.get(record.get("source"))):
+                    seen.setdefault(str(record["id"]), {}).setdefault(known, []).append(document)
+    found: dict[str, list[str]] = {}
+    for name, by_data in seen.items():
+        for known, own in by_data.items() if len(by_data) > 1 else ():
+            others = dict.fromkeys(one.name for key, rest in by_data.items() if key != known for one in rest)
+            for document in dict.fromkeys(own):
+                if away := [other for other in others if other != document.name]:
+                    found.setdefault(document.name, []).append(f"{name} (of {', '.join(away)})")
+    same = "has the name of a spectrum of other data here"
+    return {document: f"This result {same}: {some_of(names, MOST)}." for document, names in found.items()}
+
+
 def _unknown(document: Document) -> ResultAnswer:
     return ResultAnswer(f"A result of {document.provenance.get('command', 'lunarsci')}; its numbers are below.")
 

@@ -148,9 +148,7 @@ def _first_pages(figures: "Iterator[Figure]", name: str) -> tuple[dict[str, byte
     return dict(zip(names, found, strict=False)), more
 
 
-def _map_picture(
-    result: Mapping[str, Any], record: Mapping[str, Any], folder: Path
-) -> tuple[dict[str, bytes], bool]:
+def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: Path) -> tuple[dict[str, bytes], bool]:
     """What --plot draws of a map, from its file, and whether there are more pages.
 
     None where the file is gone, or is not the one that was written.

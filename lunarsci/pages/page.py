@@ -11,7 +11,7 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.pages import parts
-from lunarsci.pages.answers import answer, as_written, contradictions
+from lunarsci.pages.answers import answer, as_written, contradictions, namesakes
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
@@ -136,9 +136,9 @@ class Page:
     answers: Sequence[ResultAnswer] = field(init=False)
 
     def __post_init__(self) -> None:
-        against = contradictions(self.documents)
-        said = [(answer(one), against.get(one.name, "")) for one in self.documents]
-        answers = [replace(one, trust=f"{one.trust} {but}") if but else one for one, but in said]
+        against, others = contradictions(self.documents), namesakes(self.documents)
+        said = [(answer(one), against.get(one.name), others.get(one.name)) for one in self.documents]
+        answers = [replace(one, trust=" ".join(filter(None, (one.trust, *more)))) for one, *more in said]
         object.__setattr__(self, "answers", answers)
 
     def section_title(self, document: Document) -> str:
@@ -181,7 +181,8 @@ class Page:
             drawn += [_shown(name, content, first=self._is_first(name)) for name, content in plotted]
             main, alone = parts.apart(document)
             return Section(
-                printable(self.section_title(document)), said, drawn, document.cut * len(plotted), parts.tables(main), parts.budget(main),
+                printable(self.section_title(document)), said, drawn, document.cut * len(plotted),
+                parts.tables(main), parts.budget(main),
                 parts.assumed(main), parts.unknown(main), parts.provenance(document), _made_up(document.result), alone,
             )  # fmt: skip
 

@@ -27,7 +27,7 @@ class RoverDescription:
     """One rover file, parsed and not yet interpreted.
 
     `tables` maps table name to key to plain value; `assumed` lists the dotted keys that are guesses; `text` is the
-    file as read, kept for provenance.
+    file as read, kept for provenance; `left` are dotted keys of numbers that are a template's, and whose they are.
     """
 
     name: str
@@ -35,6 +35,7 @@ class RoverDescription:
     assumed: tuple[str, ...]
     origin: str
     text: str
+    left: Mapping[str, str] = field(default_factory=dict)
 
     def table(self, name: str) -> dict[str, Any]:
         """Return one table. Raises DataError when the file lacks it."""
@@ -93,11 +94,22 @@ def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescrip
     assumed = tuple(
         f"{n}.{k}" for n, t in sections.items() for k, v in t.items() if isinstance(v, dict) and v.get("assumed")
     )
-    return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text)
+    left = {f"{n}.{k}": of for n, t in sections.items() for k, v in t.items() if (of := _placed(v))}
+    return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text, left)
 
 
 def _own(name: str) -> str:
     return (files(__package__) / name).read_text("utf-8")
+
+
+PLACE_HOLDER = "replace it"
+"""End of the source of a number in a template: it stays where nobody wrote one of one's own."""
+
+
+def _placed(entry: Any) -> str:
+    """The rover that a number of a template is of; '' of any other number."""
+    of, _, end = str(entry.get("source", "") if isinstance(entry, dict) else "").rpartition("; ")
+    return of if end == PLACE_HOLDER else ""
 
 
 def _value(entry: Any) -> Any:

@@ -344,6 +344,27 @@ def test_reasons_name_options_as_they_are_typed(run: Run, rock: Path, tmp_path: 
     assert said in kept.read_text() and said in json.loads(done.out)["provenance"]["failures"][0]
 
 
+EMPTY_TAKEN = ("bands", "indices", "fit", "unmix", "calibrate", "match")
+"""Commands of spectra that take folders."""
+
+
+@pytest.mark.parametrize("command", EMPTY_TAKEN)
+def test_an_inbox_without_files_has_its_own_exit_code(run: Run, rock: Path, tmp_path: Path, command: str) -> None:
+    inbox, kept = tmp_path / "inbox", tmp_path / "failed"
+    inbox.mkdir()
+    pattern = tmp_path / "inbox" / "*.csv"
+    for given in ((inbox,), (pattern,), (inbox, pattern)):
+        done = run("spectra", command, *given, "--failed", kept, "--force")
+        assert (done.code, done.out) == (4, ""), done
+        assert [line.split("\t")[0] for line in kept.read_text().splitlines()] == list(map(str, given))
+    if command not in ("calibrate", "match"):
+        (inbox / "readme.txt").write_text("what comes here")
+        assert run("spectra", command, inbox).code == 4
+        assert run("spectra", command, inbox, tmp_path / "none.csv").code == 1
+        (inbox / "bad.csv").write_text("no spectrum")
+        assert run("spectra", command, inbox).code == 1
+
+
 def test_a_batch_lists_what_failed_in_a_file(run: Run, rock: Path, bad_spectra: dict[str, Path]) -> None:
     listed = rock.parent / "bands.failed"
     empty, missing = bad_spectra["empty.csv"], bad_spectra["missing.csv"]

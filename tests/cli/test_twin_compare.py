@@ -199,6 +199,12 @@ def test_another_plan_rover_or_clock_is_refused(run: Run, drive: Drive, tmp_path
     assert run(*drive.arguments(), "--plan", other).code == 0
     done = run(*drive.arguments(), "--rover", "small-four")
     assert done.code == 1 and "give --rover as then" in done.err[0]
+    four = tmp_path / "four"
+    assert run("twin", "predict", drive.plan, "--rover", "small-four", "-o", four).code in (0, 3)
+    table = pd.read_csv(four / "states.csv")
+    table[table["member"] == 0].drop(columns="member").to_csv(four / "one.csv", index=False)
+    done = run("twin", "compare", four, four / "one.csv", "--field", "provenance.options.rover")
+    assert done.out == "small-four\n" and done.code in (0, 3), done.err
     table = pd.read_csv(drive.states)
     table["time_s"] += 1e6
     table.to_csv(drive.states, index=False)

@@ -24,6 +24,7 @@ def update(before: SoilBelief, states: str, shift: float, refused: str = "") -> 
     sd = np.sqrt(np.diag(before.covariance))
     after = before if refused else SoilBelief(before.laws, before.mean + shift * sd, 0.5 * before.covariance)
     drive = {"states": states, "sha256": "a" * 64, "plan": "out", "values": 100, "outliers": 2, "chi_square": 90.0}
+    drive |= {"ground": "crater, east; heights 12345678"}
     return with_drive(after, before, {**drive, "surprise": abs(shift), "refused": refused}, parent_sha256="b" * 64)
 
 
@@ -52,6 +53,7 @@ def test_the_drives_and_what_each_moved(run: Run, files: tuple[Path, Path], tmp_
     assert drives[1]["refused"] == "no soil explains it" and drives[0]["refused"] is None
     assert document["result"]["against"] is None and document["result"]["rolled_back"] is None
     text = run("twin", "history", files[0]).out
+    assert "driven on crater east" in text and "12345678" not in text
     assert "rests on 2 drive(s)" in text and "drive 2 taught nothing: no soil explains it" in text
     rows = list(csv.DictReader(io.StringIO(run("twin", "history", files[0], "--csv").out)))
     assert len(rows) == 4 * 8 and rows[8]["drive"] == "1" and rows[0]["states"] == ""

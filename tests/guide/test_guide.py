@@ -95,6 +95,13 @@ def test_a_rover_that_comes_along_is_a_file_to_begin_with(tmp_path: Path) -> Non
     told = info_of(own.replace(body, "body_kg = 20.0").replace(torque, "continuous_torque_nm = 2.0"), path)
     assert told["[power] as of yutu2"].startswith("all:")
     assert "stall_torque_nm, no_load" in told["[motors] as of yutu2"] and "body_kg" not in told["[mass] as of yutu2"]
+    meant = [line for line in own.splitlines() if line.startswith(("wheel_kg", "body_center_m"))]
+    for line in meant:  # the same numbers, but written by the user
+        own = own.replace(line, re.sub(r"\{ value = (.*), source = .*\}", r"\1", line))
+    told = info_of(own.replace(body, "body_kg = { value = 20.0, source = 'weighed' }"), path)
+    assert told["[mass] as of yutu2"] == "body_inertia_kg_m2: this rover's?"
+    changed = own.replace(body, body.replace("105.0", "20.0"))  # another number, the template's source left
+    assert changed != own and info_of(changed, path)["[mass] as of yutu2"] == "body_inertia_kg_m2: this rover's?"
 
 
 def info_of(text: str, path: Path) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import FIRST_PAGE
-from lunarsci.pages.answers import ANSWERS, answer, contradictions
+from lunarsci.pages.answers import ANSWERS, answer, contradictions, namesakes
 from lunarsci.pages.documents import Document, _first_pages, document_of, read_results
 from lunarsci.pages.page import TITLES, Page
 from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
@@ -341,6 +341,26 @@ def test_a_fit_and_shares_that_contradict_each_other_are_told_on_both_sections()
     )
     other = replace(mixed(), provenance={"inputs": [one | {"sha256": "1" * 64}]})
     assert not contradictions([fitted, other])
+
+
+def test_spectra_of_one_name_and_other_data_are_said() -> None:
+    """Beside the answer of both results; not where the data are the same, nor where a file is not known."""
+
+    def held(name: str, digest: str, **more: Any) -> Document:
+        one = KNOWN["bands"]["result"]["spectra"][0] | {"source": "rock.ecsv"}
+        known = of("bands", spectra=[one | {"id": "rock"}])
+        inputs = [{"path": "rock.ecsv", "sha256": digest}]
+        return replace(known, name=name, provenance={"untrusted": "", "inputs": inputs}, **more)
+
+    first, same, other = held("a.json", "1" * 64), held("b.json", "1" * 64), held("c.json", "2" * 64)
+    assert namesakes([first, same]) == {}
+    assert namesakes([first, replace(other, provenance={})]) == {}
+    told = namesakes([first, same, other])
+    assert told["a.json"] == "This result has the name of a spectrum of other data here: rock (of c.json)."
+    assert told["c.json"].endswith("rock (of a.json, b.json).") and len(told) == 3
+    page = Page("page", [first, other])
+    assert all("has the name of a spectrum of other data here" in one.trust for one in page.answers)
+    assert page.html().decode().count("rock (of a.json)") == 1
 
 
 def test_notes_of_bands_of_many_spectra_name_them() -> None:

@@ -14,6 +14,7 @@ from lunarsci.cli import main
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.spectra.jobs.bands import MeasuredBands, bands
 from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations, calibrate, check_fits
+from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.library import check_library, import_library, open_library
 from lunarsci.spectra.jobs.match import MatchRequest, match
 from lunarsci.spectra.jobs.simulate import simulate
@@ -138,6 +139,26 @@ def test_micrometres_are_told_by_their_values_and_said() -> None:
     assert found.to_table()["bc1000_nm"][0].value == pytest.approx(930, abs=0.5)
     with pytest.warns(LunarSciWarning, match="read as µm"):
         bands(pd.DataFrame({"a": REFLECTANCE}, index=WAVELENGTH_NM / 1e3))
+
+
+@pytest.mark.parametrize("at_nm", [930, 1500])
+@pytest.mark.parametrize("factor", [0.5, 2.0, 5.0])
+def test_a_single_channel_far_off_moves_no_answer(factor: float, at_nm: float) -> None:
+    """It is left out, which is said: what is found is what is found without that channel."""
+    place = int(np.argmin(np.abs(WAVELENGTH_NM - at_nm)))
+    spiked, sigma = REFLECTANCE.copy(), np.full(WAVELENGTH_NM.size, 5e-4)
+    spiked[place] *= factor
+    without = [np.delete(one, place) for one in (WAVELENGTH_NM, REFLECTANCE, sigma)]
+    with pytest.warns(LunarSciWarning, match="both neighbours, which are left out: 1, first 'spectrum 1'"):
+        found = bands((WAVELENGTH_NM, spiked, sigma)).to_table()
+    assert found["bc1000_nm"][0].value == pytest.approx(930, abs=0.5)
+    expected = bands(tuple(without)).to_table()
+    assert found["bc1000_nm"][0] == expected["bc1000_nm"][0]
+    assert found["bc1000_sigma_nm"][0] == expected["bc1000_sigma_nm"][0]
+    with pytest.warns(LunarSciWarning, match="left out"):
+        fitted = fit((WAVELENGTH_NM, spiked, sigma), assemblage="opx").to_dict()["spectra"][0]["bands"]
+    truth = fit(tuple(without), assemblage="opx").to_dict()["spectra"][0]["bands"]
+    assert [one["center_nm"] for one in fitted] == pytest.approx([one["center_nm"] for one in truth], rel=1e-9)
 
 
 @pytest.mark.parametrize(

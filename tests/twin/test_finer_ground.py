@@ -11,6 +11,7 @@ import pytest
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.written_names import ground_name
 from lunarsci.twin.ground.finer_ground import driven_ground
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.terrain import build_terrain
@@ -182,6 +183,10 @@ def test_a_mission_goes_by_the_finer_ground(files: tuple[str, str], tmp_path: Pa
     assert found.driven.reached == 1 and len(legs) == 2
     ways = [SimpleNamespace(plan=leg.plan, footprint=footprint) for leg in legs]
     assert min(map(room, ways)) > RADIUS_M
+    grounds = [leg.plan.made_for.ground for leg in legs if leg.plan.made_for]
+    names = found.site.terrain.name, Path(files[1]).stem
+    assert [ground_name(one) for one in grounds] == [" with ".join(names)] * 2
+    assert all(one != found.site.terrain.written for one in grounds)
 
 
 def test_local_ground_of_another_projection_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from lunarsci.errors import BatchError, DataError, Failure, ParameterError
+from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, ParameterError
 from lunarsci.inputs import InputFile, expand_inputs, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -158,11 +158,12 @@ def calibrate(
     results = calibrate_files(paths, settings, progress)
     good = [item for item in results if isinstance(item, Calibration)]
     failed = [
-        *(CalibrationFailure(*pair) for pair in failures),
+        *(CalibrationFailure(name, str(why)) for name, why in failures),
         *(item for item in results if isinstance(item, CalibrationFailure)),
     ]
     if not good:
-        raise BatchError.of([Failure.of(item.id, item.status) for item in failed])
+        reasons = dict(failures)
+        raise BatchError.of([Failure.of(item.id, reasons.get(item.id, item.status)) for item in failed])
     return Calibrations(good, failed, settings)
 
 
@@ -176,17 +177,17 @@ def check_fits(path: Path | None, products: Products) -> None:
         raise ParameterError(f"{path}: a FITS table holds {MOST_IN_FITS} observations, here are {count}; use .ecsv")
 
 
-def _observations(products: Products) -> tuple[list[str], list[tuple[str, str]]]:
+def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataError]]]:
     """One file of each observation, and the arguments that name none, with the reason."""
     from lunarsci.spectra.vnis.observation import one_per_observation
 
     found: list[str] = []
-    failures: list[tuple[str, str]] = []
+    failures: list[tuple[str, DataError]] = []
     for argument in [products] if isinstance(products, str | Path) else products:
         try:
             found += _products(str(argument))
         except DataError as error:
-            failures.append((str(argument), str(error)))
+            failures.append((str(argument), error))
     return one_per_observation(found), failures
 
 
@@ -201,5 +202,5 @@ def _products(argument: str) -> list[str]:
         return names
     products = [name for name in names if product_name(name)]
     if not products:
-        raise DataError(f"{argument}: no VNIS product in it (CE4_GRAS_VNIS-....2BL and .2B); check the folder")
+        raise NoFilesError(f"{argument}: no VNIS product in it (CE4_GRAS_VNIS-....2BL and .2B); check the folder")
     return products

@@ -109,7 +109,7 @@ class MatchRequest:
 
 @dataclass(frozen=True, slots=True)
 class Matches(Result):
-    """Every rock with every crater, and what was assumed, such as the site; `inputs` and `tables` are hashes by name."""
+    """Every rock with every crater, and what was assumed; `inputs` and `tables` are hashes by name."""
 
     matches: "RockMatches"
     site: "Point"

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, ParameterError
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, NoFilesError, ParameterError
 from lunarsci.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
@@ -18,7 +18,7 @@ from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
-from lunarsci.spectra.readers.likely import unlikely
+from lunarsci.spectra.readers.likely import unlikely, without_lone
 from lunarsci.spectra.readers.table import SURELY, Column, ReflectanceUnit, WavelengthUnit, medians_above_0
 from lunarsci.spectra.readers.table import reflectance_unit as choice_of_unit
 from lunarsci.spectra.readers.text import without_wavelength_files
@@ -101,8 +101,21 @@ def read_batch(
         if batch.failures:
             raise BatchError.of(batch.failures)
         raise DataError("no spectra were given; name files or tables")
-    found = replace(batch, spectra=SpectrumCollection(parts))
+    found = replace(batch, spectra=SpectrumCollection(_without_lone(parts)))
     return _those(found, only) if only else found
+
+
+def _without_lone(parts: Sequence[SpectrumRows]) -> list[SpectrumRows]:
+    """The spectra without single channels far off their neighbours, with a warning."""
+    kept, odd = list[SpectrumRows](), list[str]()
+    for rows in parts:
+        clean, which = without_lone(rows)
+        kept.append(clean)
+        odd += [rows.ids[row] for row in which]
+    if odd:
+        told = "spectra with single channels a factor of 1.65 and more off both neighbours, which are left out"
+        warnings.warn(f"{told}: {len(odd)}, first '{odd[0]}'", LunarSciWarning, stacklevel=3)
+    return kept
 
 
 def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
@@ -247,7 +260,7 @@ def expanded(files: Iterable[str], failures: list[Failure]) -> list[str]:
 
 
 def _without_results(folder: str, names: Sequence[str]) -> list[str]:
-    """The files of a folder but lunarsci's own results, with a warning. Raises DataError for none else."""
+    """The files of a folder but lunarsci's own results, with a warning. Raises NoFilesError for none else."""
     left = [name for name in names if is_result(name)]
     if not left:
         return list(names)
@@ -255,5 +268,5 @@ def _without_results(folder: str, names: Sequence[str]) -> list[str]:
     count = f"{len(left)} result{'s' if len(left) > 1 else ''}"
     warnings.warn(f"{folder}: left out, {count} of lunarsci: {told}", LunarSciWarning, 3)
     if len(left) == len(names):
-        raise DataError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
+        raise NoFilesError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
     return [name for name in names if name not in left]

@@ -1,5 +1,7 @@
 """Spectra whose numbers are likely not what they should be: told, a line for each kind; constant ones are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
@@ -28,7 +30,6 @@ SAID = {
     "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; if "
     "channels share them, as those of samples, name the column NAME_systematic_samples",
     "bright": "spectra with a median reflectance above 1; are they in percent, or no reflectance?",
-    "lone": "spectra with single channels a factor of 1.65 and more off both neighbours; look at them",
     "constant": "spectra with the same value in all channels",
 }
 
@@ -67,15 +68,29 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
         judged["smooth"] = np.array(
             [n and _smooth(v[u], s[u]) for n, v, u, s in zip(enough, values, usable, sigma, strict=True)]
         )
-    return judged | {"lone": np.array([n and _lone(v[u]) for n, v, u in zip(enough, values, usable, strict=True)])}
+    return judged
 
 
-def _lone(values: FloatArray) -> bool:
-    """Whether a channel lies far from both its neighbours, to the same side. (c,)"""
+def without_lone(rows: SpectrumRows) -> tuple[SpectrumRows, list[int]]:
+    """The spectra with single channels masked that lie far from both their neighbours, and which spectra had some.
+
+    One such channel moves a band centre by ten times its error, if it lies in the band.
+    """
+    mask, odd = rows.mask, list[int]()
+    for row, usable in enumerate(~rows.mask):
+        if usable.sum() >= FEWEST and (found := _lone(rows.reflectance[row][usable])).any():
+            mask = mask.copy() if not odd else mask
+            mask[row, np.flatnonzero(usable)[found]] = True
+            odd.append(row)
+    return (replace(rows, mask=mask) if odd else rows), odd
+
+
+def _lone(values: FloatArray) -> BoolArray:
+    """Which channels lie far from both their neighbours, to the same side. (c,)"""
     step = np.diff(np.log(values))
     least = np.minimum(np.abs(step[:-1]), np.abs(step[1:]))
     far = least > max(LONE_STEP, IN_STEPS * float(np.median(np.abs(step))))
-    return bool((far & (step[:-1] * step[1:] < 0)).any())
+    return np.concatenate([[False], far & (step[:-1] * step[1:] < 0), [False]])
 
 
 def _smooth(values: FloatArray, sigma: FloatArray) -> bool:

@@ -189,9 +189,7 @@ def _wavelength_choice(
         raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; give `wavelength_unit` nm or um")
     for unit, (least, most) in SURELY.items():
         if least <= low and high <= most:
-            _warn(
-                f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}"
-            )
+            _warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
             return unit, "values"
     raise DataError(f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um")
 

@@ -44,7 +44,7 @@ class CompareRequest:
     positions : measured, as a table of time_s, x_m, y_m and their errors.
     plan : that was driven; refused if another was predicted.
     belief : whose discrepancy of the twin's physics learns from the miss.
-    rover : as it was predicted for; a name or a TOML file; Yutu-2 if None.
+    rover : as it was predicted for; a name or a TOML file; None for the one that the prediction names.
     seed : of the errors of measurement that are given to the members.
     """
 
@@ -63,6 +63,7 @@ class ComparedDrive(Result):
     ----------
     matched, found : predicted values at the times of the measured ones, and what follows from them.
     states : name of the file of states.
+    rover : how to ask for the rover that was predicted.
     pace : how fast the wheels turned beside the plan; None where the states do not say.
     before, belief : before and after it learned from the miss; None where none was given.
     inputs, tables, seed : for `made_from`.
@@ -72,6 +73,7 @@ class ComparedDrive(Result):
     matched: "MatchedObservations"
     found: "DriveComparison"
     states: str
+    rover: str
     pace: "WheelPace | None"
     before: "SoilBelief | None"
     belief: "SoilBelief | None"
@@ -81,8 +83,8 @@ class ComparedDrive(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        rover = {"rover": next(iter(self.tables)).removesuffix(" (rover)")}
-        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed, options=rover)
+        options = {"rover": self.rover}
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed, options=options)
 
     @property
     def untrusted(self) -> str:
@@ -155,8 +157,8 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
-    from lunarsci.regolith.written_names import GROUND, ground_name, written_in
-    from lunarsci.rovers import DEFAULT_ROVER, read_rover
+    from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
+    from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
     from lunarsci.twin.assimilation.drive_record import pace_of, read_drive_states
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
@@ -164,8 +166,9 @@ def compare(
     from lunarsci.twin.rover import build_rover
 
     asked = request_of(CompareRequest, request, options)
-    rover = asked.rover or DEFAULT_ROVER
     forecast, inputs = read_forecast(predicted)
+    named = short_name(forecast.rover)
+    rover = asked.rover or (named if named in known_rovers() else DEFAULT_ROVER)
     description = read_rover(rover)
     digest = sha256(description.text.encode())
     if digest != forecast.rover_sha256:
@@ -201,6 +204,7 @@ def compare(
         matched=matched,
         found=found,
         states=source.name,
+        rover=rover,
         pace=pace_of(record, built, forecast.plan),
         before=before,
         belief=after,

@@ -16,6 +16,7 @@ from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.keep_out import ExclusionZone, near_way
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditions
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import GivenSoil
@@ -264,12 +265,18 @@ class _Ways:
             except (ParameterError, IndexError):
                 raise error from None
         near = near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else ()
-        return replace(plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
+        made_for = made_for_on(site, _driven(plan, local))
+        return replace(plan, made_for=made_for, exclusion_zones=near, crs=site.terrain.crs)
+
+
+def _driven(plan: Plan, local: LocalGround) -> Terrain | None:
+    """The finest ground about a leg; None where there are no local terrains."""
+    return local.driven(poses_along(plan, LOOKED_AT_M)[:, :2])
 
 
 def _conditions_of(plan: Plan, local: LocalGround, soils: Soils, conditions: Conditions) -> Conditions:
     """The same soils on the finest ground about a leg, where there are local terrains."""
-    ground = local.driven(poses_along(plan, LOOKED_AT_M)[:, :2])
+    ground = _driven(plan, local)
     if ground is None:
         return conditions
     if conditions.grounds is None:

@@ -81,7 +81,9 @@ def _check_strange(file: str, names: list[str], rover: Rover) -> None:
     strange = [wheel for wheel in _wheels_in(names) if wheel not in rover.wheels]
     if strange:
         own = ", ".join(rover.wheels)
-        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right one as `rover`")
+        raise DataError(
+            f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right one as `rover`"
+        )
 
 
 def _wheels_in(names: list[str]) -> list[str]:
