@@ -1,4 +1,4 @@
-"""The script of `docs/howto/scripts.md` for cron, over nights: what is mailed is of that night, or says there is none."""
+"""The script of `docs/howto/scripts.md` for cron: a mail is of its own night, or says that there is no result."""
 
 import email
 import email.policy
