@@ -370,8 +370,13 @@ def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any
 def _spacing(x: FloatArray, y: FloatArray) -> float:
     if x.ndim != 1 or y.ndim != 1 or min(x.size, y.size) < 3:
         raise ValueError("x_m and y_m must be lists of at least 3 numbers")
-    spacing = float(x[-1] - x[0]) / (x.size - 1)
+    steps = []
     for name, axis in (("x_m", x), ("y_m", y)):
-        if not (spacing > 0 and np.allclose(np.diff(axis), spacing, rtol=0, atol=1e-4 * spacing)):
-            raise ValueError(f"{name} must ascend in even steps, the same in x and y ({spacing:g} m from x_m)")
-    return spacing
+        step = float(axis[-1] - axis[0]) / (axis.size - 1)
+        if not (step > 0 and np.allclose(np.diff(axis), step, rtol=0, atol=1e-4 * step)):
+            raise ValueError(f"{name} must ascend in even steps; sort it, or interpolate the heights to even ones")
+        steps.append(step)
+    if abs(steps[1] - steps[0]) > 1e-4 * steps[0]:
+        told = f"cells must be square: steps are {steps[0]:g} m in x_m and {steps[1]:g} m in y_m"
+        raise ValueError(f"{told}; interpolate the heights to nodes {max(steps):g} m apart in both")
+    return steps[0]

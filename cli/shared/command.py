@@ -68,6 +68,7 @@ def command(
             output.check()
             try:
                 with (
+                    _told_of_earlier_runs(output),
                     heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
                     _computing(output, where),
                 ):
@@ -101,6 +102,29 @@ def command(
 def paragraphs(function: Callable[..., Any]) -> str:
     """The docstring of a function, each of its paragraphs in one line, for a terminal to break."""
     return "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(function) or "").split("\n\n"))
+
+
+@contextmanager
+def _told_of_earlier_runs(output: Output) -> Iterator[None]:
+    """Where a command fails, say which of its files are of an earlier run: they could be taken for its own."""
+    before = {path: _state(path) for path in (output.path, output.plot, output.failed) if path}
+    try:
+        yield
+    except (Exception, KeyboardInterrupt) as error:
+        new = [output.failed] if isinstance(error, BatchError) else []
+        left = [str(path) for path, state in before.items() if state and state == _state(path) and path not in new]
+        for path in left:
+            say(f"{path} is of an earlier run and was left as it is")
+        raise
+
+
+def _state(path: Path) -> tuple[int, int] | None:
+    """What changes of a file or folder when it is written anew; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 @contextmanager

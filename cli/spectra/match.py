@@ -125,7 +125,7 @@ def result_tables(result: "Matches") -> list[TextTable]:
         )
         return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
     shown = matches[:SHOWN]
-    rows = [[m.rock.id, m.best, f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
+    rows = [[m.rock.id, m.remaining[0], f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
     headers = ["rock", "likeliest", "posterior", OTHER, "status"]
     return [
         TextTable(headers, rows, total=len(matches), notes=["all craters: --csv or --json; assumed or known:", *notes])

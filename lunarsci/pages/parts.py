@@ -18,8 +18,11 @@ from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 FIRST = (
     *("station", "wheel", "limit", "sense", "p50", "p95", "kept_by_95", "margin", "ok"),
     *("prior", "posterior", "log_bayes_factor"),
+    *("band1000_status", "bc1000_nm", "bd1000", "band2000_status", "bc2000_nm", "bd2000"),
 )
 """Columns that stand first in a table."""
+SAYS = ("best", "sure", "open", "status")
+"""Columns of what a result says of each thing in a table, before its numbers."""
 STANDARD_ERROR = PARTS["sigma"]
 OF_ONE = ("caveat", "reason")
 NOTED = {"band1000_note": "1 µm band", "band2000_note": "2 µm band"}
@@ -119,10 +122,11 @@ def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
     names = [key for key in ("id", "name", "quantity") if key in items[0]]
     flat = [
         {words(key): words(item[key]) if key == "quantity" else number(item[key]) for key in names}
+        | _verdict(item)
         | {_column(one): one.text for one in quantities(item)}
         for item in items[:MOST_ROWS]
     ]
-    first = [words(key) for key in (*names, *FIRST)]
+    first = [*(words(key) for key in names), *SAYS, *(words(key) for key in FIRST)]
     found = dict.fromkeys(key for row in flat for key in row)
     headers = [*(key for key in first if key in found), *(key for key in found if key not in first)]
     shown = headers[:MOST_COLUMNS]
@@ -130,6 +134,15 @@ def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
     left = [f"{len(items) - MOST_ROWS} more rows"] if len(items) > MOST_ROWS else []
     left += [f"{len(headers) - len(shown)} more columns"] if len(headers) > len(shown) else []
     return PageTable(title, shown, rows, f"{' and '.join(left)}: in the file" if left else "")
+
+
+def _verdict(item: Mapping[str, Any]) -> dict[str, str]:
+    """What a result says of one thing, by columns of `SAYS`."""
+    choice = item.get("choice") or {}
+    found = {key: ", ".join(choice[key]) or "–" for key in ("sure", "open") if key in choice}
+    if "best" in item:
+        found["best"] = str(item["best"] or "not decided")
+    return found | ({"status": str(item["status"])} if isinstance(item.get("status"), str) else {})
 
 
 def _column(one: Quantity) -> str:

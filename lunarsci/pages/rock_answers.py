@@ -12,8 +12,6 @@ from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verd
 
 ERRORS = ("sigma", "systematic", "gaussian", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
-UNDECIDED = ("composition decides nothing", "composition hardly decides")
-"""What `match` says where its posterior is the prior, or nearly."""
 ALL = 0.995
 """Share of a map from which it counts as all of it: 100 % when rounded; assumed."""
 HALF = 0.5
@@ -156,9 +154,9 @@ def against(fitted: Result, mixed: Result) -> str:
 
 def match(result: Result) -> ResultAnswer:
     rocks = result["rocks"]
-    open_ones = [rock for rock in rocks if any(text in str(rock.get("status")) for text in UNDECIDED)]
+    open_ones = [rock for rock in rocks if rock.get("best") is None]
     of = "" if len(open_ones) == len(rocks) else f" of {len(open_ones)} of {counted(len(rocks), 'rock')}"
-    worth = f"Composition decides nothing{of}: the numbers are the prior's." if open_ones else ""
+    worth = f"Which source it is, is not decided{of}." if open_ones else ""
     where = " The site is taken to be Chang'E-4's; none was given." if result["site"].get("assumed") else ""
     return ResultAnswer(f"{each(rocks, _one_match, 'rock', _match_in_short)}{where}", trust=worth)
 

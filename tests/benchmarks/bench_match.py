@@ -16,7 +16,7 @@ import numpy as np
 
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
 from lunarsci.spectra.origin.composition import ERRORS, MINERALS, Composition, widened
-from lunarsci.spectra.origin.match import MatchSettings, Rock, match_rocks
+from lunarsci.spectra.origin.match import OTHER, MatchSettings, Rock, RockMatches, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors
 from lunarsci.tables import table_rows
 
@@ -154,18 +154,46 @@ def reliability(
     `world` and `systematic` are the truth that rocks are drawn from; left out, what the matching assumes. With
     `stated` errors are real, see `simulate_real`.
     """
+    matches, sources = matched(craters, settings, count, seed, world, systematic, stated)
+    posteriors = np.array([[*(item.posterior for item in m.craters), m.other_posterior] for m in matches])
+    hits = np.arange(posteriors.shape[1]) == sources[:, None]
+    possible = prior_vector(craters, settings.prior) > 0
+    pairs = posteriors[:, possible].ravel(), hits[:, possible].ravel()
+    return by_count(*pairs), by_width(*pairs), float(np.mean(posteriors.argmax(axis=1) == sources))
+
+
+def matched(
+    craters: Sequence[Crater],
+    settings: MatchSettings,
+    count: int,
+    seed: int,
+    world: PriorSettings | None = None,
+    systematic: float | None = None,
+    stated: str | None = None,
+) -> tuple[RockMatches, np.ndarray]:
+    """Matches of simulated rocks, and the place of each one's source, as of `reliability`."""
     truth = prior_vector(craters, world or settings.prior)
     used = settings.systematic if systematic is None else systematic
     if stated:
         rocks, sources = simulate_real(craters, truth / truth.sum(), count, seed, used, stated)
     else:
         rocks, sources = simulate(craters, truth / truth.sum(), count, used, seed)
-    matches = match_rocks(rocks, craters, CHANG_E_4, settings)
-    posteriors = np.array([[*(item.posterior for item in m.craters), m.other_posterior] for m in matches])
-    hits = np.arange(posteriors.shape[1]) == sources[:, None]
-    possible = prior_vector(craters, settings.prior) > 0
-    pairs = posteriors[:, possible].ravel(), hits[:, possible].ravel()
-    return by_count(*pairs), by_width(*pairs), float(np.mean(posteriors.argmax(axis=1) == sources))
+    return match_rocks(rocks, craters, CHANG_E_4, settings), sources
+
+
+class Decided(NamedTuple):
+    """Rocks whose source is called decided, how many of these calls are right, and of how many rocks."""
+
+    called: int
+    right: int
+    rocks: int
+
+
+def decided(matches: RockMatches, sources: np.ndarray) -> Decided:
+    """How often a source is called decided, and rightly."""
+    names = [*(crater.name for crater in matches.craters), OTHER]
+    calls = [(one.best, names[source]) for one, source in zip(matches, sources, strict=True) if one.best is not None]
+    return Decided(len(calls), sum(best == true for best, true in calls), len(matches))
 
 
 def by_count(forecasts: np.ndarray, hits: np.ndarray) -> Reliability:
@@ -220,6 +248,11 @@ def main() -> None:
             f"  {stated:8} likeliest right {tables[2]:.2f}   worst bin off by {tables[0].worst:.3f} (equal count), "
             f"{tables[1].worst:.3f} (equal width); " + ", ".join(f"{p:.2f} came true {o:.2f}" for p, o in pairs)
         )
+    print("\nrocks whose source is called decided, catalogue with invented modes")
+    for name, (change, systematic) in {"as assumed": ({}, None), **WRONG_WORLDS}.items():
+        world = replace(settings.prior, **change)
+        found = decided(*matched(complete_catalogue(), settings, options.rocks, options.seed, world, systematic))
+        print(f"  {name:40s} {found.called} of {found.rocks}, right {found.right}")
     for catalogue, craters in (("embedded", embedded_catalogue()), ("with invented modes", complete_catalogue())):
         print(f"\nrocks from another world than assumed, catalogue {catalogue}")
         for name, (change, systematic) in WRONG_WORLDS.items():

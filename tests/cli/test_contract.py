@@ -651,3 +651,25 @@ def test_a_value_of_a_kept_batch_is_trusted_as_its_own_spectrum_is(tmp_path: Pat
     assert [one.code for one in asked] == [0, 3, 3, 3, 3]
     assert asked[0].err == [] and "s4 is not to be trusted: the assemblage is not decided" in asked[4].err[0]
     assert run("info", kept, "--field", "result.spectra").code == 3
+
+
+@pytest.mark.parametrize("quiet", [(), ("-q",)])
+def test_a_batch_without_a_result_says_that_the_file_of_an_earlier_run_was_left(
+    run: Run, rock: Path, tmp_path: Path, quiet: tuple[str, ...]
+) -> None:
+    out, plot, failed, bad = (tmp_path / name for name in ("bands.json", "bands.png", "bands.failed", "bad.csv"))
+    bad.write_text("no spectrum")
+    command = ("spectra", "bands", bad, "--force", *quiet, "-o", out, "--failed", failed)
+    first = run(*command)
+    assert first.code == 1 and "earlier run" not in " ".join(first.err)
+    assert run("spectra", "bands", rock, "-q", "-o", out, "--plot", plot).code == 0
+    before = out.read_bytes()
+    again = run(*command, "--plot", plot)
+    assert again.code == 1
+    assert f"{out} is of an earlier run and was left as it is" in again.err
+    assert f"{plot} is of an earlier run and was left as it is" in again.err
+    assert len(again.err) == 3 and again.err[-1].startswith("error: ")
+    assert out.read_bytes() == before
+    part = run(*command, rock)
+    assert part.code == 1 and "earlier run" not in " ".join(part.err)
+    assert out.read_bytes() != before

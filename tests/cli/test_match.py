@@ -21,8 +21,8 @@ HEADER = "name,latitude_deg,longitude_deg,diameter_km\n"
 
 def result(run: Run, *arguments: object) -> dict[str, Any]:
     done = run("spectra", "match", *arguments, "--json")
-    assert done.code == 0, done.err
     found: dict[str, Any] = json.loads(done.out)["result"]
+    assert done.code == (0 if all(rock["best"] for rock in found["rocks"]) else 3), done.err
     return found
 
 
@@ -51,8 +51,29 @@ def test_the_keys_that_scripts_rely_on(run: Run) -> None:
     tables = document["provenance"]["tables"]
     assert [table["name"] for table in tables] == ["source_craters.csv"]
     assert any("Basilevsky" in source for source in document["provenance"]["sources"])
-    best = run("spectra", "match", *MODES, "--field", "rocks.0.best").out.strip()
-    assert best == max(rock["craters"], key=lambda crater: crater["posterior"])["name"]
+    best = run("spectra", "match", *MODES, "--field", "rocks.0.best")
+    assert (best.code, best.out) == (3, "null\n")
+    assert "the crater is not decided for rock" in best.err[0]
+    assert rock["remaining"][0] == max(rock["craters"], key=lambda crater: crater["posterior"])["name"]
+    assert document["provenance"]["untrusted"] == "not to be trusted: the crater is not decided for fin"
+
+
+def test_a_decided_crater_leaves_with_0_and_an_undecided_rock_beside_it_with_3(
+    run: Run, fitted: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Composition of one crater is that of the rock, of the other far from it; of the fitted rock it knows nothing."""
+    file = tmp_path / "craters.csv"
+    columns = ",olivine,olivine_sigma,orthopyroxene,orthopyroxene_sigma,clinopyroxene,clinopyroxene_sigma\n"
+    own = "Big,-44,178,40,0.1,0.02,0.2,0.02,0.7,0.02\nSmall,-45.2,177.3,15,0.6,0.02,0.2,0.02,0.2,0.02\n"
+    file.write_text(HEADER.strip() + columns + own)
+    where = ("--craters", file, "--site=-45.44,177.56")
+    rock = ("--modes", "ol=0.6:0.02,opx=0.2:0.02,cpx=0.2:0.02", "--systematic", "0.02")
+    done = run("spectra", "match", *rock, *where, "--field", "rocks.0.best")
+    assert (done.code, done.out) == (0, "Small\n"), done
+    unknown = run("spectra", "match", fitted[0], *where)
+    assert unknown.code == 3
+    assert "not decided: " in unknown.out and "composition decides nothing" in unknown.out
+    assert "the crater is not decided for synthetic_rock" in unknown.err[-1]
 
 
 def test_the_table_says_what_is_assumed_and_the_csv_has_one_row_each(run: Run) -> None:
@@ -116,7 +137,7 @@ def test_results_of_fit_and_bands_are_one_rock(run: Run, fitted: tuple[Path, Pat
 def test_a_pipe_from_the_fit(fitted: tuple[Path, Path]) -> None:
     command = [sys.executable, "-m", "lunarsci.cli", "spectra", "match", "-", "--field", "rocks.0.id"]
     done = subprocess.run(command, input=fitted[0].read_bytes(), capture_output=True)
-    assert (done.returncode, done.stdout) == (0, b"synthetic_rock\n"), done.stderr
+    assert (done.returncode, done.stdout) == (3, b"synthetic_rock\n"), done.stderr
 
 
 def test_several_rocks_and_a_bad_input_among_them(run: Run, fitted: tuple[Path, Path], tmp_path: Path) -> None:
@@ -129,9 +150,9 @@ def test_several_rocks_and_a_bad_input_among_them(run: Run, fitted: tuple[Path, 
     done = run("spectra", "match", both, bad)
     assert done.code == 1
     assert "second" in done.out
-    assert "bad.json: is no JSON" in done.err[-2] and done.err[-1].startswith(
-        "2 rocks with a result, 1 input without: "
-    )
+    assert "bad.json: is no JSON" in done.err[-3]
+    assert done.err[-2].startswith("2 rocks with a result, 1 input without: ")
+    assert done.err[-1] == "not to be trusted: the crater is not decided for synthetic_rock, second"
     alone = run("spectra", "match", bad)
     assert (alone.code, alone.out) == (1, "")
 
@@ -177,7 +198,7 @@ def test_maps_give_the_modes_and_a_hole_is_said(run: Run, tmp_path: Path) -> Non
 def test_the_map_is_drawn(run: Run, tmp_path: Path) -> None:
     """That equal runs give equal bytes is in `test_contract.py`."""
     picture = tmp_path / "map.svg"
-    assert run("spectra", "match", *MODES, "--plot", picture, "-q").code == 0
+    assert run("spectra", "match", *MODES, "--plot", picture, "-q").code == 3
     assert "Finsen" in picture.read_text()
 
 
@@ -185,7 +206,7 @@ def test_the_map_of_a_polar_site_with_its_antipode(run: Run, tmp_path: Path) -> 
     file = tmp_path / "craters.csv"
     file.write_text(HEADER + "Antipode,90,0,300\nOver the pole,-88,10,40\nHost,-89,0,500\n")
     done = run("spectra", "match", *MODES, "--site", "-90,0", "--craters", file, "--plot", tmp_path / "a.png", "--json")
-    assert done.code == 0, done.err
+    assert done.code == 3, done.err
     found = {item["name"]: item for item in json.loads(done.out)["result"]["rocks"][0]["craters"]}
     assert found["Antipode"]["azimuth_deg"] is None
     assert found["Antipode"]["distance_km"] == pytest.approx(5458.2, abs=0.1)

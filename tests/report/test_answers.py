@@ -280,14 +280,16 @@ def test_folders_pictures_and_nothing(tmp_path: Path) -> None:
 
 def test_a_match_that_decides_nothing_is_not_approved() -> None:
     rock = KNOWN["match modes"]["result"]["rocks"][0]
-    undecided = rock | {"status": "composition decides nothing: no composition of the rock is known; the posterior is"}
-    clear = rock | {"status": "likeliest Finsen (0.90); composition speaks strongly (ln Bayes factors differ by 9.0)"}
-    assert (
-        answer(of("match modes", rocks=[undecided])).trust
-        == "Composition decides nothing: the numbers are the prior's."
-    )
-    assert "of 1 of 2 rocks: the numbers" in answer(of("match modes", rocks=[undecided, clear])).trust
-    assert answer(of("match modes", rocks=[clear])).trust.startswith("The command found nothing against")
+    undecided = rock | {"best": None, "status": "not decided: Finsen (0.59), Zhinyu (0.11) remain; composition says"}
+    clear = rock | {"best": "Finsen", "status": "likeliest Finsen (0.97); composition speaks strongly"}
+    nothing = {"untrusted": "", "warnings": []}
+
+    def trust(*rocks: object) -> str:
+        return answer(replace(of("match modes", rocks=list(rocks)), provenance=nothing)).trust
+
+    assert trust(undecided) == "Which source it is, is not decided."
+    assert trust(undecided, clear) == "Which source it is, is not decided of 1 of 2 rocks."
+    assert trust(clear).startswith("The command found nothing against")
 
 
 def test_what_is_said_against_shares_hangs_on_them_and_errors_are_named() -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lunarsci.records import Records
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
-    from lunarsci.spectra.origin.match import MatchSettings, RockMatch
+    from lunarsci.spectra.origin.match import MatchSettings, RockMatch, RockMatches
     from lunarsci.spectra.origin.mineral_map import MapReport
     from lunarsci.spectra.origin.prior import Range
 
@@ -27,6 +27,8 @@ EMBEDDED_KM = 1000.0
 """The embedded craters lie within 739 km of Chang'E-4 (Antoniadi); for sites farther off than this, assumed, they are
 not asked."""
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
+NAMED = 4
+"""Rocks without a decided crater that are named."""
 BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
 
@@ -109,7 +111,7 @@ class MatchRequest:
 class Matches(Result):
     """Every rock with every crater, and what was assumed; `inputs` and `tables` are hashes by name."""
 
-    matches: "Sequence[RockMatch]"
+    matches: "RockMatches"
     site: "Point"
     site_assumed: bool
     settings: "MatchSettings"
@@ -134,6 +136,14 @@ class Matches(Result):
     @property
     def failures(self) -> Sequence[Failure]:
         return self.unread
+
+    @property
+    def untrusted(self) -> str:
+        from lunarsci.names import some_of
+
+        pairs = zip(self.matches.rocks, self.matches.decided.tolist(), strict=True)
+        left = [rock.id for rock, decided in pairs if not decided]
+        return f"not to be trusted: the crater is not decided for {some_of(left, NAMED)}" if left else ""
 
     def content(self) -> dict[str, Any]:
         from lunarsci.record_blocks import in_blocks

@@ -7,9 +7,10 @@ from typing import Any, overload
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.blocks import Progress, arrays_in_blocks
 from lunarsci.errors import ParameterError
+from lunarsci.names import some_of
 from lunarsci.provenance import sha256
 from lunarsci.records import Codes, Listed, Records, Same
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
@@ -18,11 +19,15 @@ from lunarsci.spectra.origin.evidence import CompositionEvidence, CompositionRow
 from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors, launch_speed_m_s
 
 OTHER = "other source"
+NAMED = 4
+"""Sources that a sentence names."""
 BLOCK_ROWS = 256
 """Rocks of a block, which is so in any memory: some tenths of a second of one core."""
-LEADS, DECIDES = 0.5, 3.0
-"""Posterior from which a crater is called the likeliest, and ln Bayes factor from which composition decides (about
+DECIDES = 3.0
+"""ln Bayes factor, and ln odds of the posterior, of one source against all others, from which it is decided (about
 20 : 1, 'strong' in Kass & Raftery 1995, 10.1080/01621459.1995.10476572)."""
+REMAIN = 1.0 / (1.0 + np.exp(-DECIDES))
+"""Posterior that is the same: sources that have it together remain where none has it alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,12 +100,14 @@ class CraterMatch:
 
 @dataclass(frozen=True, slots=True)
 class RockMatch:
-    """One rock: all craters in the catalogue's order, the probability of other sources, and a sentence."""
+    """One rock: all craters in the catalogue's order, the probability of other sources, whether one source is decided,
+    and a sentence."""
 
     rock: Rock
     craters: tuple[CraterMatch, ...]
     other_prior: float
     other_posterior: float
+    decided: bool
     status: str
 
     def to_dict(self) -> dict[str, Any]:
@@ -108,10 +115,14 @@ class RockMatch:
         return match_records([self])[0]
 
     @property
-    def best(self) -> str:
-        """Name of the likeliest crater, or that it is another source."""
-        best = max(self.craters, key=lambda item: item.posterior)
-        return best.crater.name if best.posterior > self.other_posterior else OTHER
+    def best(self) -> str | None:
+        """Name of the crater it comes from, or that it is another source; None where that is not decided."""
+        return self.remaining[0] if self.decided else None
+
+    @property
+    def remaining(self) -> tuple[str, ...]:
+        """The fewest sources that have a posterior of `REMAIN` together, the likeliest first."""
+        return tuple(name for name, _ in _remaining(self.craters, self.other_posterior))
 
 
 def match_records(matches: Sequence[RockMatch]) -> Records:
@@ -135,6 +146,7 @@ def match_records(matches: Sequence[RockMatch]) -> Records:
             "craters": Listed(craters),
             "other": other | {"posterior": np.array([match.other_posterior for match in matches])},
             "best": [match.best for match in matches],
+            "remaining": [list(match.remaining) for match in matches],
             "remarks": [list(match.rock.remarks) for match in matches],
             "status": [match.status for match in matches],
         }
@@ -277,6 +289,8 @@ class RockMatches(Sequence[RockMatch]):
             (azimuth_deg(site, crater.center), launch_speed_m_s(crater.diameter_km, prior.distance_km))
             for crater, prior in zip(craters, found.priors, strict=True)
         ]
+        tested = np.array([not rock.untested for rock in rocks], dtype=bool)
+        self.decided = tested & _decided(found, _weights(found.priors, settings))
 
     def __len__(self) -> int:
         return len(self.rocks)
@@ -295,8 +309,8 @@ class RockMatches(Sequence[RockMatch]):
             )
             for k, crater in enumerate(self.craters)
         )
-        rest = float(found.other_posterior[row])
-        return RockMatch(self.rocks[row], own, self.other, rest, _status(self.rocks[row], own, rest, self.other))
+        rest, decided = float(found.other_posterior[row]), bool(self.decided[row])
+        return RockMatch(self.rocks[row], own, self.other, rest, decided, _status(self.rocks[row], own, rest, decided))
 
 
 def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
@@ -308,22 +322,56 @@ def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
     return found
 
 
-def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, other_prior: float) -> str:
-    """One sentence: what leads, and whether it is composition or the prior that says so."""
-    compared = [item for item in matches if item.evidence.minerals or item.evidence.bands]
-    if not compared:
+def _decided(found: MatchRows, weights: FloatArray) -> BoolArray:
+    """Whether of each rock one source is decided: its posterior against all others, and what composition adds to that.
+
+    ln[p / (1 - p)] of the likeliest, with p its posterior, and the same less that of its prior, are `DECIDES` at least:
+    with a prior of 20 : 1 alone nothing is decided.
+    """
+    posterior = np.column_stack([found.posterior, found.other_posterior])
+    first = np.argmax(posterior, axis=1)
+    odds, before = (_ln_odds(shares, first) for shares in (posterior, np.broadcast_to(weights, posterior.shape)))
+    with np.errstate(invalid="ignore"):
+        decided: BoolArray = (odds >= DECIDES) & (odds - before >= DECIDES)
+    return decided
+
+
+def _ln_odds(shares: FloatArray, place: IntArray) -> FloatArray:
+    """ln of one share (n, s) of each row over the sum of the others."""
+    own = np.arange(shares.shape[1]) == place[:, None]
+    with np.errstate(divide="ignore"):
+        found: FloatArray = np.log(shares[own]) - np.log(np.where(own, 0.0, shares).sum(axis=1))
+    return found
+
+
+def _remaining(matches: Sequence[CraterMatch], other: float) -> list[tuple[str, float]]:
+    """Names and posteriors of the fewest sources that have `REMAIN` together, the likeliest first."""
+    named = sorted([(OTHER, other), *((m.crater.name, m.posterior) for m in matches)], key=lambda one: -one[1])
+    below = np.cumsum([share for _, share in named]) < REMAIN
+    return named[: int(below.sum()) + 1]
+
+
+def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: bool) -> str:
+    """One sentence: which source it is or which remain, and whether it is composition or the prior that says so."""
+    left = _remaining(matches, other)
+    first = f"{left[0][0]} ({left[0][1]:.2f})"
+    shown = some_of([f"{name} ({share:.2f})" for name, share in left], NAMED)
+    remain = f"not decided: {shown} remain" if len(left) > 1 else f"not decided: {first} leads"
+    if not any(item.evidence.minerals or item.evidence.bands for item in matches):
         known = rock.composition.modes or rock.composition.bands
         what = "shares of its minerals" if rock.composition.modes else "band centres"
         why = f"no crater has {what} to compare with" if known else "no composition of the rock is known"
-        return f"composition decides nothing: {why}; the posterior is the prior"
-    if other >= LEADS and other > 2 * other_prior:
+        return f"{remain}; composition decides nothing: {why}; the posterior is the prior"
+    if decided and left[0][0] == OTHER:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"
-    first = max(matches, key=lambda item: item.posterior)
-    lead = "likeliest" if first.posterior >= LEADS else "none is likely; the first is"
+    if decided:
+        return f"likeliest {first}; composition speaks strongly"
+    if len(left) == 1 and not rock.untested:
+        return f"{remain} by the prior; composition adds less than 20 : 1 for it"
     factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
     spread = max(factors) - min(factors)
-    decisive = "composition speaks strongly" if spread >= DECIDES else "composition hardly decides, the prior does"
-    decisive += f" (ln Bayes factors differ by {spread:.1f})"
-    if spread >= DECIDES and rock.untested:
-        decisive += ", if its shares hold, which are not to be quoted: they are outside of what was tested"
-    return f"{lead} {first.crater.name} ({first.posterior:.2f}); {decisive}"
+    if spread < DECIDES:
+        return f"{remain}; composition hardly decides, the prior does (ln Bayes factors differ by {spread:.1f})"
+    held = ", if its shares hold, which are not to be quoted: they are outside of what was tested"
+    strongly = f"composition speaks strongly (ln Bayes factors differ by {spread:.1f})"
+    return f"{remain}; {strongly}{held if rock.untested else ''}"

@@ -44,7 +44,8 @@ class Leg:
 
     Attributes
     ----------
-    length_m : length of an arc, > 0; 0 for a turn or a stop. [m]
+    length_m : length of an arc as it is commanded, rim speed times time, which the ground has without slip, > 0; 0 for
+        a turn or a stop. [m]
     curvature_per_m : constant curvature of the arc, positive to the left; 0 is straight ahead. [1/m]
     crab_deg : direction of the arc's travel seen from the heading, positive to the left, -180 to 180: 90 is sideways,
         180 backwards. [deg]

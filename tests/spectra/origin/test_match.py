@@ -53,6 +53,82 @@ def test_posterior_is_prior_times_the_factor_over_the_sum() -> None:
     assert sum(item.prior.probability for item in match.craters) + match.other_prior == pytest.approx(1)
 
 
+CLEAR = {"olivine": (0.60, 0.02), "orthopyroxene": (0.20, 0.02), "clinopyroxene": (0.20, 0.02)}
+OPPOSITE = {"olivine": (0.05, 0.02), "orthopyroxene": (0.20, 0.02), "clinopyroxene": (0.75, 0.02)}
+
+
+def two_craters(near: dict[str, Any] | None, far: dict[str, Any] | None, **prior: object) -> RockMatch:
+    """A rock of 60 % olivine, found beside two craters, the near one of which left far more."""
+    made = [Composition(modes) if modes else Composition() for modes in (near, far)]
+    craters = [
+        Crater(name="near", latitude_deg=-45.0, longitude_deg=178.0, diameter_km=20.0, composition=made[0]),
+        Crater(name="far", latitude_deg=-43.0, longitude_deg=190.0, diameter_km=5.0, composition=made[1]),
+    ]
+    settings = MatchSettings(systematic=0.02, prior=PriorSettings(**prior))  # type: ignore[arg-type]
+    return match_rocks([Rock("rock", Composition(CLEAR))], craters, CHANG_E_4, settings)[0]
+
+
+def test_a_crater_is_decided_where_composition_tells_it_from_all_others() -> None:
+    match = two_craters(OPPOSITE, CLEAR, kind="uniform")
+    assert (match.best, match.remaining) == ("far", ("far",))
+    assert match.status == f"likeliest far ({match.craters[1].posterior:.2f}); composition speaks strongly"
+
+
+def test_where_the_prior_alone_leads_no_crater_is_decided() -> None:
+    """A prior of any odds: composition knows nothing of either, or the same of both."""
+    unknown = two_craters(None, None, other_weight=0.001)
+    alike = two_craters(CLEAR, CLEAR, other_weight=0.001)
+    for match in (unknown, alike):
+        odds = match.craters[0].posterior / match.craters[1].posterior
+        assert odds > 20
+        assert match.best is None
+        assert match.remaining[0] == "near"
+    assert "composition decides nothing" in unknown.status
+    assert alike.status == f"not decided: near ({alike.craters[0].posterior:.2f}) leads by the prior; " + (
+        "composition adds less than 20 : 1 for it"
+    )
+
+
+def test_craters_that_composition_does_not_tell_apart_all_remain() -> None:
+    match = two_craters(CLEAR, CLEAR, kind="uniform")
+    assert match.best is None
+    assert {*match.remaining} == {"near", "far"}
+    assert match.status.startswith("not decided: ") and "remain" in match.status
+
+
+def test_what_the_factors_say_against_the_prior_is_not_decided_below_20_to_1() -> None:
+    """With the odds of any source at hand: it is decided where both are 20 : 1 or more, here by their definitions."""
+    rng = np.random.default_rng(4)
+    seen = set[bool]()
+    for _ in range(60):
+        near, far = (
+            {name: (float(v), 0.05) for name, v in zip(CLEAR, rng.dirichlet(np.full(3, 2.0)), strict=True)}
+            for _ in range(2)
+        )
+        match = two_craters(near, far, kind="uniform", other_weight=float(rng.uniform(0.01, 0.5)))
+        sources = [(c.crater.name, c.prior.probability, np.exp(c.ln_bayes_factor)) for c in match.craters]
+        sources.append((OTHER, match.other_prior, 1.0))
+        name, own, factor = max(sources, key=lambda one: one[1] * one[2])
+        rest = [one for one in sources if one[0] != name]
+        odds = own * factor / sum(prior * other for _, prior, other in rest)
+        bayes = factor / (sum(prior * other for _, prior, other in rest) / sum(prior for _, prior, _ in rest))
+        assert match.best == (name if min(odds, bayes) >= np.exp(3.0) else None)
+        seen.add(match.decided)
+    assert seen == {True, False}
+
+
+@pytest.mark.slow
+def test_of_craters_that_are_called_decided_as_many_are_right_as_said(bench: Any) -> None:
+    """20 : 1 or more, of rocks drawn by hand; where rocks come from any crater alike, the assumed prior misleads."""
+    settings = MatchSettings(prior=PriorSettings())
+    found = bench.decided(*bench.matched(bench.complete_catalogue(), settings, 1500, 7))
+    assert found.called > 75
+    assert found.right / found.called > 0.95 - 2.5 * np.sqrt(0.95 * 0.05 / found.called)
+    wrong = bench.matched(bench.complete_catalogue(), settings, 1500, 7, PriorSettings(kind="uniform"))
+    misled = bench.decided(*wrong)
+    assert misled.right / misled.called < 0.85
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_300_rocks_of_the_craters_are_as_often_right_as_said(bench: Any, seed: int) -> None:
@@ -97,9 +173,11 @@ def test_composition_from_shares_that_are_not_to_be_quoted_says_so() -> None:
         "rock", Composition({"olivine": (0.6, 0.02), "orthopyroxene": (0.2, 0.02), "clinopyroxene": (0.2, 0.02)})
     )
     craters = with_modes("Zhinyu", dict(rock.composition.modes))
-    assert matched(rock, craters).status.partition("; ")[2].startswith("composition speaks strongly")
-    assert "not to be quoted" not in matched(rock, craters).status
-    assert "if its shares hold, which are not to be quoted" in matched(replace(rock, untested=True), craters).status
+    tested, untested = matched(rock, craters), matched(replace(rock, untested=True), craters)
+    assert tested.status.partition("; ")[2].startswith("composition speaks strongly")
+    assert "not to be quoted" not in tested.status
+    assert "if its shares hold, which are not to be quoted" in untested.status
+    assert not untested.decided
 
 
 def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> None:
@@ -198,7 +276,8 @@ def test_kinds_of_composition_can_be_switched_off() -> None:
 def test_rocks_without_anything_to_compare_keep_the_prior() -> None:
     match = matched(Rock("dark", Composition()))
     assert [i.posterior for i in match.craters] == pytest.approx([i.prior.probability for i in match.craters])
-    assert match.status.startswith("composition decides nothing: no composition of the rock is known")
+    assert match.best is None
+    assert "; composition decides nothing: no composition of the rock is known" in match.status
 
 
 @pytest.mark.parametrize("settings", [{"systematic": -0.1}, {"systematic": 2}, {"band_systematic_nm": -1}])
