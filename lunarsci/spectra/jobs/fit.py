@@ -381,10 +381,11 @@ def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Prog
     from lunarsci.spectra.mgm.constraints import parse_compositions
     from lunarsci.spectra.mgm.result import MgmFit
     from lunarsci.spectra.mgm.selection import Choice, choose
+    from lunarsci.spectra.other_causes import with_causes
 
     stated = parse_compositions(request.composition) if request.composition else None
     found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
-    choices = {index: item for index, item in enumerate(found) if isinstance(item, Choice)}
+    choices = with_causes(spectra, {index: item for index, item in enumerate(found) if isinstance(item, Choice)})
     fits: list[Any] = list(found)
     for name in dict.fromkeys(choice.assemblage for choice in choices.values()):
         own = [index for index, choice in choices.items() if choice.assemblage == name]
