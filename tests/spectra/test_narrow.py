@@ -14,12 +14,12 @@ from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.narrow import OWN_SHARE, narrow_absorptions
 from lunarsci.spectra.other_causes import other_cause
 
+VOLUMES = ["vol_opx", "vol_cpx"]
 GRID = np.arange(450.0, 2451.0, 5.0)
 Band = tuple[float, float, float]
 OPX: tuple[Band, ...] = ((0.45, 920.0, 190.0), (0.35, 1880.0, 540.0))
 WATER: tuple[Band, ...] = ((0.12, 1415.0, 55.0), (0.35, 1920.0, 95.0))
-"""MADE UP: strength in ln R, centre and full width at half maximum. Widths of water are those of powders that hold it
-(Hunt 1977, 10.1190/1.1440721), those of the pyroxene those of Klima et al. (2007)."""
+"""MADE UP: strength in ln R, centre and full width at half maximum; of water as broad as in powders that hold some."""
 
 
 def made_up(*bands: Band, seed: int = 0, noise: float = 0.002, nm: np.ndarray = GRID) -> tuple[np.ndarray, np.ndarray]:
@@ -115,14 +115,14 @@ def test_narrow_absorptions_of_laboratory_and_rover_spectra(reference_data: Path
     """What stands in `OWN_SHARE`: on the suites that were not looked at for it, and on Chang'E-4."""
     counts = {"pyroxene": [0, 0], "none": [0, 0]}
     folders = [reference_data / "spectra" / name for name in ("relab", "minerals", "meteorites")]
-    manifests = [pd.read_csv(folder / "manifest.csv").fillna(0.0).set_index("id") for folder in folders]
+    manifests = [pd.read_csv(folder / "manifest.csv").set_index("id")[VOLUMES].fillna(0.0) for folder in folders]
     suites = sorted({name[:2] for manifest in manifests for name in manifest.index})[1::2]
     for folder, manifest in zip(folders, manifests, strict=True):
         table = pd.read_csv(folder / "reflectance.csv").set_index("wavelength_nm").dropna(axis=1)
         names = [name for name in table if name[:2] in suites]
         bands = band_arrays(table.index.to_numpy(float), table[names].to_numpy().T).bands["2000"]
         for name, centre, narrow in zip(names, bands.center_nm, bands.narrow_nm, strict=True):
-            share = manifest.loc[name, ["vol_opx", "vol_cpx"]].astype(float).sum()
+            share = manifest.loc[name].sum()
             kind = "pyroxene" if share >= 0.1 else "none"
             if (np.isfinite(centre) or np.isfinite(narrow)) and not 0 < share < 0.1:
                 counts[kind][0] += np.isnan(centre)
