@@ -26,7 +26,8 @@ WINDOW_NM, SHORTEST_NM, DEGREE, FEWEST = 220.0, 70.0, 3, 10
 """A Gaussian on a cubic in ln R so far to both sides, or so far at least, and channels that it takes; assumed. A cubic
 follows the floor of a band 500 nm wide to 2 % of its depth. [nm]"""
 WIDEST_NM = 135.0
-"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more."""
+"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more;
+assumed, on spectra of pyroxenes (RELAB). [nm]"""
 EXPLAINED = 0.5
 """Least share of what the cubic leaves, sum of squares, that the Gaussian takes away. It takes 0.3 at most in 57
 Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
@@ -38,7 +39,7 @@ NEAR_NM = 80.0
 OWN_SHARE, BESIDE_SHARE = 0.5, 0.15
 """Shares of the depth of a band, in ln R, from which it makes the band, and from which it is said to be beside it.
 
-Half is where it is more of the band than anything else. Looked at on every second suite of RELAB, counted on the others
+Half is where it is more of the band than anything else. Looked at on every second sample series of RELAB, counted on the others
 (`tests/spectra/test_narrow.py`): of 25 such bands of olivines and plagioclases without pyroxene it makes 15, of 80
 bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
 

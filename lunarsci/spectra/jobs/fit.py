@@ -381,7 +381,7 @@ def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Prog
     from lunarsci.spectra.mgm.constraints import parse_compositions
     from lunarsci.spectra.mgm.result import MgmFit
     from lunarsci.spectra.mgm.selection import Choice, choose
-    from lunarsci.spectra.other_causes import with_causes
+    from lunarsci.spectra.jobs.other_causes import with_causes
 
     stated = parse_compositions(request.composition) if request.composition else None
     found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)

@@ -40,7 +40,7 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
 
 def bands_meaning(record: Mapping[str, Any]) -> str:
     """What the centres of `spectra bands` say."""
-    from lunarsci.spectra.other_causes import other_cause
+    from lunarsci.spectra.jobs.other_causes import other_cause
 
     one, two = record["bc1000_nm"] is not None, record["bc2000_nm"] is not None
     chemistry = [item for item in (record["chemistry"] or {}).values() if item]

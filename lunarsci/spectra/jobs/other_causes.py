@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 MOST_RATIO = 1.5
 """Depth of the 2 um band over that of the 1 um band above which it is no pyroxene's; assumed. In 290 laboratory spectra
-(RELAB) with 10 vol % of pyroxene or more it is 0.97 at most, in one pigeonite of USGS 2.2; spinels absorb at 2 um almost
-alone (Pieters et al. 2011, 10.1029/2010JE003727)."""
+(RELAB) with 10 vol % of pyroxene or more it is 0.97 at most, in one pigeonite of USGS 2.2; spinels absorb at 2 um
+almost alone (Pieters et al. 2011, 10.1029/2010JE003727)."""
 SIGMAS = 2.0
 """Standard errors of the depths that the ratio must exceed it by; assumed."""
 
