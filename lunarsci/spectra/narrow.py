@@ -17,8 +17,10 @@ from lunarsci.spectra.band_status import (
     Codes,
 )
 
-CENTRES_NM = np.concatenate([np.arange(1850.0, 1995.0, 10.0), np.arange(2140.0, 2405.0, 10.0)])
-WIDTHS_NM = np.array([40.0, 60.0, 80.0, 105.0, 135.0, 170.0, 205.0])
+CENTRES_NM, WIDTHS_NM = (
+    np.concatenate([np.arange(1850.0, 1995.0, 10.0), np.arange(2140.0, 2405.0, 10.0)]),
+    np.array([40.0, 60.0, 80.0, 105.0, 135.0, 170.0, 205.0]),
+)
 """Where they are sought, and full widths at half maximum that are tried. Water absorbs at 1900-1950 nm, hydroxyl and
 carbonates at 2200-2350 nm (Hunt 1977, 10.1190/1.1440721); bands of pyroxenes at 2 um are 570 nm wide and more
 (`mgm_bands.csv`). [nm]"""
@@ -29,8 +31,8 @@ WIDEST_NM = 135.0
 """Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more;
 assumed, on spectra of pyroxenes (RELAB). [nm]"""
 EXPLAINED = 0.5
-"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away. It takes 0.3 at most in 57
-Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
+"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away; assumed. It takes 0.3 at
+most in 57 Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
 SIGNIFICANT = 6.0
 """Least strength of the Gaussian over its standard error, which decides where channels are few; assumed, as the most of
 several hundred that are tried counts."""
@@ -39,9 +41,9 @@ NEAR_NM = 80.0
 OWN_SHARE, BESIDE_SHARE = 0.5, 0.15
 """Shares of the depth of a band, in ln R, from which it makes the band, and from which it is said to be beside it.
 
-Half is where it is more of the band than anything else. Looked at on every second sample series of RELAB, counted on the others
-(`tests/spectra/test_narrow.py`): of 25 such bands of olivines and plagioclases without pyroxene it makes 15, of 80
-bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
+Half is where it is more of the band than anything else. Looked at on every second sample series of RELAB, counted on
+the others (`tests/spectra/test_narrow.py`): of 25 such bands of olivines and plagioclases without pyroxene it makes 15,
+of 80 bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
 
 
 def narrow_absorptions(

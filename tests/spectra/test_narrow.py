@@ -9,10 +9,10 @@ import pytest
 
 import lunarsci
 from lunarsci.spectra.bands import band_arrays
+from lunarsci.spectra.jobs.other_causes import other_cause
 from lunarsci.spectra.jobs.verdicts import bands_verdict
 from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.narrow import OWN_SHARE, narrow_absorptions
-from lunarsci.spectra.jobs.other_causes import other_cause
 
 VOLUMES = ["vol_opx", "vol_cpx"]
 GRID = np.arange(450.0, 2451.0, 5.0)

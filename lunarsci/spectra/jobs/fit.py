@@ -377,11 +377,11 @@ def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: P
 
 def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
+    from lunarsci.spectra.jobs.other_causes import with_causes
     from lunarsci.spectra.mgm.compositions import beyond_any
     from lunarsci.spectra.mgm.constraints import parse_compositions
     from lunarsci.spectra.mgm.result import MgmFit
     from lunarsci.spectra.mgm.selection import Choice, choose
-    from lunarsci.spectra.jobs.other_causes import with_causes
 
     stated = parse_compositions(request.composition) if request.composition else None
     found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
