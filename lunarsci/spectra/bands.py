@@ -359,7 +359,7 @@ def measure_batch(
             batch.reasons |= dict.fromkeys(positions.tolist(), reason)
         else:
             found = arrays_in_blocks(
-                partial(_measured, wanted=continuum_name, smoothing=used),
+                partial(_judged, wanted=continuum_name, smoothing=used),
                 len(own),
                 rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
                 stage="bands",
@@ -386,8 +386,13 @@ def _unusable(wavelength_nm: FloatArray, smoothing: Smoothing) -> str:
     return ""
 
 
+def _judged(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
+    found = _measured(given, wanted=wanted, smoothing=smoothing)
+    judge_width(given.wavelength_nm, given.reflectance, found["numbers"][:, -1], found["codes"][:, -1])
+    return found
+
+
 def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
     grid = grid_of(given.wavelength_nm, smoothing.width_nm(given.wavelength_nm), smoothing.order)
     numbers, codes = measure_rows(grid, CONTINUA.index(wanted), given.reflectance, given.sigma, given.shifts)
-    judge_width(given.wavelength_nm, given.reflectance, numbers[:, -1], codes[:, -1])
     return {"numbers": numbers, "codes": codes}

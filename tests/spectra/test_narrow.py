@@ -8,11 +8,12 @@ import pandas as pd
 import pytest
 
 import lunarsci
-from lunarsci.spectra.bands import band_arrays
+from lunarsci.spectra.bands import BandArrays, measure_batch
 from lunarsci.spectra.jobs.other_causes import other_cause
 from lunarsci.spectra.jobs.verdicts import bands_verdict
 from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.narrow import OWN_SHARE, narrow_absorptions
+from lunarsci.spectra.spectrum import Spectrum
 
 VOLUMES = ["vol_opx", "vol_cpx"]
 GRID = np.arange(450.0, 2451.0, 5.0)
@@ -27,6 +28,10 @@ def made_up(*bands: Band, seed: int = 0, noise: float = 0.002, nm: np.ndarray = 
     for strength, centre, width in bands:
         ln = ln - strength * np.exp(-4 * np.log(2) * ((nm - centre) / width) ** 2)
     return nm, np.exp(ln + noise * np.random.default_rng(seed).standard_normal(nm.size))
+
+
+def arrays(nm: np.ndarray, rows: np.ndarray) -> BandArrays:
+    return measure_batch([Spectrum(str(k), nm, row) for k, row in enumerate(rows)]).arrays
 
 
 def measured(*bands: Band, **how: Any) -> tuple[dict[str, Any], str]:
@@ -74,7 +79,7 @@ def test_noise_makes_no_narrow_absorption(step: float) -> None:
 
 def test_a_spectrum_is_judged_alike_in_any_company() -> None:
     rows = np.array([made_up(*bands, seed=7)[1] for bands in (OPX, (OPX[0], *WATER), OPX)])
-    together, alone = band_arrays(GRID, rows), [band_arrays(GRID, rows[k : k + 1]) for k in range(3)]
+    together, alone = arrays(GRID, rows), [arrays(GRID, rows[k : k + 1]) for k in range(3)]
     for name in ("numbers", "codes"):
         np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(one, name) for one in alone]))
     assert np.isnan(together.bands["2000"].center_nm).tolist() == [False, True, False]
@@ -120,7 +125,7 @@ def test_narrow_absorptions_of_laboratory_and_rover_spectra(reference_data: Path
     for folder, manifest in zip(folders, manifests, strict=True):
         table = pd.read_csv(folder / "reflectance.csv").set_index("wavelength_nm").dropna(axis=1)
         names = [name for name in table if name[:2] in suites]
-        bands = band_arrays(table.index.to_numpy(float), table[names].to_numpy().T).bands["2000"]
+        bands = arrays(table.index.to_numpy(float), table[names].to_numpy().T).bands["2000"]
         for name, centre, narrow in zip(names, bands.center_nm, bands.narrow_nm, strict=True):
             share = manifest.loc[name].sum()
             kind = "pyroxene" if share >= 0.1 else "none"
