@@ -60,7 +60,7 @@ def _depending(spectra: Sequence[Result]) -> str:
         f"{one['id']} at {name}"
         for one in spectra
         for key, name in (("1000", "1 µm"), ("2000", "2 µm"))
-        if one.get(f"band{key}_status") == DEPENDS
+        if str(one.get(f"band{key}_status")).startswith(DEPENDS)
     ]
     return f"{sentence(DEPENDS)[:-1]} more than on the noise: {some_of(named, MOST_NAMED)}." if named else ""
 

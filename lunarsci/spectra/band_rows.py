@@ -167,7 +167,7 @@ def measure_rows(
 
     Returns
     -------
-    `QUANTITIES`, (m, 2, 16), NaN where there is none, and `CODES`, (m, 2, 3).
+    `QUANTITIES`, (m, 2, 18), NaN where there is none, and `CODES`, (m, 2, 3).
     """
     count, places = len(reflectance), places_of(grid, wanted)
     numbers, codes = nothing_of(count)

@@ -88,6 +88,8 @@ def short_by(center_nm: FloatArray, last_nm: float) -> FloatArray:
     return off
 
 
+WATER_MOST_NM = 2100.0
+"""Longest wavelength of the absorption of water near 1900 nm, with a margin (Hunt 1977, 10.1190/1.1440721). [nm]"""
 DEPENDS = "centre depends on the method"
 """What the status says of a band whose centre does (`depends_on_method`)."""
 STATUSES = (
@@ -104,10 +106,12 @@ STATUSES = (
     "window_not_covered",
     "no_tie_points",
     "spectrum_unusable",
+    "too_narrow",
 )
 """Why there is no band, or why the wanted continuum was not used: names of the codes from 0."""
 (
-    OK, FALLS, BELOW, AWAY, FEW, ELSEWHERE, NO_MINIMUM, SHALLOW, UNCERTAIN, SPARSE, NOT_COVERED, NO_TIES, UNUSABLE
+    OK, FALLS, BELOW, AWAY, FEW, ELSEWHERE, NO_MINIMUM, SHALLOW, UNCERTAIN, SPARSE, NOT_COVERED, NO_TIES, UNUSABLE,
+    TOO_NARROW,
 ) = range(len(STATUSES))  # fmt: skip
 
 NO_BAND = (FEW, ELSEWHERE, NO_MINIMUM, SHALLOW)
@@ -119,11 +123,12 @@ up to 2380 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512) and bands far wider tha
 QUANTITIES = (
     "center_nm", "center_sigma_nm", "center_systematic_nm", "center_gaussian_nm", "center_method_nm", "depth",
     "depth_sigma", "area_nm", "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm",
-    "depth_calibration", "area_calibration_nm", "deepest_nm", "note_deepest_nm",
+    "depth_calibration", "area_calibration_nm", "deepest_nm", "note_deepest_nm", "narrow_nm", "narrow_width_nm",
 )  # fmt: skip
 (
     CENTER, CENTER_SIGMA, SYSTEMATIC, GAUSSIAN, METHOD, DEPTH, DEPTH_SIGMA, AREA_NM, AREA_SIGMA, ASYMMETRY_SHARE,
-    ASYMMETRY_SIGMA, CENTER_CALIBRATION, DEPTH_CALIBRATION, AREA_CALIBRATION, DEEPEST, NOTE_DEEPEST
+    ASYMMETRY_SIGMA, CENTER_CALIBRATION, DEPTH_CALIBRATION, AREA_CALIBRATION, DEEPEST, NOTE_DEEPEST,
+    NARROW_NM, NARROW_WIDTH
 ) = range(len(QUANTITIES))  # fmt: skip
 Codes = npt.NDArray[np.int8]
 CODES = ("continuum", "status", "note")
@@ -162,6 +167,7 @@ SENTENCES = {
     "window_not_covered": "no result: the spectrum covers {first:g}-{last:g} nm of it",
     "no_tie_points": "the spectrum does not reach its tie points",
     "spectrum_unusable": "no result: too few usable channels",
+    "too_narrow": "no band of a pyroxene",
 }
 """What the codes of `STATUSES` say."""
 
@@ -179,6 +185,19 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     return SENTENCES[STATUSES[code]].format(
         deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
     )
+
+
+NARROW_SAID = "a narrow absorption at"
+
+
+def narrow_said(center_nm: float, width_nm: float) -> str:
+    """A narrow absorption, and what makes such ones.
+
+    >>> narrow_said(1920.0, 105.0)
+    'a narrow absorption at 1920 nm, 105 nm wide: water or hydroxyl'
+    """
+    cause = "water or hydroxyl" if center_nm < WATER_MOST_NM else "hydroxyl or a carbonate"
+    return f"{NARROW_SAID} {center_nm:.0f} nm, {width_nm:.0f} nm wide: {cause}"
 
 
 def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]:

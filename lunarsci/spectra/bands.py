@@ -26,6 +26,8 @@ from lunarsci.spectra.band_status import (
     ELSEWHERE,
     JSON_KEYS,
     METHOD,
+    NARROW_NM,
+    NARROW_WIDTH,
     NOT_COVERED,
     NOTE,
     NOTE_DEEPEST,
@@ -33,13 +35,16 @@ from lunarsci.spectra.band_status import (
     QUANTITIES,
     SPARSE,
     STATUS,
+    TOO_NARROW,
     BandResult,
     Codes,
     depends_on_method,
+    narrow_said,
     sentence,
 )
 from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection, alike_channels
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
+from lunarsci.spectra.narrow import judge_width
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
@@ -112,6 +117,7 @@ class BandColumns:
     ----------
     center_nm, … : as in `BandResult`.
     deepest_nm, note_deepest_nm : where the band of the reported continuum, and of the wanted one, is deepest. [nm]
+    narrow_nm, narrow_width_nm : centre and width of a narrow absorption in it, or that makes it. [nm]
     continuum : place in `CONTINUA` of the one used, -1 for none.
     status, note : places in `STATUSES`: whether there is a band, and why the wanted continuum was not used.
     """
@@ -132,6 +138,8 @@ class BandColumns:
     area_calibration_nm: FloatArray
     deepest_nm: FloatArray
     note_deepest_nm: FloatArray
+    narrow_nm: FloatArray
+    narrow_width_nm: FloatArray
     continuum: Codes
     status: Codes
     note: Codes
@@ -139,7 +147,7 @@ class BandColumns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandArrays:
-    """Both bands of m spectra: numbers (m, 2, 16) and codes (m, 2, 3), which `bands` has by name."""
+    """Both bands of m spectra: numbers (m, 2, 18) and codes (m, 2, 3), which `bands` has by name."""
 
     numbers: FloatArray
     codes: Codes
@@ -247,7 +255,7 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         numbers, code = self.arrays.numbers[place, number].tolist(), int(self.arrays.codes[place, number, CONTINUUM])
         known = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
         status, why = (self._said(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
-        status = DEPENDS if self.arrays.depends[place, number] else status
+        status = self._remark(number, place) or status if code >= 0 else status
         return BandResult(**known, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
 
     def _said(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
@@ -255,8 +263,17 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         code, deepest = self.arrays.codes[place, number, which], DEEPEST if which == STATUS else NOTE_DEEPEST
         if which == NOTE and code == OK:
             return ""
+        if code == TOO_NARROW:
+            at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
+            return f"no band: {narrow_said(at, width)}, no pyroxene's"
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
         return text if which == STATUS else f"{self.wanted} not used: {text}"
+
+    def _remark(self, number: int, place: int) -> str:
+        """What is said of a band that is there: that its centre depends on the method, and what else lies in it."""
+        at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
+        parts = [DEPENDS] if self.arrays.depends[place, number] else []
+        return "; ".join([*parts, *([f"in it {narrow_said(at, width)}"] if at == at else [])])
 
     def texts(self, number: int, which: int) -> list[str]:
         """The status or the note of a band of all spectra."""
@@ -265,7 +282,7 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         deepest = self.arrays.numbers[:, number, DEEPEST if which == STATUS else NOTE_DEEPEST].tolist()
         known: dict[tuple[int, float], str] = {}
         for place in np.flatnonzero(codes != OK).tolist():
-            if codes[place] == NOT_COVERED:
+            if codes[place] in (NOT_COVERED, TOO_NARROW):
                 spectrum = self.spectra[place]
                 found[place] = self._said(number, place, which, spectrum.wavelength_nm[spectrum.usable])
                 continue
@@ -273,8 +290,10 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
             if key not in known:
                 known[key] = self._said(number, place, which, _NOTHING)
             found[place] = known[key]
-        for place in np.flatnonzero(self.arrays.depends[:, number]).tolist() if which == STATUS else ():
-            found[place] = DEPENDS
+        seen = self.arrays.codes[:, number, CONTINUUM] >= 0
+        odd = self.arrays.depends[:, number] | seen & np.isfinite(self.arrays.numbers[:, number, NARROW_NM])
+        for place in np.flatnonzero(odd).tolist() if which == STATUS else ():
+            found[place] = self._remark(number, place)
         for place, reason in self.reasons.items() if which == STATUS else ():
             found[place] = f"no result: {reason}"
         return found
@@ -340,7 +359,7 @@ def measure_batch(
             batch.reasons |= dict.fromkeys(positions.tolist(), reason)
         else:
             found = arrays_in_blocks(
-                partial(_measured, wanted=continuum_name, smoothing=used),
+                partial(_judged, wanted=continuum_name, smoothing=used),
                 len(own),
                 rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
                 stage="bands",
@@ -365,6 +384,12 @@ def _unusable(wavelength_nm: FloatArray, smoothing: Smoothing) -> str:
     except DataError as error:
         return str(error)
     return ""
+
+
+def _judged(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
+    found = _measured(given, wanted=wanted, smoothing=smoothing)
+    judge_width(given.wavelength_nm, given.reflectance, found["numbers"][:, -1], found["codes"][:, -1])
+    return found
 
 
 def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:

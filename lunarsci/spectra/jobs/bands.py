@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
 
 
+MOST_NAMED = 5
+"""Spectra that one sentence names."""
 SMOOTH_NM = 205.0
 """The 41 channels of 5 nm of Ding et al. (2024)."""
 REGRESSIONS = {
@@ -131,6 +133,15 @@ class MeasuredBands(Result):
         from lunarsci.spectra.bands import SpectrumBands
 
         return [item for item in self.measured if isinstance(item, SpectrumBands)]
+
+    @property
+    def untrusted(self) -> str:
+        from lunarsci.names import some_of
+        from lunarsci.spectra.band_status import STATUS, TOO_NARROW
+
+        narrow = self.measured.arrays.codes[:, -1, STATUS] == TOO_NARROW
+        named = some_of([self.batch.spectra.ids[place] for place in narrow.nonzero()[0]], MOST_NAMED)
+        return f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
 
     def to_dict(self) -> dict[str, Any]:
         return {"spectra": self.content()["spectra"].tolist()}

@@ -377,6 +377,7 @@ def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: P
 
 def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
+    from lunarsci.spectra.jobs.other_causes import with_causes
     from lunarsci.spectra.mgm.compositions import beyond_any
     from lunarsci.spectra.mgm.constraints import parse_compositions
     from lunarsci.spectra.mgm.result import MgmFit
@@ -384,7 +385,7 @@ def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Prog
 
     stated = parse_compositions(request.composition) if request.composition else None
     found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
-    choices = {index: item for index, item in enumerate(found) if isinstance(item, Choice)}
+    choices = with_causes(spectra, {index: item for index, item in enumerate(found) if isinstance(item, Choice)})
     fits: list[Any] = list(found)
     for name in dict.fromkeys(choice.assemblage for choice in choices.values()):
         own = [index for index, choice in choices.items() if choice.assemblage == name]

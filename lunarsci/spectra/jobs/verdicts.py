@@ -40,9 +40,13 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
 
 def bands_meaning(record: Mapping[str, Any]) -> str:
     """What the centres of `spectra bands` say."""
+    from lunarsci.spectra.jobs.other_causes import other_cause
+
     one, two = record["bc1000_nm"] is not None, record["bc2000_nm"] is not None
     chemistry = [item for item in (record["chemistry"] or {}).values() if item]
     alone = any("pyroxene without olivine" in item["domain"] and item["in_range"] for item in chemistry)
+    if cause := other_cause(record):
+        return f"pyroxene is open: {cause}"
     if not (one or two):
         return "no band, so nothing is said of its minerals"
     if one and not two and not str(record["band2000_status"]).startswith("no band"):
@@ -52,7 +56,7 @@ def bands_meaning(record: Mapping[str, Any]) -> str:
             "a 1 µm band and none at 2 µm: olivine, or a pyroxene whose 2 µm band is hidden; `spectra fit` looks closer"
         )
     if two and not one:
-        return "a 2 µm band alone: pyroxene is there, no more is said"
+        return "a 2 µm band; whether there is one at 1 µm could not be measured, so pyroxene and spinel are both open"
     if alone:
         return (
             "pyroxene; its centres are those of pyroxenes without olivine, but olivine, even much, is not ruled out; "

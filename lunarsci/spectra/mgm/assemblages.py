@@ -13,6 +13,7 @@ from lunarsci.tables import table_rows
 
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
 GROUPS = {"pyroxene": ("OPX", "CPX")}
+PYROXENES = ("pyroxene", "orthopyroxene", "clinopyroxene")
 """Minerals that stand for each other in a spectrum: that one of them is there may be sure where each alone is open."""
 SURE = 0.93
 """Probability from which something is called sure, as of `Choice.family`; assumed."""
@@ -198,13 +199,13 @@ def chances(probabilities: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = ()) -> dict[str, list[str]]:
+def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cause: str = "") -> dict[str, list[str]]:
     """Minerals that are `sure`, `open` and `not_needed` to fit, of the probabilities of assemblages.
 
     A group is sure where none of its minerals is alone; then all of these are open. Where one of a group is sure, the
     others are open: one pyroxene fits two (`HIDDEN`). What is not needed may be there. Minerals `beyond` any
     composition in the fit are open at best: of 11 such, else sure, in 389 laboratory spectra 3 were absent, of 279
-    others 5.
+    others 5. So are pyroxenes where their 2 um band may have another `cause`.
 
     >>> standing({"OPX": 0.5, "OL-CPX": 0.25, "CPX": 0.25})
     {'sure': ['pyroxene'], 'open': ['olivine', 'orthopyroxene', 'clinopyroxene'], 'not_needed': ['plagioclase']}
@@ -212,6 +213,7 @@ def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = ()) -> 
     ['orthopyroxene']
     """
     found = chances(probabilities)
+    beyond = (*beyond, *PYROXENES) if cause else beyond
     sure = [name for name in MINERALS.values() if found[name] >= SURE]
     absent = [name for name in MINERALS.values() if found[name] <= 1 - SURE]
     for group, keys in GROUPS.items():
@@ -224,13 +226,13 @@ def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = ()) -> 
     return {"sure": sure, "open": left, "not_needed": absent}
 
 
-def told(probabilities: Mapping[str, float], beyond: Sequence[str] = ()) -> str:
+def told(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cause: str = "") -> str:
     """The verdict on minerals, by words: `standing`, and what is known of a pyroxene that is sure alone.
 
     >>> told({"OL": 0.97, "OL-OPX": 0.03}).partition(";")[0]
     'sure: olivine'
     """
-    found, known = chances(probabilities), standing(probabilities, beyond)
+    found, known = chances(probabilities), standing(probabilities, beyond, cause)
     left, parts = list(known["open"]), []
     pairs = [(one, other) for one in known["sure"] for other in others_of(one) & set(left)]
     alone = [one for one, _ in pairs]
@@ -248,11 +250,12 @@ def told(probabilities: Mapping[str, float], beyond: Sequence[str] = ()) -> str:
         left = [name for name in left if name not in members]
         shown = ", ".join(f"{name} {100 * found[name]:.0f} %" for name in members)
         parts.append(f"a {group} is sure, which one is open ({shown})")
-    doubted = [name for name in left if name in beyond and found[name] >= SURE]
+    doubted = [name for name in left if name in beyond and not (cause and name in PYROXENES) and found[name] >= SURE]
     left = [name for name in left if name not in doubted]
     parts += [f"{name} is fitted, but its centres are those of no {name}: open" for name in doubted]
     more = "also open" if len(left) < len(known["open"]) else "open"
     parts = parts or ["no mineral is sure"]
+    parts += [f"pyroxene is fitted, but open: {cause}"] if cause and found["pyroxene"] >= SURE else []
     parts += [f"{more}: {', '.join(f'{name} ({100 * found[name]:.0f} %)' for name in left)}"] if left else []
     absent = ", ".join(known["not_needed"])
     return "; ".join([*parts, *([f"not needed to fit, but not ruled out: {absent}"] if absent else [])])

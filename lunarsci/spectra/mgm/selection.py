@@ -77,6 +77,7 @@ class Choice:
         best. Negative where simplicity, not evidence, decides. [-]
     strong : whether the family has four members or fewer, and a mineral that is in all of them.
     beyond : minerals whose centres, in the fit that was chosen, are those of no composition.
+    cause : what else than a pyroxene the 2 um band may be of (`other_cause`), '' for nothing. beside : what lies in it.
     """
 
     id: str
@@ -87,11 +88,14 @@ class Choice:
     margin_bic: float
     strong: bool
     beyond: tuple[str, ...] = ()
+    cause: str = ""
+    beside: str = ""
 
     @property
     def status(self) -> str:
         """The verdict, which minerals are sure and which are open: what the result says of the spectrum."""
-        return told(self.probabilities, self.beyond)
+        said = told(self.probabilities, self.beyond, self.cause)
+        return f"{said}; in the 2 µm band {self.beside}" if self.beside else said
 
     @property
     def assemblage(self) -> str:
@@ -115,7 +119,7 @@ class Choice:
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
         groups = {name: chance for name, chance in chances(self.probabilities).items() if name in GROUPS}
         found = {"mineral_probability": self.minerals, "group_probability": groups}
-        more = found | standing(self.probabilities, self.beyond)
+        more = found | standing(self.probabilities, self.beyond, self.cause)
         return {name: getattr(self, name) for name in names} | {"candidates": rows, "family": list(self.family)} | more
 
 
