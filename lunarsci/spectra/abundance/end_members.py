@@ -69,8 +69,8 @@ def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
     wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
     if not reaches_over(wavelength, *NEEDED_NM):
         raise DataError(
-            f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm without gaps above {WIDEST_GAP_NM:g} "
-            "nm between usable channels"
+            f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, without gaps above "
+            f"{WIDEST_GAP_NM:g} nm between usable channels"
         )
     noise = np.zeros_like(wavelength)
     if spectrum.uncertainty is not None:

@@ -284,8 +284,8 @@ class Target:
 _POWDERS = Discrepancy(level=0.1, slope=0.05, bend=0.03, detail=0.01, edge=1.0)
 """Level, detail and edge are measured, as `Target` says; slope and bend assumed."""
 MOST_MISFIT = 2.0
-"""Chosen on half of measured and of made-up spectra of powders (`tests/benchmarks/contradicted.py`). Of dark rocks the
-misfit does not tell right shares from wrong ones."""
+"""Chosen on half of measured and of made-up spectra of powders with eight of the twelve components, and judged with all
+(`tests/benchmarks/contradicted.py`). Of dark rocks the misfit does not tell right shares from wrong ones."""
 _ROCKS = Discrepancy(level=0.2, slope=0.1, bend=0.05, detail=0.03)
 """As `_POWDERS`, measured and assumed alike; rocks differ more from powders than these from each other."""
 TARGETS = {

@@ -27,7 +27,8 @@ DECIDES = 3.0
 """ln Bayes factor, and ln odds of the posterior, of one source against all others, from which it is decided (about
 20 : 1, 'strong' in Kass & Raftery 1995, 10.1080/01621459.1995.10476572)."""
 REMAIN = 1.0 / (1.0 + np.exp(-DECIDES))
-"""Posterior that is the same: sources that have it together remain where none has it alone."""
+"""Posterior that is the same, by Kass & Raftery 1995, 10.1080/01621459.1995.10476572: sources that have it together
+remain where none has it alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
