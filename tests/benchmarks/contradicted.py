@@ -4,8 +4,8 @@ Needs the reference data, found through LUNARSCI_REFERENCE_DATA. Three sorts of 
 that hold nothing of them: laboratory mixtures (`make_abundance_calibration`), minerals measured alone, with olivine and
 both pyroxenes named, and made-up spectra. Sample series, and seeds of made-up spectra, are halved: on the first half
 the most allowed misfit was chosen, with eight components of the powders; the second one judges it. Made-up spectra are
-of another physics than unmixing: slabs with Gaussian absorption (Shkuratov et al. 1999, 10.1006/icar.1998.6035), or a continuum with Gaussians in ln R,
-flat or tilted, with an edge in the ultraviolet of any depth, cut and noisy.
+of another physics than unmixing: slabs with Gaussian absorption (Shkuratov et al. 1999, 10.1006/icar.1998.6035), or a
+continuum with Gaussians in ln R, flat or tilted, with an edge in the ultraviolet of any depth, cut and noisy.
 """
 
 import os
