@@ -38,6 +38,15 @@ USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.6)}
 """Mole fractions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`; assumed."""
 
 
+@dataclass(frozen=True, slots=True)
+class GrainSize:
+    """Of the powder that t stands for: logarithm over `REFERENCE_UM`, its standard deviation, and the sieve, if any."""
+
+    ln_size: float = 0.0
+    sigma: float = 0.0
+    sieve_um: tuple[float, float] | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MineralPopulation:
     """Normal law of t (see `mixing`) of a mineral's powders.
@@ -47,14 +56,14 @@ class MineralPopulation:
     mineral, count : name, and number of end members it was made from.
     mean : (n,) t of the mean powder.
     shapes : (k, n) shifts of t by one standard deviation each, independent of each other; the last is the level.
-    only : the end member, where there is one alone.
+    grain_size : of these powders.
     """
 
     mineral: str
     count: int
     mean: FloatArray
     shapes: FloatArray
-    only: EndMember | None = None
+    grain_size: GrainSize
 
 
 def population(
@@ -65,8 +74,7 @@ def population(
     t of every end member is brought to `REFERENCE_UM` first. Then follows a principal component analysis of t less its
     mean over the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture
     share: `powders` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`.
-    One end member alone is taken as the powder itself, of its own grain size (`grains`): only its level varies, a
-    little.
+    One end member alone is taken as the powder itself, of its own grain size: only its level varies, a little.
 
     Raises
     ------
@@ -81,8 +89,7 @@ def population(
             "that has one, or leave the mineral out"
         )
     members = [item for item, usable in zip(own, there, strict=True) if usable]
-    only = members[0] if len(members) == 1 else None
-    coarser = np.array([0.0 if only else ln_size(item) for item in members])
+    coarser = np.array([0.0 if len(members) == 1 else ln_size(item) for item in members])
     element = law.element(values[there]) - law.size_exponent * coarser[:, None]
     weight = specimen_weights(members)
     level = element.mean(axis=1)
@@ -98,7 +105,9 @@ def population(
         normal = scores.T @ (weight[:, None] * scores) + RIDGE * np.eye(lead)
         shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
     flat = np.full((1, wavelength_nm.size), OWN_LEVEL if len(level) > 1 else SINGLE_LEVEL)
-    return MineralPopulation(mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]), only)
+    return MineralPopulation(
+        mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]), grain_size(members)
+    )
 
 
 def loosened(found: MineralPopulation, wavelength_nm: FloatArray) -> MineralPopulation:
@@ -118,23 +127,36 @@ def ln_size(item: EndMember) -> float:
     return math.log(((item.min_um or 0.0) + item.max_um) / 2 / REFERENCE_UM)
 
 
-def grains(only: Sequence[EndMember | None]) -> tuple[FloatArray, FloatArray]:
-    """Logarithm of the grain size of each mineral over `REFERENCE_UM`, (m,), and its independent deviations, (m, k).
+def grain_size(members: Sequence[EndMember]) -> GrainSize:
+    """That of an only end member; several are brought to `REFERENCE_UM`, which says little if most state no size."""
+    stated = [item for item in members if item.max_um]
+    if len(members) > 1:
+        return GrainSize(sigma=UNKNOWN_SIZE if 2 * len(stated) < len(members) else 0.0)
+    size = ln_size(members[0])
+    if not stated:
+        return GrainSize(size, UNKNOWN_SIZE)
+    return GrainSize(size, SAME_SIEVE, (stated[0].min_um or 0.0, stated[0].max_um or 0.0))
 
-    Of a mineral with one end member; None for others, whose end members are brought to `REFERENCE_UM`. Grains are taken
-    as of any diameter from `min_um` to `max_um` alike; powders of one sieve share what this says too little of.
+
+def grains(sizes: Sequence[GrainSize]) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of the grain sizes of minerals, (m,), and their independent deviations, (m, k).
+
+    Grains of any diameter within a sieve are taken as alike in number; powders of one sieve share what it leaves open.
     """
-    known = {(item.min_um or 0.0, item.max_um) for item in only if item and item.max_um}
-    ranges = sorted((low, high) for low, high in known if high)
-    size, apart = np.zeros(len(only)), np.zeros((len(only), len(only) + len(ranges)))
-    for row, item in enumerate(only):
-        if item is None:
-            continue
-        size[row], apart[row, row] = ln_size(item), SAME_SIEVE if item.max_um else UNKNOWN_SIZE
-        for column, (low, high) in enumerate(ranges, start=len(only)):
-            if (item.min_um or 0.0, item.max_um) == (low, high):
-                apart[row, column] = (high - low) / (high + low) / math.sqrt(3)
-    return size, apart[:, apart.any(axis=0)]
+    sieves = sorted({item.sieve_um for item in sizes if item.sieve_um})
+    apart = np.zeros((len(sizes), len(sizes) + len(sieves)))
+    for row, item in enumerate(sizes):
+        apart[row, row] = item.sigma
+        if item.sieve_um:
+            low, high = item.sieve_um
+            apart[row, len(sizes) + sieves.index(item.sieve_um)] = (high - low) / (high + low) / math.sqrt(3)
+    return np.array([item.ln_size for item in sizes]), apart[:, apart.any(axis=0)]
+
+
+def unsized(minerals: Sequence[str], end_members: Sequence[EndMember]) -> list[str]:
+    """Minerals whose end members say too little of their grain size."""
+    own = {name: [item for item in end_members if item.mineral == name] for name in minerals}
+    return [name for name, members in own.items() if members and grain_size(members).sigma == UNKNOWN_SIZE]
 
 
 def reflectance_at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
@@ -166,9 +188,9 @@ COMMON_LEVEL = 1.0
 class Powders:
     """Powders of the minerals as functions of standard normal parameters: shapes of each, grain sizes, then the level.
 
-    Grains that are coarser by a factor offer less cross-section per volume by the same factor: those of a single end
-    member as it states (`grains`); and a mineral whose own level is raised by d is coarser by e^d in `Albedo` (`section`
-    of the law).
+    Grains that are coarser by a factor offer less cross-section per volume by the same factor: those of an only end
+    member as it states (`grain_size`); and a mineral whose own level is raised by d is coarser by e^d in `Albedo`
+    (`section` of the law).
     """
 
     law: MixingLaw
@@ -177,11 +199,11 @@ class Powders:
     @cached_property
     def size(self) -> int:
         """Number of parameters."""
-        return sum(len(item.shapes) for item in self.minerals) + self._grains[1].shape[1] + 1
+        return sum(len(item.shapes) for item in self.minerals) + int(self._grains[1].shape[1]) + 1
 
     @cached_property
     def _grains(self) -> tuple[FloatArray, FloatArray]:
-        return grains([item.only for item in self.minerals])
+        return grains([item.grain_size for item in self.minerals])
 
     @cached_property
     def starts(self) -> list[int]:
