@@ -43,7 +43,7 @@ MIXTURES = {
 class Case:
     """A spectrum of known modes, and what was found; `score` is the error in units of what was expected.
 
-    `told` is False where no mixture is like the spectrum.
+    `misfit` is in units of the most with which shares are told.
     """
 
     suite: str
@@ -53,7 +53,7 @@ class Case:
     error: np.ndarray
     sigma: np.ndarray
     unlike: float
-    told: bool
+    misfit: float
 
     @property
     def score(self) -> np.ndarray:
@@ -94,8 +94,8 @@ def case(
     wavelength = on_common_channels([spectrum]).wavelength_nm
     library = without_siblings(embedded_end_members(wavelength), powders) if powders else None
     truth = rows.loc[spectrum.id, [COLUMNS[mineral] for mineral in minerals]].to_numpy(float)
-    name, mean, sigma, unlike, told = raw_shares(spectrum, minerals, kind, library)
-    return Case(suite, spectrum.id, name, minerals, mean - truth, sigma, unlike, told)
+    name, mean, sigma, unlike, misfit = raw_shares(spectrum, minerals, kind, library)
+    return Case(suite, spectrum.id, name, minerals, mean - truth, sigma, unlike, misfit)
 
 
 def factor(found: Sequence[Case], level: float) -> float:
@@ -118,7 +118,7 @@ def verdict(found: Sequence[Case]) -> tuple[float, float]:
 def accepted(one: Case, others: Sequence[Case]) -> bool:
     """Whether a spectrum is in domain, by the errors of the others."""
     near = one.unlike <= max(other.unlike for other in others)
-    return bool(one.told and near and factor(others, 0.68) * one.sigma.max() <= MOST_WIDE)
+    return bool(one.misfit <= 1 and near and factor(others, 0.68) * one.sigma.max() <= MOST_WIDE)
 
 
 def held(found: Sequence[Case], level: float) -> float:

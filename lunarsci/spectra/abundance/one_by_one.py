@@ -54,8 +54,8 @@ MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 class _Found:
     """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each.
 
-    `prior` has the shares of all random mixtures of each kind; `missed` says what of the spectrum none of them has, and
-    is empty where shares may be told.
+    `prior` has the shares of all random mixtures of each kind; `misfit` is that of `DrawnShares` over the most that is
+    allowed; `missed` says what of the spectrum no mixture has, and is empty where shares may be told.
     """
 
     shares: FloatArray
@@ -67,6 +67,7 @@ class _Found:
     prior: tuple[FloatArray, ...]
     unlike: float
     rms_ln: float
+    misfit: float
     missed: str
 
     @property
@@ -125,12 +126,12 @@ def estimate_each(
 
 def raw_shares(
     spectrum: Spectrum, minerals: Sequence[str], kind: str, end_members: Sequence[EndMember] | None = None
-) -> tuple[str, FloatArray, FloatArray, float, bool]:
-    """What calibration starts from: class, mean and standard deviation (m,) of shares, `unlike`, and whether told."""
+) -> tuple[str, FloatArray, FloatArray, float, float]:
+    """What calibration starts from: class, mean and standard deviation (m,) of shares, `unlike`, and `misfit`."""
     model = _Model(tuple(minerals), _kept(end_members), "hapke", None, Darkening())
     found = _drawn(spectrum, model, {kind: 1.0})
     name, chosen = _class(found, kind)
-    return (name, *found.moments(chosen), found.unlike, not found.missed)
+    return (name, *found.moments(chosen), found.unlike, found.misfit)
 
 
 def _kinds_of(kind: KindVerdict) -> dict[str, float]:
@@ -182,6 +183,7 @@ def _drawn(spectrum: Spectrum, model: _Model, kinds: Mapping[str, float]) -> _Fo
         prior=tuple(shares for one in parts for shares in one.prior),
         unlike=max(one.unlike for one in parts),
         rms_ln=min(one.rms_ln for one in parts),
+        misfit=min(one.misfit for one in parts),
         missed=parts[0].missed if all(one.missed for one in parts) else "",
     )
 
@@ -202,6 +204,7 @@ def _of_kind(comparison: Comparison, found: DrawnShares, kind: str, share: float
         (mixtures.shares,),
         found.unlike,
         found.rms_ln,
+        found.misfit / TARGETS[kind].most_misfit,
         _missed(found) if found.misfit > TARGETS[kind].most_misfit else "",
     )
 

@@ -230,11 +230,10 @@ MOST_WIDE = 0.12
 """Half of the widest interval of 68 % with which a spectrum is in domain: its worst share is mostly within 0.15,
 measured on the suites left out."""
 POWDER_TYPES = (
-    RockType("any", 0.4),
-    RockType("led-by-one", 0.4, leading=6.0),
-    RockType("one-alone", 0.2, leading=60.0),
+    RockType("any", 0.5),
+    RockType("led-by-one", 0.5, leading=6.0),
 )
-"""Powders of any shares, led by one mineral, and of nearly one alone; assumed."""
+"""Half of the powders of any shares, half led by one mineral; assumed."""
 ROCK_TYPES = (
     RockType("any", 0.3),
     RockType(
@@ -290,7 +289,7 @@ misfit does not tell right shares from wrong ones."""
 _ROCKS = Discrepancy(level=0.2, slope=0.1, bend=0.05, detail=0.03)
 """As `_POWDERS`, measured and assumed alike; rocks differ more from powders than these from each other."""
 TARGETS = {
-    POWDER: Target(POWDER, POWDER_TYPES, _POWDERS, 8, False, MOST_MISFIT),
+    POWDER: Target(POWDER, POWDER_TYPES, _POWDERS, 12, False, MOST_MISFIT),
     DARK: Target(DARK, ROCK_TYPES, _ROCKS, 25, True),
     SOLID: Target(SOLID, ROCK_TYPES, _ROCKS, 25, True),
 }
