@@ -54,6 +54,7 @@ def test_own_powders_count_by_their_grain_size() -> None:
     unknown = [replace(item, min_um=None, max_um=None) for item in own]
     [found] = estimate_each([spectrum], MAFIC, kinds=kinds, end_members=unknown)
     assert not found.in_domain
+    assert "no grain size (min_um, max_um) of olivine, orthopyroxene, clinopyroxene" in found.status
     assert all(
         item.low95 <= share <= item.high95 for item, share in zip(found.fractions, volume / volume.sum(), strict=True)
     )
