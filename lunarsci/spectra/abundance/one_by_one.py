@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from statistics import NormalDist
 
 import numpy as np
 
@@ -46,8 +47,6 @@ LEAST_SIGMA = 0.03
 """No share is taken as known better; assumed."""
 LIKELY = 0.5
 """Probability from which a rock counts as an ordinary chondrite; assumed."""
-TWO_SIGMA = 1.96
-"""Standard deviations within which 95 % of a normal law lie."""
 UNTESTED = "what was stated to be dark was compared with no measured mixture"
 CENTRAL = np.array([0.16, 0.84])
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
@@ -277,7 +276,7 @@ def _for_grains(known: KindCalibration, model: _Model) -> KindCalibration:
     """Not narrower than drawn where grain sizes are those of single end members, which no suite was measured with."""
     if not any(item.sigma for item in grain_sizes(model.minerals, model.library or ()).values()):
         return known
-    return replace(known, factor68=max(known.factor68, 1.0), factor95=max(known.factor95, TWO_SIGMA))
+    return replace(known, factor68=max(known.factor68, 1.0), factor95=max(known.factor95, NormalDist().inv_cdf(0.975)))
 
 
 def _fraction(mineral: str, mean: float, sigma: float, told: bool, known: KindCalibration) -> MineralFraction:
