@@ -287,6 +287,7 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
 
 
 def not_weighed(found: "Sequence[Abundance]") -> list[str]:
-    """That shares are of the minerals named alone, by method."""
-    beside = {modes.method: ", ".join(modes.not_weighed) for modes in found if modes.not_weighed}
+    """That shares are of the minerals named alone, by method, where any share is told."""
+    told = [modes for modes in found if modes.determined and modes.not_weighed]
+    beside = {modes.method: ", ".join(modes.not_weighed) for modes in told}
     return [f"{method}: of these minerals alone; {names} not weighed, may be much" for method, names in beside.items()]
