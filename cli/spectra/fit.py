@@ -275,7 +275,7 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         for modes in found
         for share in modes.fractions
     ]
-    notes = [f"{modes.method}: {modes.status}" for modes in found]
+    notes = [f"{modes.method}: {modes.status}" for modes in found] + not_weighed(found)
     notes += [
         f"{modes.method}: the mixture leaves {100 * modes.rms_ln:.1f} % of R (rms) beside a level, a slope and a bend"
         for modes in found
@@ -284,3 +284,10 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
     shown = [modes.certified for modes in found if modes.certified is not None and modes.certified < 0.95]
     notes += [f"95 %: so few suites show that it holds in {100 * min(shown):.0f} % at least, no more"] if shown else []
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)
+
+
+def not_weighed(found: "Sequence[Abundance]") -> list[str]:
+    """That shares are of the minerals named alone, by method, where any share is told."""
+    told = [modes for modes in found if modes.determined and modes.not_weighed]
+    beside = {modes.method: ", ".join(modes.not_weighed) for modes in told}
+    return [f"{method}: of these minerals alone; {names} not weighed, may be much" for method, names in beside.items()]

@@ -13,7 +13,7 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
-from .fit import MODEL_OPTIONS, fit_tables
+from .fit import MODEL_OPTIONS, fit_tables, not_weighed
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _shares_table(found: "Sequence[Abundance]") -> TextTable:
         cells = [f"{shares[name][0]} ({shares[name][1]})" if name in shares else "-" for name in minerals]
         rows.append([item.id, *cells, item.status])
     headers = ["spectrum", *(f"{name} [%]" for name in minerals), "status"]
-    return TextTable(headers, rows, title="mineral shares, with 68 % intervals")
+    return TextTable(headers, rows, title="mineral shares, with 68 % intervals", notes=not_weighed(found))
 
 
 def _percent(share: "MineralFraction") -> list[str]:

@@ -180,8 +180,13 @@ def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -
 
 def test_a_stated_kind_is_unmixed_and_told_what_is_missing(run: Run, soil: Path) -> None:
     rock = found(run, soil, "--starts", "1", "--kind", "solid-rock")["soil"]
-    ratio = rock["ratios"]["olivine_in_mafic"]
-    assert 0 <= ratio["low95"] <= ratio["low"] <= ratio["fraction"] <= ratio["high"] <= ratio["high95"] <= 1
+    assert [*rock["ratios"]] == ["olivine_in_mafic", "orthopyroxene_in_pyroxene"]
+    for ratio in rock["ratios"].values():
+        middle = [] if ratio["fraction"] is None else [ratio["fraction"]]
+        ends = [0, ratio["low95"], ratio["low"], *middle, ratio["high"], ratio["high95"], 1]
+        assert ends == sorted(ends)
+        assert middle or ends == [0, 0, 0, 1, 1, 1], "what is not determined may be anything"
+    assert rock["not_weighed"] == ["plagioclase"]
     assert rock["in_domain"] is False
     assert "not calibrated on rocks" in rock["status"]
     done = run("spectra", "unmix", soil, "--starts", "1", "--kind", "dark-rock-powder")

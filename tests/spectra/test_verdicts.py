@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import lunarsci
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_verdict
+from lunarsci.spectra.library.end_member import CHEMISTRY
 from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.mgm.batch import batch_of
 from lunarsci.spectra.mgm.columns import rows_one_by_one
@@ -196,6 +198,24 @@ def test_no_share_out_of_domain_is_to_be_quoted() -> None:
     for left, said in ((0.05, "to be quoted, by `unmix`"), (0.19, "with care, by `unmix`")):
         own = good | {"rms_ln": left}
         assert said in shares_verdict(record | {"abundance": own, "abundances": {"unmix": own}})
+
+
+def test_a_share_to_be_quoted_says_of_which_minerals_alone_it_is() -> None:
+    spread = (0.8, 0.7, 0.9, 0.6, 1.0)
+    found = [
+        Abundance("a", "unmix", tuple(MineralFraction(name, *spread) for name in names), None, True, "line", None)
+        for names in (("olivine", "orthopyroxene", "clinopyroxene"), tuple(CHEMISTRY))
+    ]
+    record: dict[str, Any] = {"kind": {"name": "powder-mixture", "stated": True}, "normative": None}
+    kind = record["kind"] | {"probabilities": {}}
+    mafic, all_four = (
+        shares_verdict(record | {"kind": kind, "abundance": own, "abundances": {"unmix": own}, "status": "converged"})
+        for own in (item.to_dict() for item in found)
+    )
+    assert (
+        "of olivine, orthopyroxene, clinopyroxene alone (plagioclase not weighed, may be much): olivine 80 %" in mafic
+    )
+    assert "weighed" not in all_four
 
 
 def test_centres_that_no_such_mineral_has_strain_a_fit() -> None:

@@ -9,7 +9,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
-from lunarsci.spectra.abundance.powders import Powders, loosened, population
+from lunarsci.spectra.abundance.posterior import MOST_WIDE
+from lunarsci.spectra.abundance.powders import Powders, loosened, population, unsized
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.unmix import MixtureSeries, SharesPosterior, unmix
 from lunarsci.spectra.library.end_member import EndMember
@@ -29,7 +30,8 @@ MOST_STRANGE = 0.15
 class Outcome:
     """What `unmix` found for the spectra of a suite, under each law.
 
-    `untested` says why no measurement vouches for it; empty where one does.
+    `untested` says why no measurement vouches for it; empty where one does. `unsized` has minerals whose grain size
+    nobody stated.
     """
 
     method: str
@@ -37,6 +39,7 @@ class Outcome:
     posteriors: tuple[SharesPosterior, ...]
     model_error: float
     untested: str = ""
+    unsized: tuple[str, ...] = ()
 
 
 def abundances(names: Sequence[str], outcome: Outcome) -> list[Abundance]:
@@ -71,15 +74,26 @@ def _abundance(name: str, outcome: Outcome, draws: FloatArray, rms: float, stran
         )
         for k, mineral in enumerate(outcome.minerals)
     )
-    inside = strange <= MOST_STRANGE and not outcome.untested
-    reason = (
-        f"out of domain: less like these minerals than laboratory mixtures are (strangeness {strange:.2f}, up to "
-        f"{MOST_STRANGE:g} is usual); coarse grains, weathering, opaques, glass or other minerals"
-    )
+    doubt = _doubt(outcome, strange, max((item.high - item.low) / 2 for item in fractions))
+    status = f"out of domain: {doubt}" if doubt else "like laboratory mixtures of these minerals"
+    return Abundance(name, outcome.method, fractions, _correlation(draws), not doubt, status, rms)
+
+
+def _doubt(outcome: Outcome, strange: float, wide: float) -> str:
+    """Why a spectrum is out of domain; empty where it is in."""
     if outcome.untested:
-        reason = f"out of domain: {outcome.untested}"
-    status = "like laboratory mixtures of these minerals" if inside else reason
-    return Abundance(name, outcome.method, fractions, _correlation(draws), inside, status, rms)
+        return outcome.untested
+    if strange > MOST_STRANGE:
+        return (
+            f"less like these minerals than laboratory mixtures are (strangeness {strange:.2f}, up to "
+            f"{MOST_STRANGE:g} is usual); coarse grains, weathering, opaques, glass or other minerals"
+        )
+    if outcome.unsized and wide > MOST_WIDE:
+        return (
+            f"a share by volume is uncertain by {100 * wide:.0f} %, more than {100 * MOST_WIDE:.0f} %, since the "
+            f"library states no grain size (min_um, max_um) of {', '.join(outcome.unsized)}"
+        )
+    return ""
 
 
 def _widened(low: FloatArray, high: FloatArray, mean: FloatArray, least: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -172,7 +186,8 @@ def estimate_series(
         suite = _suite(data, _powders(law, minerals, library, data), held, fractions, model_error, iron)
         found.append(unmix(suite))
     untested = UNTESTED if iron or OPAQUE in minerals else ""
-    return abundances(names, Outcome(method, tuple(minerals), tuple(found), model_error, untested))
+    sizes = tuple(unsized(minerals, library))
+    return abundances(names, Outcome(method, tuple(minerals), tuple(found), model_error, untested, sizes))
 
 
 def _check(spectra: Sequence[Spectrum], minerals: Sequence[str], model_error: float) -> None:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from statistics import NormalDist
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from lunarsci.spectra.abundance.posterior import (
     KindCalibration,
     calibrations,
 )
+from lunarsci.spectra.abundance.powders import grain_sizes, unsized
 from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
 from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction, refused
 from lunarsci.spectra.library.end_member import EndMember
@@ -234,10 +236,12 @@ def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abun
     mean, sigma = found.moments(chosen)
     if found.missed:
         return replace(refused(id, model.method, model.minerals, found.missed), rms_ln=found.rms_ln, dark=_dark(found))
-    known = _calibration(_kinds_of(kind), name)
+    known = _for_grains(_calibration(_kinds_of(kind), name), model)
     told = _told(sigma, found, model.minerals, kind.kind) if name != CHONDRITE else np.full(mean.size, True)
     stated = model.dark.phase_stated or model.dark.iron_stated
     doubt = UNTESTED if stated and not kind.stranger else _doubt(kind, sigma, found.unlike, known)
+    if doubt and (names := unsized(model.minerals, model.library or ())):
+        doubt += f"; the library states no grain size (min_um, max_um) of {', '.join(names)}"
     shares = zip(model.minerals, mean, sigma, told, strict=True)
     return Abundance(
         id,
@@ -266,6 +270,13 @@ def _calibration(kinds: Mapping[str, float], name: str) -> KindCalibration:
     if name == CHONDRITE:
         return known[CHONDRITE]
     return max((known[DARK if kind == SOLID else kind] for kind in kinds), key=lambda item: item.factor95)
+
+
+def _for_grains(known: KindCalibration, model: _Model) -> KindCalibration:
+    """Not narrower than drawn where grain sizes are those of single end members, which no suite was measured with."""
+    if not any(item.sigma for item in grain_sizes(model.minerals, model.library or ()).values()):
+        return known
+    return replace(known, factor68=max(known.factor68, 1.0), factor95=max(known.factor95, NormalDist().inv_cdf(0.975)))
 
 
 def _fraction(mineral: str, mean: float, sigma: float, told: bool, known: KindCalibration) -> MineralFraction:

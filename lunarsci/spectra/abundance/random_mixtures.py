@@ -1,8 +1,9 @@
 """Random mixtures: what spectra the minerals of a library, darkened or not, can give.
 
 A draw has shares of the minerals from the law of a kind of rock (`RockType`), for each mineral a powder between two end
-members, grain sizes, and what is dark beside the minerals: an opaque phase, metal and troilite or glass as a further
-powder, submicroscopic iron on all grains. Mixing is that of `mixing`.
+members (or the only one, of the grain size that it states), grain sizes, and what is dark beside the minerals: an
+opaque phase, metal and troilite or glass as a further powder, submicroscopic iron on all grains. Mixing is that of
+`mixing`.
 
 Sources: mixing Hapke (1981), 10.1029/JB086iB04p03039; iron below 50 nm, which reddens, Hapke (2001),
 10.1029/2000JE001338; larger iron, which only darkens, Lucey & Riner (2011), 10.1016/j.icarus.2010.12.004.
@@ -16,7 +17,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.mixing import MixingLaw, iron_absorption
-from lunarsci.spectra.abundance.powders import ln_size, reflectance_at, specimen_weights
+from lunarsci.spectra.abundance.powders import grain_size, grains, ln_size, reflectance_at, specimen_weights
 from lunarsci.spectra.library.end_member import EndMember
 
 PHASES = ("none", "opaque", "metal-troilite", "glass")
@@ -173,7 +174,7 @@ class _Powders:
         if not there.any():
             raise ParameterError(f"no end member of {mineral} reaches over all channels; give a library that has one")
         members = [item for item, usable in zip(own, there, strict=True) if usable]
-        size = np.array([ln_size(item) for item in members]) * (len(members) > 1)
+        size = np.array([0.0 if len(members) == 1 else ln_size(item) for item in members])
         element = law.element(values[there]) - law.size_exponent * size[:, None]
         return cls(members, element, specimen_weights(members))
 
@@ -249,11 +250,13 @@ def _mixed(
     """ln R of the draws."""
     count = len(shares)
     common = rng.normal(0.0, COMMON_SIZE, count)
+    stated, apart = grains([grain_size(powder.members) for powder in powders])
+    coarser = stated + rng.standard_normal((count, apart.shape[1])) @ apart.T
     mixed, section = np.zeros((count, wavelength_nm.size)), np.zeros(count)
     for place, powder in enumerate(powders):
         own = rng.normal(0.0, OWN_SIZE, count)
         size = law.size_exponent * (own + common)
-        part = shares[:, place] * np.exp(-law.section * own)
+        part = shares[:, place] * np.exp(-law.section * own - coarser[:, place])
         mixed += part[:, None] * law.mixing(powder.drawn(count, rock, rng) + size[:, None])[0]
         section += part
     kept = 1.0 - dark.share[:, None]

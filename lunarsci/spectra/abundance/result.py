@@ -91,12 +91,20 @@ class Abundance:
         """Whether any share has a value, and not an interval alone."""
         return any(math.isfinite(item.fraction) for item in self.fractions)
 
+    @property
+    def not_weighed(self) -> list[str]:
+        """Minerals that may be there and were not looked for: shares are of the others alone."""
+        from lunarsci.spectra.library.end_member import CHEMISTRY
+
+        return [mineral for mineral in CHEMISTRY if mineral not in {item.mineral for item in self.fractions}]
+
     def to_dict(self) -> dict[str, Any]:
         """The key `abundance` of `lunarsci spectra fit --json`."""
         shares = {item.mineral: _values(item) for item in self.fractions}
         return {
             "method": self.method,
             "in_domain": self.in_domain,
+            "not_weighed": self.not_weighed,
             "status": self.status,
             "rms_ln": self.rms_ln,
             "correlation": None if self.correlation is None else self.correlation.tolist(),

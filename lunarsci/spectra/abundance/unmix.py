@@ -114,7 +114,7 @@ class MixtureSeries:
         return float(np.sum(shared**2) + np.sum((own / self.scale) ** 2)) + gauge
 
     def _effective(self, shared: FloatArray, own: FloatArray) -> FloatArray:
-        weighted = own[:, : self.minerals] ** 2 * np.exp(self.powders.sections @ shared)
+        weighted = own[:, : self.minerals] ** 2 * self.powders.section(shared)
         return np.asarray(weighted / weighted.sum(axis=1, keepdims=True))
 
     def equations(self, shared: FloatArray, own: FloatArray) -> Equations:
@@ -163,7 +163,7 @@ class MixtureSeries:
         own_columns[:, :, -1] *= by_mixed
         by_mixed = by_mixed * chain
         by_share = by_mixed[:, None, :] * apart
-        lead = np.exp(self.powders.sections @ shared)
+        lead = self.powders.section(shared)
         lead = lead / (own[:, : self.minerals] ** 2 @ lead)[:, None]
         bend = 2 * by_share * (lead * self.sought)[:, :, None]
         own_columns[:, :, : self.minerals] = (bend * own[:, : self.minerals, None]).transpose(0, 2, 1)

@@ -204,13 +204,20 @@ def _quotable(record: Mapping[str, Any]) -> list[str]:
     for one in inside:
         values = [f"{name} {_percent(one[name])}" for name in MINERALS if name in one]
         said = "with care" if missed and one["method"] == shares.get("method") else "to be quoted"
-        parts.append(f"{said}, by `{one['method']}`, with its interval: {', '.join(values)}")
+        parts.append(f"{said}, by `{one['method']}`, with its interval{_of_what(one)}: {', '.join(values)}")
     parts += [] if inside else [f"no share to be quoted: {shares['status'].removeprefix('out of domain: ')}"]
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in (shares.get("ratios") or {}).items()]
     parts += [f"ratios with their intervals: {', '.join(ratios)}"] if ratios else []
     if missed and left is not None:
         parts.append(f"the mixture misses the spectrum by {100 * left:.0f} % (rms), level and slope apart")
     return parts
+
+
+def _of_what(shares: Mapping[str, Any]) -> str:
+    """Of which minerals alone shares are, and which may be there beside."""
+    beside = shares.get("not_weighed")
+    own = [name for name in MINERALS if name in shares]
+    return f", of {', '.join(own)} alone ({', '.join(beside)} not weighed, may be much)" if beside else ""
 
 
 def _percent(share: Mapping[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """Shares of spectra taken one by one: what is dark, what is not determined, and libraries without siblings."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,25 @@ def test_shares_of_a_made_mixture_lie_in_their_intervals() -> None:
         assert item.low95 <= share <= item.high95
         assert item.high > item.low
     assert sum(item.low for item in found.fractions) < 1 < sum(item.high for item in found.fractions)
+
+
+def test_own_powders_count_by_their_grain_size() -> None:
+    """A mixture by cross-section of an olivine of 100 um and pyroxenes of 40 um, as the library states or does not."""
+    own = [item for item in embedded_end_members(NM) if item.id in BRIGHT]
+    coarse = [replace(item, min_um=75.0 if item.id == "AG-TJM-008" else 30.0,
+                      max_um=125.0 if item.id == "AG-TJM-008" else 50.0) for item in own]  # fmt: skip
+    spectrum, kinds = mixed(BRIGHT), [find_kind(mixed(BRIGHT), POWDER)]
+    volume = np.array([0.5 * 100, 0.3 * 40, 0.2 * 40])
+    [told] = estimate_each([spectrum], MAFIC, kinds=kinds, end_members=coarse)
+    for item, share in zip(told.fractions, volume / volume.sum(), strict=True):
+        assert item.fraction == pytest.approx(share, abs=0.05)
+    unknown = [replace(item, min_um=None, max_um=None) for item in own]
+    [found] = estimate_each([spectrum], MAFIC, kinds=kinds, end_members=unknown)
+    assert not found.in_domain
+    assert "no grain size (min_um, max_um) of olivine, orthopyroxene, clinopyroxene" in found.status
+    assert all(
+        item.low95 <= share <= item.high95 for item, share in zip(found.fractions, volume / volume.sum(), strict=True)
+    )
 
 
 def test_a_dark_phase_is_found_and_does_not_become_plagioclase() -> None:

@@ -22,7 +22,15 @@ from lunarsci.spectra.abundance.mixing import (
     Weathering,
     iron_absorption,
 )
-from lunarsci.spectra.abundance.powders import Powders, loosened, population
+from lunarsci.spectra.abundance.powders import (
+    SAME_SIEVE,
+    UNKNOWN_SIZE,
+    GrainSize,
+    Powders,
+    grains,
+    loosened,
+    population,
+)
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.abundance.unmix import GAUGE, MixtureSeries, _posterior, shares, unmix
 from lunarsci.spectra.library.end_member import EndMember
@@ -327,3 +335,74 @@ def test_spectra_on_other_channels_are_not_taken_together() -> None:
     moved = Spectrum("moved", first.wavelength_nm[::8], first.reflectance[::8])
     with pytest.raises(DataError, match="resample"):
         estimate_series([first, moved], MINERALS)
+
+
+SIEVES = {"olivine": (75.0, 125.0), "orthopyroxene": (30.0, 50.0), "clinopyroxene": (30.0, 50.0)}
+
+
+def sieved(sieves: dict[str, tuple[float, float]]) -> list[EndMember]:
+    """The powders of `made`, with the grain sizes that are stated of them."""
+    return [
+        replace(item, min_um=sieves[name][0], max_um=sieves[name][1]) if name in sieves else replace(item, max_um=None)
+        for name, item in own().items()
+        if name in MINERALS
+    ]
+
+
+def of_grains(fractions: FloatArray, sieves: dict[str, tuple[float, float]], id: str) -> Spectrum:
+    """A mixture by volume of the sieved powders: a grain of diameter D has the cross-section 1 / D of its volume."""
+    weight = fractions / np.array([sum(sieves[name]) / 2 for name in MINERALS])
+    return made(weight / weight.sum(), id)
+
+
+@pytest.mark.parametrize("law", ["hapke", "unmix"])
+def test_own_powders_of_unlike_grains_are_found_by_volume(law: str) -> None:
+    spectra = [of_grains(row, SIEVES, f"mixture {k}") for k, row in enumerate(SEVERAL)]
+    found = estimate_series(spectra, MINERALS, method=law, end_members=sieved(SIEVES))
+    assert all(item.in_domain for item in found)
+    for row, item in zip(SEVERAL, found, strict=True):
+        for truth, share in zip(row, item.fractions, strict=True):
+            assert share.fraction == pytest.approx(truth, abs=0.04)
+            assert share.low95 <= truth <= share.high95
+    wrong = estimate_series(spectra, MINERALS, method=law, end_members=sieved(dict.fromkeys(SIEVES, (30.0, 50.0))))
+    assert wrong[1].fractions[0].high95 < SEVERAL[1, 0], "what the library states must count"
+
+
+def test_grains_of_which_nobody_stated_the_size_may_be_of_any_usual_one() -> None:
+    spectra = [of_grains(row, SIEVES, f"mixture {k}") for k, row in enumerate(SEVERAL)]
+    found = estimate_series(spectra, MINERALS, end_members=sieved({}))
+    for row, item in zip(SEVERAL, found, strict=True):
+        for truth, share in zip(row, item.fractions, strict=True):
+            assert share.low95 <= truth <= share.high95
+    assert not found[1].in_domain
+    assert "states no grain size (min_um, max_um) of olivine, orthopyroxene, clinopyroxene" in found[1].status
+    known = [None, dict(zip(MINERALS, SEVERAL[1], strict=True)), None, None]
+    taught = estimate_series(spectra, MINERALS, end_members=sieved({}), known=known)
+    for row, item in zip(SEVERAL, taught, strict=True):
+        assert item.in_domain, "a mixture of known mode tells the ratio"
+        assert [share.fraction for share in item.fractions] == pytest.approx(row, abs=0.04)
+
+
+def test_powders_of_one_sieve_share_what_the_sieve_leaves_open() -> None:
+    sieve = GrainSize(0.2, SAME_SIEVE, (0.0, 45.0))
+    size, apart = grains([sieve, GrainSize(), sieve, GrainSize(0.4, UNKNOWN_SIZE)])
+    covariance = apart @ apart.T
+    assert size == pytest.approx([0.2, 0.0, 0.2, 0.4])
+    assert np.diag(covariance) == pytest.approx([SAME_SIEVE**2 + 1 / 3, 0, SAME_SIEVE**2 + 1 / 3, UNKNOWN_SIZE**2])
+    between = covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2]
+    assert between == pytest.approx(2 * SAME_SIEVE**2)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_grain_sizes_have_their_slopes(law: MixingLaw) -> None:
+    library = sieved(SIEVES)
+    powders = Powders(law, [loosened(population(name, library, GRID, law), GRID) for name in MINERALS])
+    one = replace(suite(law, 3), powders=powders)
+    shared = np.random.default_rng(0).normal(scale=0.3, size=powders.size)
+    point = one.start()
+    equations = one.equations(shared, point)
+    for k in range(powders.size - 7, powders.size):
+        step = np.zeros(powders.size)
+        step[k] = 1e-4
+        slope = (one.value(shared + step, point) - one.value(shared - step, point)) / 2e-4
+        assert -2 * equations.shared_slope[k] == pytest.approx(slope, rel=0.02, abs=0.3), k
