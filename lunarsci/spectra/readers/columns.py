@@ -200,7 +200,7 @@ def _says_error(name: str) -> bool:
 
 def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, int]:
     """Place of the uncertainty of each reflectance place that has one."""
-    plain = {without_unit(names[k]): k for k in places}
+    plain = {names[k]: k for k in places} | {without_unit(names[k]): k for k in places}
     pairs: dict[int, int] = {}
     bare = []
     for k in places:
