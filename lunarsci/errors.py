@@ -48,12 +48,15 @@ class Failure(str):
     no_files: bool
 
     @classmethod
-    def of(cls, name: str, why: object, spectrum: str = "") -> "Failure":
-        """The failure of an input by an error, or by a reason in words, whether these name the input or not."""
+    def of(cls, name: str, why: object, spectrum: str = "", *, only: bool = False) -> "Failure":
+        """The failure of an input by an error, or by a reason in words, whether these name the input or not.
+
+        Where a spectrum is the `only` one of its input, the whole input gave no result.
+        """
         told = str(why)
         place = f"{name}: {spectrum}: " if spectrum else f"{name}: "
         made = cls(told if name in told and not spectrum else f"{place}{told}")
-        made.input, made.spectrum, made.no_files = name, spectrum, isinstance(why, NoFilesError)
+        made.input, made.spectrum, made.no_files = name, "" if only else spectrum, isinstance(why, NoFilesError)
         made.reason = told.removeprefix(name).lstrip(":, ") or told
         return made
 

@@ -353,6 +353,7 @@ def _column(name: str, cells: list[Any]) -> Any:
         return values * units.Unit(unit) if (unit := unit_of(name)) else values
     if present and all(isinstance(cell, bool) for cell in cells):
         return np.array(cells, bool)
-    if not present and (unit := unit_of(name)):
-        return np.full(len(cells), np.nan) * units.Unit(unit)
+    if not present:
+        missing = np.full(len(cells), np.nan)
+        return missing * units.Unit(unit) if (unit := unit_of(name)) else missing
     return np.array(["" if cell is None else str(cell) for cell in cells])

@@ -28,7 +28,7 @@ import lunarsci
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, _column, request_of
 
 ROOT = Path(__file__).parents[1]
 
@@ -69,6 +69,7 @@ def test_a_table_has_units() -> None:
     assert list(table["note"]) == ["x", "<b>"]
     empty = Found(None, "x").to_table()  # type: ignore[arg-type]
     assert empty["load_n"].unit == units.N and np.isnan(empty["load_n"]).all(), "a column without a value, too"
+    assert np.isnan(_column("fo_mean", [None, None])).all(), "whatever its name is"
 
 
 def test_html_says_what_it_shows() -> None:

@@ -45,6 +45,7 @@ OPTIONS = {
     "site": option(
         "Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; --craters need it.",
         panel=ROCK,
+        kind=str | None,
         metavar="LAT,LON",
     ),
     "use": option("Which kind of composition is compared, where a crater has it.", panel=ROCK),

@@ -207,19 +207,24 @@ def like(parameters: Mapping[str, Any]) -> str:
     left = {name: float(one["left_of_prior"]) for name, one in parameters.items() if one.get("left_of_prior")}
     told = [name for name in sorted(left, key=lambda name: left[name]) if left[name] <= UNMOVED]
     lines = [
-        f"{quantity(name)} {number(one['median'], 3)} ({_end(one, 'low')} to {_end(one, 'high')}){_after(name)}"
+        f"{quantity(name)} {number(one['median'], 3)} ({number(one['low'], 3)} to {number(one['high'], 3)}{_own(one)})"
+        f"{_after(name)}"
         for name, one in ((name, parameters[name]) for name in told[:MOST])
     ]
     rest = [quantity(name) for name in left if name not in told]
     unmoved = f" Hardly better known than before any drive: {', '.join(rest)}." if rest else ""
-    known = f"The ground, median and 68 %: {'; '.join(lines)}." if lines else "Nothing of it is better known now."
+    known = (
+        f"The soil for predictions, median and 68 %: {'; '.join(lines)}."
+        if lines
+        else "Nothing of it is better known now."
+    )
     return f"{known}{unmoved}"
 
 
-def _end(parameter: Mapping[str, Any], side: str) -> str:
-    """An end of the interval of 68 % of the ground's own parameter; of the effective one where no other is known."""
-    own = parameter.get(f"ground_{side}_68")
-    return number(parameter[side] if own is None else own, 3)
+def _own(parameter: Mapping[str, Any]) -> str:
+    """The interval of 68 % of the ground's own parameter, which is another than that of the one for predictions."""
+    low, high = (parameter.get(f"ground_{side}_68") for side in ("low", "high"))
+    return "" if low is None or high is None else f"; the ground's own {number(low, 3)} to {number(high, 3)}"
 
 
 def _after(name: str) -> str:

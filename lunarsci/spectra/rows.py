@@ -151,7 +151,7 @@ def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool)
     mend = "; correct it, leave it blank if unknown, or take out a column that is no spectrum"
     if cell.strip().casefold() in UNITS:
         mend = "; write units into the header, as in 'wavelength [nm]' and 'rock [%]', and take their row out"
-    hint = "; a decimal comma needs ';' between the columns" if comma else mend
+    hint = "; a decimal comma needs ';' or tabs between the columns" if comma else mend
     wrong = (
         "; or is the file no table of spectra?" if column == 0 and sum(map(str.isalpha, cell)) > MOST_LETTERS else ""
     )

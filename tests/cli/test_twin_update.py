@@ -110,7 +110,7 @@ def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_
     page = tmp_path / "page.html"
     told = json.loads(run("report", belief, "--json").out)["result"]["sections"][0]
     assert told["tone"] == "doubt" and "the wheels turned" in told["trust"] and told["schema"] == "twin-history/1"
-    assert "The ground, median and 68 %: " in told["answer"] and "synthetic" in told["answer"]
+    assert "The soil for predictions, median and 68 %: " in told["answer"] and "synthetic" in told["answer"]
     assert run("report", belief, "-o", page).code == 0 and "the soil before any drive and now" in page.read_text()
     # The same drive held against a prediction for the plan that was named: the pace of the wheels is said there, too.
     swept = ("--sweep", "friction_angle_deg=36:44:4", "-o", tmp_path / "other", "-q")

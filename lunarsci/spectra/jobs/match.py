@@ -43,7 +43,8 @@ class MatchRequest:
     bands : `bc1000=930:5,…`, centres and errors. [nm]
     kind : of target that its modes were unmixed from: errors are then at least those that were measured of it.
     name : of that rock.
-    site : latitude and longitude where rocks were found; None for Chang'E-4's, which craters of one's own refuse. [deg]
+    site : latitude and longitude where rocks were found, numbers or text; None for Chang'E-4's, which craters of one's
+        own refuse. [deg]
     use : kind of composition that is compared.
     systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
     craters : table of candidates, as a file or in memory; None for those around Chang'E-4, for a site within 1,000 km.
@@ -58,7 +59,7 @@ class MatchRequest:
     bands: str | None = None
     kind: Literal["powder-mixture", "ordinary-chondrite", "dark-rock-powder", "solid-rock"] | None = None
     name: str = "rock"
-    site: str | None = None
+    site: str | tuple[float, ...] | None = None
     use: Literal["both", "modes", "bands"] = "both"
     systematic: float = 0.10
     band_systematic: float = 10.0
@@ -220,7 +221,7 @@ def match(
     )
 
 
-def _check_near(text: str | None, site: "Point | None") -> None:
+def _check_near(text: str | tuple[float, ...] | None, site: "Point | None") -> None:
     """Raises RequestError for a site that the embedded craters do not lie round."""
     from lunarsci.spectra.origin.catalogue import distance_km
     from lunarsci.spectra.origin.prior import CHANG_E_4
@@ -267,11 +268,12 @@ class Candidates:
     map_reports: "Sequence[MapReport]" = ()
 
 
-def _site(text: str) -> "Point":
-    """`LAT,LON` in degrees."""
+def _site(site: str | tuple[float, ...]) -> "Point":
+    """Two numbers, or the text `LAT,LON`, in degrees."""
     from lunarsci.spectra.origin.catalogue import checked_point
     from lunarsci.spectra.origin.composition import stated_number
 
+    text = site if isinstance(site, str) else ",".join(map(str, site))
     parts = text.split(",")
     if len(parts) != 2:
         raise RequestError(f"`site` {text}: give latitude and longitude, such as -45.44,177.56")

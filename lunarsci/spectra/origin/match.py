@@ -291,7 +291,7 @@ class RockMatches(Sequence[RockMatch]):
             for crater, prior in zip(craters, found.priors, strict=True)
         ]
         tested = np.array([not rock.untested for rock in rocks], dtype=bool)
-        self.decided = tested & _decided(found, _weights(found.priors, settings))
+        self.decided = tested & _decided(found, _weights(found.priors, settings)) & ~_own_crater(found)
 
     def __len__(self) -> int:
         return len(self.rocks)
@@ -337,6 +337,16 @@ def _decided(found: MatchRows, weights: FloatArray) -> BoolArray:
     return decided
 
 
+def _own_crater(found: MatchRows) -> BoolArray:
+    """Whether composition goes at least as well with a crater that the site lies in as with the likeliest source."""
+    inside = np.array([prior.ejecta_m is None for prior in found.priors], dtype=bool)
+    factors = np.column_stack([found.evidence.ln_total, np.zeros(len(found.posterior))])
+    first = np.argmax(np.column_stack([found.posterior, found.other_posterior]), axis=1)
+    own: FloatArray = np.where(inside, factors[:, :-1], -np.inf).max(axis=1, initial=-np.inf)
+    alike: BoolArray = (own > 0.0) & (own >= factors[np.arange(len(first)), first])
+    return alike
+
+
 def _ln_odds(shares: FloatArray, place: IntArray) -> FloatArray:
     """ln of one share (n, s) of each row over the sum of the others."""
     own = np.arange(shares.shape[1]) == place[:, None]
@@ -350,6 +360,13 @@ def _remaining(matches: Sequence[CraterMatch], other: float) -> list[tuple[str, 
     named = sorted([(OTHER, other), *((m.crater.name, m.posterior) for m in matches)], key=lambda one: -one[1])
     below = np.cumsum([share for _, share in named]) < REMAIN
     return named[: int(below.sum()) + 1]
+
+
+def _fitting_inside(matches: Sequence[CraterMatch], first: str) -> str:
+    """Craters that the site lies in and composition goes with at least as well as with the likeliest source."""
+    told = next((item.ln_bayes_factor for item in matches if item.crater.name == first), 0.0)
+    inside = [item for item in matches if item.contains_site and item.ln_bayes_factor > 0.0]
+    return some_of([item.crater.name for item in inside if item.ln_bayes_factor >= told], NAMED)
 
 
 def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: bool) -> str:
@@ -368,6 +385,10 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     if decided:
         return f"likeliest {first}; composition speaks strongly"
     if len(left) == 1 and not rock.untested:
+        if own := _fitting_inside(matches, left[0][0]):
+            return (
+                f"{remain}; composition goes as well with {own}, in which the site lies: it may be a rock of its floor"
+            )
         return f"{remain} by the prior; composition adds less than 20 : 1 for it"
     factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
     spread = max(factors) - min(factors)

@@ -1,6 +1,7 @@
 """Many inputs at once: files, patterns, tables and arrays become spectra; what cannot be read is remembered."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -69,7 +70,8 @@ class SpectraBatch:
         Raises DataError when none has one.
         """
         spectra = self.spectra
-        told = (Failure.of(self.origins[k], reasons[k], spectra[k].id) for k in sorted(reasons))
+        each, origins = Counter(self.origins), self.origins
+        told = (Failure.of(origins[k], reasons[k], spectra[k].id, only=each[origins[k]] == 1) for k in sorted(reasons))
         failures = [*self.failures, *told]
         if len(reasons) == len(spectra):
             raise BatchError.of(failures)

@@ -68,12 +68,12 @@ _SIGMA = {
     *("1sigma", "stddeviation", "sd", "σ", "fehler", "unsicherheit", "standardabweichung"),
 }
 _SIGMA_WORD = re.compile(
-    r"st(d|and)?(ard)?(abw|afw|dev|err)|stdev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|errore|"
+    r"st(d|and)?(ard)?(abw|afw|dev|err)|s(t|tan)?dev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|"
     r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"
-    r"onzekerheid"
+    r"onzekerheid|errore"
 )
 """How names of errors begin in the languages of Europe, Russian, Chinese and Japanese."""
-_LAST_WORD, _FIRST_WORD = re.compile(r"^(.+)[ _.-]([^ _.-]+)$"), re.compile(r"^([^ _.-]+)[ _.-](.+)$")
+_LAST_WORD, _GAP = re.compile(r"^(.+)[ _.-]([^ _.-]+)$"), re.compile(r"[ _.-]")
 _FOREIGN_UNITS = {
     *("ms", "s", "sec", "µs", "μs", "us", "min", "°c", "degc", "celsius", "°f", "degf", "kelvin", "dn", "adu"),
     *("counts", "cts", "count", "mv", "v", "volt", "ma", "mw", "nm", "nanometer", "deg", "°", "hz", "khz", "hpa", "db"),
@@ -200,24 +200,35 @@ def _says_error(name: str) -> bool:
 
 def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, int]:
     """Place of the uncertainty of each reflectance place that has one."""
-    plain = {without_unit(names[k]): k for k in places}
+    plain = {names[k]: k for k in places} | {without_unit(names[k]): k for k in places}
     pairs: dict[int, int] = {}
     bare = []
     for k in places:
         name = without_unit(names[k])
-        last, first = _LAST_WORD.match(name), _FIRST_WORD.match(name)
-        if _says_error(name):
+        last, owner = _LAST_WORD.match(name), _owner(name, plain)
+        if owner is not None:
+            _pair(pairs, owner, k, names, file)
+        elif _says_error(name):
             bare.append(k)
         elif last is not None and _says_error(last[2]):
-            _pair(pairs, plain.get(last[1].strip()), k, names, file)
-        elif first is not None and _says_error(first[1]) and first[2].strip() in plain:
-            _pair(pairs, plain[first[2].strip()], k, names, file)
+            _pair(pairs, None, k, names, file)
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
     plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
     for k in bare:
         _pair(pairs, plainly[0] if len(plainly) == 1 else None, k, names, file)
     return pairs
+
+
+def _owner(name: str, plain: Mapping[str, int]) -> int | None:
+    """Place of the column that another one, by its name, has the errors of: 'A Std.Abw.', 'err_A'."""
+    for gap in _GAP.finditer(name):
+        before, after = name[: gap.start()].strip(), name[gap.end() :].strip()
+        if _says_error(after) and before in plain:
+            return plain[before]
+        if _says_error(before) and after in plain:
+            return plain[after]
+    return None
 
 
 def _systematic(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, tuple[tuple[str, int], ...]]:

@@ -39,6 +39,8 @@ _COMMENT_LENGTH = 200
 _COUNT = re.compile(r"[0-9]+")
 _SPLIB_HEADER = re.compile(r"\s*(splib0[67]\w*|s0[67]\w*)\s+Record=(\d+):\s*(\S.*?)\s*$", re.IGNORECASE)
 _DIGIT = re.compile(r"[0-9]")
+DECIMAL_COMMA = ";\t"
+"""Separators beside which a comma within a number is its decimal point."""
 _OTHER_FILE = re.compile(r"wavelengths?|bandpass", re.IGNORECASE)
 _FILE_NAME = re.compile(r"(splib0[67]|s0[67])\w*_(wavelengths|bandpass)", re.IGNORECASE)
 _SPECTROMETERS = ("ASD", "BECK", "NIC4", "AVIRIS")
@@ -71,7 +73,7 @@ def read_text(source: InputFile) -> SpectrumTable:
         if values is not None:
             return Column(titles[k], values[k], k + 1)
         label = quoted(titles[k]) if titles[k] else str(k + 1)
-        return Column(titles[k], numbers(rows, k, label, source.name, separator == ";"), k + 1)
+        return Column(titles[k], numbers(rows, k, label, source.name, separator in DECIMAL_COMMA), k + 1)
 
     return SpectrumTable(
         source,
@@ -119,14 +121,20 @@ def _header_and_body(
 ) -> tuple[list[str] | None, Sequence[tuple[int, str]]]:
     """Names of the columns, if there are any, and the lines of numbers."""
     first = _row(lines[0], separator, file)
-    if not _is_header(first, separator == ";"):
+    if not _is_header(first, separator in DECIMAL_COMMA):
         return _names_in_comment(comments, separator, first, file), lines
     if len(lines) == 1:
         raise DataError(f"{file}: holds a header and no data rows; check how it was made or downloaded")
-    if _is_header(_row(lines[1], separator, file), separator == ";"):
+    if _is_header(_row(lines[1], separator, file), separator in DECIMAL_COMMA):
         rows = (_row(line, separator, file) for line in lines)
-        begin = next((row for row in rows if not _is_header(row, separator == ";")), None)
-        if begin and len(begin.fields) != len(first.fields):
+        above, begin = first, None
+        for row in rows:
+            if not _is_header(row, separator in DECIMAL_COMMA):
+                begin = row
+                break
+            above = row
+        named_later = above.line != first.line and any(map(is_wavelength, above.fields))
+        if begin and (named_later or len(begin.fields) != len(first.fields)):
             raise DataError(
                 f"{file}: lines of text before the table, whose numbers begin in line {begin.line}; keep only the line "
                 "with the names of the columns, or begin the others with #"

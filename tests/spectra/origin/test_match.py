@@ -74,6 +74,24 @@ def test_a_crater_is_decided_where_composition_tells_it_from_all_others() -> Non
     assert match.status == f"likeliest far ({match.craters[1].posterior:.2f}); composition speaks strongly"
 
 
+def test_a_rock_as_that_of_the_crater_it_lies_in_is_not_decided() -> None:
+    """The rim holds the site, so that its ejecta say nothing, and its floor may."""
+    around = Crater(
+        name="around", latitude_deg=-45.44, longitude_deg=177.56, diameter_km=40.0, composition=Composition(CLEAR)
+    )
+    apart = [(-43.0, 190.0, CLEAR), (-45.0, 171.0, OPPOSITE)]
+    others = [
+        Crater(name=f"crater {k}", latitude_deg=lat, longitude_deg=lon, diameter_km=5.0, composition=Composition(modes))
+        for k, (lat, lon, modes) in enumerate(apart)
+    ]
+    settings = MatchSettings(systematic=0.02, prior=PriorSettings(kind="uniform"))
+    rock = Rock("rock", Composition(CLEAR))
+    assert match_rocks([rock], others, CHANG_E_4, settings)[0].best == "crater 0"
+    match = match_rocks([rock], [*others, around], CHANG_E_4, settings)[0]
+    assert match.best is None
+    assert "goes as well with around, in which the site lies" in match.status
+
+
 def test_where_the_prior_alone_leads_no_crater_is_decided() -> None:
     """A prior of any odds: composition knows nothing of either, or the same of both."""
     unknown = two_craters(None, None, other_weight=0.001)

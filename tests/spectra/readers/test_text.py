@@ -122,8 +122,8 @@ def test_markers_of_deleted_channels_are_missing_and_said(read: Read, cell: str)
 
 @pytest.mark.parametrize("cell", ["abc", "0.2.1", "1_000", "0x1f", "1e", "٣", "--1", "0,2"])
 def test_a_cell_that_is_no_number_is_named(refuse: Refuse, cell: str) -> None:
-    message = refuse(f"# c\nwavelength_nm\trock A\n400\t0.1\n500\t{cell}\n")
-    assert "line 4, column 'rock A'" in message
+    message = refuse(f"# c\nwavelength_nm   rockA\n400 0.1\n500 {cell}\n")
+    assert "line 4, column 'rockA'" in message
     assert f"'{cell}' is not a number" in message
     assert ("decimal comma" in message) == ("," in cell)
 
@@ -318,3 +318,19 @@ def test_rows_that_begin_as_comments_are_counted(read: Read) -> None:
     with pytest.warns(LunarSciWarning, match="left out 2 lines among the data .* the first is line 6"):
         (spectrum,) = read(text)
     assert len(spectrum.wavelength_nm) == 7
+
+
+def test_tabs_leave_a_comma_for_the_decimal_point(read: Read) -> None:
+    (spectrum,) = read("nm\tRefl\tSdev\n400,5\t0,1\t0,01\n500\t0,2\t0,02\n600\t0,3\t0,03\n")
+    np.testing.assert_array_equal(spectrum.wavelength_nm, WAVELENGTH)
+    np.testing.assert_array_equal(spectrum.uncertainty, [0.01, 0.02, 0.03])
+
+
+def test_an_error_may_be_named_after_a_column_with_its_unit(read: Read) -> None:
+    (spectrum,) = read("Wvl_nm;Refl_pct;Refl_pct_sigma\n400;10;1\n500;11;2\n600;12;3\n")
+    np.testing.assert_allclose(spectrum.uncertainty, [0.01, 0.02, 0.03], rtol=1e-12)
+
+
+def test_lines_of_text_as_wide_as_the_table_are_told_from_its_names(refuse: Refuse) -> None:
+    message = refuse("Probe;Basalt;\nGerät;ASD;\nlambda_um;R;sd\n0,4;0,1;0,01\n0,5;0,2;0,01\n0,6;0,2;0,01\n")
+    assert "whose numbers begin in line 4" in message and "begin the others with #" in message
