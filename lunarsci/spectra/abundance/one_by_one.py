@@ -16,6 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.abundance.band_depth import too_shallow
 from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
 from lunarsci.spectra.abundance.mixing import HapkeSurface, mixing_laws
@@ -34,7 +35,14 @@ from lunarsci.spectra.abundance.posterior import (
 )
 from lunarsci.spectra.abundance.powders import grain_sizes, unsized
 from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
-from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction, refused
+from lunarsci.spectra.abundance.result import (
+    ROCKS_UNCALIBRATED,
+    Abundance,
+    DarkPart,
+    MineralFraction,
+    open_share,
+    refused,
+)
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -57,7 +65,7 @@ class _Found:
     """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each.
 
     `prior` has the shares of all random mixtures of each kind; `misfit` is that of `DrawnShares` over the most that is
-    allowed; `missed` says what of the spectrum no mixture has, and is empty where shares may be told.
+    allowed; `missed` says that nothing absorbs, or what of the spectrum no mixture has; empty where shares may be told.
     """
 
     shares: FloatArray
@@ -186,7 +194,7 @@ def _drawn(spectrum: Spectrum, model: _Model, kinds: Mapping[str, float]) -> _Fo
         unlike=max(one.unlike for one in parts),
         rms_ln=min(one.rms_ln for one in parts),
         misfit=min(one.misfit for one in parts),
-        missed=parts[0].missed if all(one.missed for one in parts) else "",
+        missed=too_shallow(spectrum) or (parts[0].missed if all(one.missed for one in parts) else ""),
     )
 
 
@@ -341,20 +349,21 @@ RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene"
 
 
 def _ratios(found: _Found, minerals: Sequence[str], known: KindCalibration) -> tuple[MineralFraction, ...]:
-    """Shares of one mineral in several, by volume; anything where the spectrum says little of them (`TELLING`)."""
+    """Shares of one mineral in several, by volume; anything where the spectrum says little of them (`TELLING`).
+
+    What looks like an ordinary chondrite would get the means of that class, its plagioclase included, whatever it is:
+    made-up norites without olivine had 50-57 % of it.
+    """
     ratios = []
+    class_alone = float(found.weight @ found.chondrite) >= LIKELY
     for name, (above, below) in RATIOS.items():
         if set(below) <= set(minerals):
             places = [[minerals.index(mineral) for mineral in some] for some in (above, below)]
             value, *before = (_ratio(shares, *places) for shares in (found.shares, *found.prior))
             mean = float(found.weight @ value)
             sigma = max(float(np.sqrt(found.weight @ (value - mean) ** 2)), LEAST_SIGMA)
-            told = sigma <= TELLING * max(one.std() for one in before)
-            ratios.append(
-                _fraction(name, mean, sigma, True, known)
-                if told
-                else MineralFraction(name, math.nan, 0.0, 1.0, 0.0, 1.0)
-            )
+            told = not class_alone and sigma <= TELLING * max(one.std() for one in before)
+            ratios.append(_fraction(name, mean, sigma, True, known) if told else open_share(name))
     return tuple(ratios)
 
 
