@@ -55,6 +55,7 @@ LEAST_SIGMA = 0.03
 """No share is taken as known better; assumed."""
 LIKELY = 0.5
 """Probability from which a rock counts as an ordinary chondrite; assumed."""
+LIKE_CHONDRITE = "; it looks like an ordinary chondrite, whose ratios need not be its own: ratios are not determined"
 UNTESTED = "what was stated to be dark was compared with no measured mixture"
 CENTRAL = np.array([0.16, 0.84])
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
@@ -157,9 +158,13 @@ def _kinds_of(kind: KindVerdict) -> dict[str, float]:
 
 def _class(found: _Found, kind: str) -> tuple[str, BoolArray]:
     """An ordinary chondrite where that is likely, else the kind; and the draws that speak for it."""
-    if float(found.weight @ found.chondrite) >= LIKELY and kind != SOLID:
+    if kind != SOLID and _like_chondrite(found):
         return CHONDRITE, found.chondrite
     return kind, np.ones_like(found.chondrite)
+
+
+def _like_chondrite(found: _Found) -> bool:
+    return float(found.weight @ found.chondrite) >= LIKELY
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,14 +247,18 @@ def _comparison(kind: str, model: _Model, channels: bytes) -> Comparison:
 def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abundance:
     name, chosen = _class(found, kind.kind)
     mean, sigma = found.moments(chosen)
-    if found.missed:
-        return replace(refused(id, model.method, model.minerals, found.missed), rms_ln=found.rms_ln, dark=_dark(found))
     known = _for_grains(_calibration(_kinds_of(kind), name), model)
+    ratios = _ratios(found, model.minerals, known) if kind.kind == SOLID else ()
+    if found.missed:
+        open_ones = refused(id, model.method, model.minerals, found.missed)
+        return replace(open_ones, rms_ln=found.rms_ln, dark=_dark(found), ratios=ratios)
     told = _told(sigma, found, model.minerals, kind.kind) if name != CHONDRITE else np.full(mean.size, True)
     stated = model.dark.phase_stated or model.dark.iron_stated
     doubt = UNTESTED if stated and not kind.stranger else _doubt(kind, sigma, found.unlike, known)
     if doubt and (names := unsized(model.minerals, model.library or ())):
         doubt += f"; the library states no grain size (min_um, max_um) of {', '.join(names)}"
+    if kind.kind == SOLID and _like_chondrite(found):
+        doubt += LIKE_CHONDRITE
     shares = zip(model.minerals, mean, sigma, told, strict=True)
     return Abundance(
         id,
@@ -260,7 +269,7 @@ def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abun
         _status(known, told, model.minerals, doubt),
         found.rms_ln,
         dark=_dark(found),
-        ratios=_ratios(found, model.minerals, known) if kind.kind == SOLID else (),
+        ratios=ratios,
         suites=known.suites,
         certified=known.certified,
     )
@@ -355,14 +364,14 @@ def _ratios(found: _Found, minerals: Sequence[str], known: KindCalibration) -> t
     made-up norites without olivine had 50-57 % of it.
     """
     ratios = []
-    class_alone = float(found.weight @ found.chondrite) >= LIKELY
+    open_ones = bool(found.missed) or _like_chondrite(found)
     for name, (above, below) in RATIOS.items():
         if set(below) <= set(minerals):
             places = [[minerals.index(mineral) for mineral in some] for some in (above, below)]
             value, *before = (_ratio(shares, *places) for shares in (found.shares, *found.prior))
             mean = float(found.weight @ value)
             sigma = max(float(np.sqrt(found.weight @ (value - mean) ** 2)), LEAST_SIGMA)
-            told = not class_alone and sigma <= TELLING * max(one.std() for one in before)
+            told = not open_ones and sigma <= TELLING * max(one.std() for one in before)
             ratios.append(_fraction(name, mean, sigma, True, known) if told else open_share(name))
     return tuple(ratios)
 

@@ -3,6 +3,7 @@
 Made of the keys of `--json`, so that it says no more than they do.
 """
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -221,5 +222,6 @@ def _of_what(shares: Mapping[str, Any]) -> str:
 
 
 def _percent(share: Mapping[str, Any]) -> str:
-    value = "not determined" if share["fraction"] is None else f"{100 * share['fraction']:.0f} %"
+    open_one = share["fraction"] is None or math.isnan(share["fraction"])
+    value = "not determined" if open_one else f"{100 * share['fraction']:.0f} %"
     return f"{value} (95 %: {100 * share['low95']:.0f} to {100 * share['high95']:.0f})"
