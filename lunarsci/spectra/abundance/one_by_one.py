@@ -16,6 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.abundance.band_depth import too_shallow
 from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
 from lunarsci.spectra.abundance.mixing import HapkeSurface, mixing_laws
@@ -34,7 +35,14 @@ from lunarsci.spectra.abundance.posterior import (
 )
 from lunarsci.spectra.abundance.powders import grain_sizes, unsized
 from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
-from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction, refused
+from lunarsci.spectra.abundance.result import (
+    ROCKS_UNCALIBRATED,
+    Abundance,
+    DarkPart,
+    MineralFraction,
+    open_share,
+    refused,
+)
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -47,6 +55,7 @@ LEAST_SIGMA = 0.03
 """No share is taken as known better; assumed."""
 LIKELY = 0.5
 """Probability from which a rock counts as an ordinary chondrite; assumed."""
+LIKE_CHONDRITE = "; it looks like an ordinary chondrite, whose ratios need not be its own: ratios are not determined"
 UNTESTED = "what was stated to be dark was compared with no measured mixture"
 CENTRAL = np.array([0.16, 0.84])
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
@@ -57,7 +66,7 @@ class _Found:
     """Draws of one spectrum: shares (k, m), weights, which are chondrites, phase, iron and dark share of each.
 
     `prior` has the shares of all random mixtures of each kind; `misfit` is that of `DrawnShares` over the most that is
-    allowed; `missed` says what of the spectrum no mixture has, and is empty where shares may be told.
+    allowed; `missed` says that nothing absorbs, or what of the spectrum no mixture has; empty where shares may be told.
     """
 
     shares: FloatArray
@@ -149,9 +158,13 @@ def _kinds_of(kind: KindVerdict) -> dict[str, float]:
 
 def _class(found: _Found, kind: str) -> tuple[str, BoolArray]:
     """An ordinary chondrite where that is likely, else the kind; and the draws that speak for it."""
-    if float(found.weight @ found.chondrite) >= LIKELY and kind != SOLID:
+    if kind != SOLID and _like_chondrite(found):
         return CHONDRITE, found.chondrite
     return kind, np.ones_like(found.chondrite)
+
+
+def _like_chondrite(found: _Found) -> bool:
+    return float(found.weight @ found.chondrite) >= LIKELY
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +199,7 @@ def _drawn(spectrum: Spectrum, model: _Model, kinds: Mapping[str, float]) -> _Fo
         unlike=max(one.unlike for one in parts),
         rms_ln=min(one.rms_ln for one in parts),
         misfit=min(one.misfit for one in parts),
-        missed=parts[0].missed if all(one.missed for one in parts) else "",
+        missed=too_shallow(spectrum) or (parts[0].missed if all(one.missed for one in parts) else ""),
     )
 
 
@@ -234,14 +247,18 @@ def _comparison(kind: str, model: _Model, channels: bytes) -> Comparison:
 def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abundance:
     name, chosen = _class(found, kind.kind)
     mean, sigma = found.moments(chosen)
-    if found.missed:
-        return replace(refused(id, model.method, model.minerals, found.missed), rms_ln=found.rms_ln, dark=_dark(found))
     known = _for_grains(_calibration(_kinds_of(kind), name), model)
+    ratios = _ratios(found, model.minerals, known) if kind.kind == SOLID else ()
+    if found.missed:
+        open_ones = refused(id, model.method, model.minerals, found.missed)
+        return replace(open_ones, rms_ln=found.rms_ln, dark=_dark(found), ratios=ratios)
     told = _told(sigma, found, model.minerals, kind.kind) if name != CHONDRITE else np.full(mean.size, True)
     stated = model.dark.phase_stated or model.dark.iron_stated
     doubt = UNTESTED if stated and not kind.stranger else _doubt(kind, sigma, found.unlike, known)
     if doubt and (names := unsized(model.minerals, model.library or ())):
         doubt += f"; the library states no grain size (min_um, max_um) of {', '.join(names)}"
+    if kind.kind == SOLID and _like_chondrite(found):
+        doubt += LIKE_CHONDRITE
     shares = zip(model.minerals, mean, sigma, told, strict=True)
     return Abundance(
         id,
@@ -252,7 +269,7 @@ def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abun
         _status(known, told, model.minerals, doubt),
         found.rms_ln,
         dark=_dark(found),
-        ratios=_ratios(found, model.minerals, known) if kind.kind == SOLID else (),
+        ratios=ratios,
         suites=known.suites,
         certified=known.certified,
     )
@@ -341,20 +358,21 @@ RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene"
 
 
 def _ratios(found: _Found, minerals: Sequence[str], known: KindCalibration) -> tuple[MineralFraction, ...]:
-    """Shares of one mineral in several, by volume; anything where the spectrum says little of them (`TELLING`)."""
+    """Shares of one mineral in several, by volume; anything where the spectrum says little of them (`TELLING`).
+
+    What looks like an ordinary chondrite would get the means of that class, its plagioclase included, whatever it is:
+    made-up norites without olivine had 50-57 % of it.
+    """
     ratios = []
+    open_ones = bool(found.missed) or _like_chondrite(found)
     for name, (above, below) in RATIOS.items():
         if set(below) <= set(minerals):
             places = [[minerals.index(mineral) for mineral in some] for some in (above, below)]
             value, *before = (_ratio(shares, *places) for shares in (found.shares, *found.prior))
             mean = float(found.weight @ value)
             sigma = max(float(np.sqrt(found.weight @ (value - mean) ** 2)), LEAST_SIGMA)
-            told = sigma <= TELLING * max(one.std() for one in before)
-            ratios.append(
-                _fraction(name, mean, sigma, True, known)
-                if told
-                else MineralFraction(name, math.nan, 0.0, 1.0, 0.0, 1.0)
-            )
+            told = not open_ones and sigma <= TELLING * max(one.std() for one in before)
+            ratios.append(_fraction(name, mean, sigma, True, known) if told else open_share(name))
     return tuple(ratios)
 
 

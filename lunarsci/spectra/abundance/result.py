@@ -119,16 +119,22 @@ def _values(item: MineralFraction) -> dict[str, float]:
     return {name: getattr(item, name) for name in ("fraction", "low", "high", "low95", "high95")}
 
 
+def open_share(name: str) -> MineralFraction:
+    """A share, or a ratio, that may be anything."""
+    return MineralFraction(name, math.nan, 0.0, 1.0, 0.0, 1.0)
+
+
 def refused(id: str, method: str, minerals: Sequence[str], reason: str) -> Abundance:
     """Shares that may be anything, since a method does not apply to a spectrum."""
-    fractions = tuple(MineralFraction(mineral, math.nan, 0.0, 1.0, 0.0, 1.0) for mineral in minerals)
+    fractions = tuple(open_share(mineral) for mineral in minerals)
     return Abundance(id, method, fractions, None, False, f"not determined: {reason}", None)
 
 
 def without_centres(found: Abundance, reason: str) -> Abundance:
-    """The same intervals, out of domain, and no value named in them."""
+    """The same intervals, out of domain, and no value named in them; ratios may be anything."""
     fractions = tuple(replace(item, fraction=math.nan) for item in found.fractions)
-    return replace(found, fractions=fractions, in_domain=False, status=f"not determined: {reason}")
+    ratios = tuple(open_share(item.mineral) for item in found.ratios)
+    return replace(found, fractions=fractions, ratios=ratios, in_domain=False, status=f"not determined: {reason}")
 
 
 PER_PAGE = 40

@@ -31,6 +31,7 @@ SOILS = (
     "Taylor, Pieters, Keller, Morris & McKay (2001), J. Geophys. Res. 106, 27985, 10.1029/2000JE001402",
 )
 LEAST_MINERALS, MOST_NAMED = 2, 5
+ON_POWDERS = "its calibration is of mixed powders, and the kind stated is"
 REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
 
 
@@ -166,7 +167,7 @@ def unmix(
             if asked.together or known:
                 mixed = _unmixed(some, minerals, may, modes, end_members, asked)
                 judged = [
-                    one if modes.known.get(one.id) else _judged(one, kinds[k])
+                    one if modes.known.get(one.id) else _judged(one, kinds[k], batch.spectra[k])
                     for k, one in zip(suite, mixed, strict=True)
                 ]
             else:
@@ -206,10 +207,17 @@ def _refuse(
     kinds: "Mapping[int, KindVerdict]",
     request: UnmixRequest,
 ) -> None:
-    """What is weathered is not unmixed, unless modes of spectra beside it are known."""
+    """What is weathered is not unmixed, unless modes of spectra beside it are known; NBSR is of mixed powders alone."""
     from lunarsci.spectra.abundance.result import refused
 
     for index, fit in fits.items():
+        if kinds[index].stated and kinds[index].kind != "powder-mixture":
+            shares[index] = [
+                refused(
+                    one.id, one.method, [item.mineral for item in one.fractions], f"{ON_POWDERS} {kinds[index].kind}"
+                )
+                for one in shares[index]
+            ]
         minerals = _minerals([fit], request)
         if kinds[index].is_weathered and not request.known and len(minerals) >= LEAST_MINERALS:
             shares[index].insert(0, refused(fit.id, _method(request), minerals, _reason(kinds[index])))
@@ -219,10 +227,13 @@ def _reason(kind: "KindVerdict") -> str:
     return "; ".join((REFUSED, *kind.reasons))
 
 
-def _judged(found: "Abundance", kind: "KindVerdict") -> "Abundance":
-    """With what its kind says of it."""
-    from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, without_centres
+def _judged(found: "Abundance", kind: "KindVerdict", spectrum: "Spectrum") -> "Abundance":
+    """With what its absorption and its kind say of it."""
+    from lunarsci.spectra.abundance.band_depth import too_shallow
+    from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, refused, without_centres
 
+    if flat := too_shallow(spectrum):
+        return refused(found.id, found.method, [item.mineral for item in found.fractions], flat)
     if kind.stranger or kind.is_weathered:
         return without_centres(found, "; ".join(kind.reasons) if kind.stranger else _reason(kind))
     if kind.kind == "solid-rock":

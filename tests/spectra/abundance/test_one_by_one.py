@@ -10,6 +10,7 @@ import pytest
 from lunarsci.spectra_data import make_abundance_calibration as script
 
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.abundance.band_depth import too_shallow
 from lunarsci.spectra.abundance.end_members import embedded_end_members, without_siblings
 from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.mixing import HapkeSurface
@@ -198,6 +199,18 @@ def test_ratios_of_which_a_rock_says_little_are_not_named() -> None:
     assert (one.low95, one.high95) == (0.0, 1.0)
     assert other.fraction < 0.1
     assert other.high95 < 0.3
+
+
+@pytest.mark.parametrize(("depth", "told"), [(0.0, False), (0.02, False), (0.5, True)])
+def test_without_an_absorption_there_are_no_shares(depth: float, told: bool) -> None:
+    """A straight line had 57 % olivine, in domain."""
+    noise = 0.001 * np.random.default_rng(3).standard_normal(NM.size)
+    line = (0.1 + 0.00001 * NM) * np.exp(-depth * np.exp(-0.5 * ((NM - 1000) / 100) ** 2)) + noise
+    assert (too_shallow(Spectrum("line", NM, line)) == "") is told
+    if not told:
+        [found] = estimate_each([Spectrum("line", NM, line)], MAFIC)
+        assert not found.determined and not found.in_domain
+        assert found.status.startswith("not determined: no absorption near 1 um deep enough")
 
 
 @pytest.mark.reference
