@@ -10,7 +10,9 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
+from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
+from lunarsci.twin.jobs.states import states as measured_states
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
@@ -359,6 +361,24 @@ def test_a_blank_sensor_makes_its_own_states_not_valid(drive: SyntheticDrive, yu
     inside = (times > 31) & (times < 59)
     assert inside.any() and not found.rows.valid[inside, 2].any()
     assert found.rows.valid[:, [0, 1, 3, 4, 5]].all()
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_slip_beyond_the_wheel_model_is_in_medians_and_in_doubt(drive: SyntheticDrive, yutu2: Rover) -> None:
+    """From the middle of the drive on the rover comes 0.3 of the way that it came: medians left that out unsaid."""
+    table = drive.telemetry.copy()
+    fixed = np.flatnonzero(table["x_m"].notna())
+    late = fixed[len(fixed) // 3 :]
+    place = table.loc[late, ["x_m", "y_m"]].to_numpy()
+    table.loc[late, ["x_m", "y_m"]] = place[0] + 0.3 * (place - place[0])
+    found = measured_states(InputFile("sent.csv", csv(table)))
+    rows, own = found.drive.rows, found.to_dict()["wheels"]["FL"]
+    assert rows.fast.any() and not (rows.fast & rows.valid).any() and (rows.slip_ratio[rows.fast] > 0.6).all()
+    assert own["slip_ratio"]["median"] > 0.65 and own["measured"] > 2 * own["valid"]
+    (fast,) = [one for one in found.drive.findings.entries if one.kind == "fast slip"]
+    assert fast.doubt and fast.count == int(rows.fast.sum()) and "fast slip" in found.untrusted
+    with pytest.warns(LunarSciWarning, match=rf"{fast.count} slip by more than 0.6"):
+        read_record(InputFile("states.csv", csv(found.tables["states.csv"])), yutu2)
 
 
 def test_headings_that_pass_half_a_turn_are_the_same(drive: SyntheticDrive, yutu2: Rover) -> None:

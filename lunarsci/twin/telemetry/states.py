@@ -20,7 +20,9 @@ from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
     AGAINST_PLAN,
     WheelPace,
+    check_fast,
     check_pace,
+    check_stands,
     ordered,
     steering_angles,
     time_gaps,
@@ -74,7 +76,7 @@ class StateRows:
     slip_ratio, slip_ratio_sigma, side_slip_deg, side_slip_deg_sigma : (m, wheels)
     sinkage_m, sinkage_m_sigma : NaN where the track does not say it. (m, wheels) [m]
     rim_m_s : measured speed of the rims r_s omega about the node, NaN where it is not. (m, wheels) [m/s]
-    valid : False at halts, beyond the range of the wheel model, and for wheels without readings. (m, wheels)
+    measured : False at halts, and for wheels without readings or off the terrain. (m, wheels)
     """
 
     node: IndexArray
@@ -87,7 +89,17 @@ class StateRows:
     sinkage_m: FloatArray
     sinkage_m_sigma: FloatArray
     rim_m_s: FloatArray
-    valid: BoolArray
+    measured: BoolArray
+
+    @property
+    def fast(self) -> BoolArray:
+        """Measured, but with a slip beyond the range of the wheel model. (m, wheels)"""
+        return np.asarray(self.measured & (np.abs(self.slip_ratio) > VALID_SLIP))
+
+    @property
+    def valid(self) -> BoolArray:
+        """Measured and not fast: what a soil is learned from. (m, wheels)"""
+        return np.asarray(self.measured & ~self.fast)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -249,22 +261,12 @@ def _state_rows(
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, telemetry.file)
     velocities = wheel_velocities(rover, nodes, smoothed, held)
     slip, side, slip_sigma, side_sigma = (part[chosen] for part in slips_of(velocities, motion))
-    low, high = rows[np.maximum(chosen - 1, 0)], rows[np.minimum(chosen + 1, len(rows) - 1)]
+    low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
     sound = held.outcome[chosen] == 0
-    if not sound.all():
-        findings.add(
-            "off the terrain",
-            "the rover does not stand on the terrain there",
-            "states there are left blank, not valid",
-            count=int((~sound).sum()),
-            time_s=float(nodes.time_s[chosen[int(np.argmin(sound))]]),
-            doubt=True,
-        )
-    fast = np.abs(slip) > VALID_SLIP
+    check_stands(sound, nodes.time_s[chosen], findings)
     slip[halted], side[halted] = 0.0, 0.0
-    blank = np.full(slip.shape, np.nan)
-    return StateRows(
+    result = StateRows(
         node=chosen,
         distance_m=distance[chosen],
         place_m=held.states[chosen][..., :2],
@@ -272,11 +274,13 @@ def _state_rows(
         slip_ratio_sigma=slip_sigma,
         side_slip_deg=side,
         side_slip_deg_sigma=side_sigma,
-        sinkage_m=blank,
-        sinkage_m_sigma=blank.copy(),
+        sinkage_m=np.full(slip.shape, np.nan),
+        sinkage_m_sigma=np.full(slip.shape, np.nan),
         rim_m_s=_rims(wheels, low, high),
-        valid=trusted & sound[:, None] & ~fast & ~halted[:, None],
+        measured=trusted & sound[:, None] & ~halted[:, None],
     )
+    check_fast(result.fast, result.measured, nodes.time_s[chosen], findings)
+    return result
 
 
 def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
