@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
 DEEPEST = "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
-LONGEST_LAG_S = 10.0
+LONGEST_LAG_S = 30.0
 """Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
 

@@ -17,16 +17,8 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.telemetry.checks import (
-    AGAINST_PLAN,
-    WheelPace,
-    check_fast,
-    check_pace,
-    check_stands,
-    ordered,
-    steering_angles,
-    time_gaps,
-)
+from lunarsci.twin.telemetry.checks import AGAINST_PLAN, WheelPace, check_pace, ordered, steering_angles, time_gaps
+from lunarsci.twin.telemetry.far_lag import FarLag, far_lag
 from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.lag import Lag, check_lag, lag_of
 from lunarsci.twin.telemetry.nodes import (
@@ -41,6 +33,7 @@ from lunarsci.twin.telemetry.nodes import (
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
+from lunarsci.twin.telemetry.range_checks import check_fast, check_stands
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
 from lunarsci.twin.telemetry.smoother import (
     Smoothed,
@@ -174,7 +167,9 @@ def states_of(
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
         pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
-    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
+    found = _along_the_ground(
+        telemetry, rover, terrain, wheels, steering, gaps, schedule, far_lag(telemetry, turned), findings
+    )
     return dataclasses.replace(found, pace=pace)
 
 
@@ -186,6 +181,7 @@ def _along_the_ground(
     steering_rad: FloatArray,
     gaps: BoolArray,
     schedule: Schedule | None,
+    far: FarLag,
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
@@ -208,7 +204,7 @@ def _along_the_ground(
     check_glide(smoothed, findings)
     check_change(smoothed, nodes, findings)
     whole = dataclasses.replace(nodes, fix_m=every.fix_m - sway, yaw_rad=every.yaw_rad)
-    lag = lag_of(nodes, whole, smoothed, float(np.median(np.diff(telemetry.time_s))))
+    lag = lag_of(nodes, whole, smoothed, float(np.median(np.diff(telemetry.time_s))), far)
     check_lag(lag, findings)
     check_attitude(dense, held, rows, findings)
     return DriveStates(
