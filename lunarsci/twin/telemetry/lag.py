@@ -198,6 +198,8 @@ def check_lag(lag: Lag, findings: Findings) -> None:
             "they are by another clock or wheels act late; what steering and wheels did, measured by the clock of the "
             "positions (steered_W_deg, angle_W_deg), has no lag"
         )
+        if lag.far:
+            done += ". Slips turn the rover as well, so that this number is coarse: see which lag is left with it"
         findings.add("lag", lag.text, done, doubt=lag.way_m > HARM_M)
 
 

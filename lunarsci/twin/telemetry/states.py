@@ -192,13 +192,12 @@ def _along_the_ground(
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
     every = nodes
     smoothed, nodes, left_out = without_outliers(nodes, findings)
-    first = prescribed_loads(
-        rover, terrain, motion_at(dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
-    )
+    still = np.zeros((1, 2))
+    first = prescribed_loads(rover, terrain, motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, still))
     sway = sway_m(rover, first.paths)
     nodes = on_ground(rover, nodes, first, sway)
     smoothed = smooth(nodes)
-    motion = motion_at(dense, nodes, smoothed, wheels, steering, rows, sway)
+    motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
     check_scatter(smoothed, nodes, findings)
     check_glide(smoothed, findings)
