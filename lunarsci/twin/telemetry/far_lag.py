@@ -26,7 +26,7 @@ TOLD, EXPLAINED, LEFT = 0.5, 0.8, 0.6
 """Share of the square of the turns that wheels must explain to tell anything of a lag, and to tell one; and of what is
 left without a lag that may be left with it; assumed: that drive had 0.9, by a clock 1 s late 0.7, 3 s late 0.5."""
 FACTORS = (0.5, 1.5)
-"""How many times as far as the wheels say the rover may turn: as `heading against wheels`."""
+"""How many times as far as the wheels say the rover may turn: as for `heading against wheels`; assumed."""
 
 
 class FarLag(NamedTuple):

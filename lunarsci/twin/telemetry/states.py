@@ -17,7 +17,16 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.telemetry.checks import AGAINST_PLAN, WheelPace, check_pace, ordered, steering_angles, time_gaps
+from lunarsci.twin.telemetry.checks import (
+    AGAINST_PLAN,
+    WheelPace,
+    check_fast,
+    check_pace,
+    check_stands,
+    ordered,
+    steering_angles,
+    time_gaps,
+)
 from lunarsci.twin.telemetry.far_lag import FarLag, far_lag
 from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.lag import Lag, check_lag, lag_of
@@ -33,7 +42,6 @@ from lunarsci.twin.telemetry.nodes import (
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
-from lunarsci.twin.telemetry.range_checks import check_fast, check_stands
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
 from lunarsci.twin.telemetry.smoother import (
     Smoothed,
@@ -167,9 +175,8 @@ def states_of(
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
         pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
-    found = _along_the_ground(
-        telemetry, rover, terrain, wheels, steering, gaps, schedule, far_lag(telemetry, turned), findings
-    )
+    far = far_lag(telemetry, turned)
+    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, far, findings)
     return dataclasses.replace(found, pace=pace)
 
 
@@ -192,8 +199,8 @@ def _along_the_ground(
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
     every = nodes
     smoothed, nodes, left_out = without_outliers(nodes, findings)
-    still = np.zeros((1, 2))
-    first = prescribed_loads(rover, terrain, motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, still))
+    motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
+    first = prescribed_loads(rover, terrain, motion)
     sway = sway_m(rover, first.paths)
     nodes = on_ground(rover, nodes, first, sway)
     smoothed = smooth(nodes)
