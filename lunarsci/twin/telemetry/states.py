@@ -192,8 +192,7 @@ def _along_the_ground(
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
-    times = telemetry.time_s
-    between = np.column_stack([times[:-1][gaps], times[1:][gaps]])
+    between = np.column_stack([telemetry.time_s[:-1][gaps], telemetry.time_s[1:][gaps]])
     dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
     twist, _, way = _way(rover, dense, wheels, steering, schedule)
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
@@ -339,8 +338,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    rows, names = drive.rows, drive.rover.wheels
-    each = len(names)
+    rows, names, each = drive.rows, drive.rover.wheels, len(drive.rover.wheels)
     columns = {
         "time_s": np.repeat(drive.nodes.time_s[rows.node], each),
         "distance_m": np.repeat(rows.distance_m, each),
