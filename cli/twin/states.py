@@ -100,7 +100,7 @@ def result_tables(found: "MeasuredStates") -> list[TextTable]:
 
 def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     rows = [
-        [wheel, str(own["valid"]), *(cell for name, factor in FACTORS.items() for cell in _cells(own[name], factor))]
+        [wheel, str(own["measured"]), *(cell for name, factor in FACTORS.items() for cell in _cells(own[name], factor))]
         for wheel, own in result["wheels"].items()
     ]
     changes = result["slip_changes"]["ahead"]

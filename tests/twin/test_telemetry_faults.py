@@ -10,7 +10,9 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
+from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
+from lunarsci.twin.jobs.states import states as measured_states
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
@@ -361,6 +363,56 @@ def test_a_blank_sensor_makes_its_own_states_not_valid(drive: SyntheticDrive, yu
     assert found.rows.valid[:, [0, 1, 3, 4, 5]].all()
 
 
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_slip_beyond_the_wheel_model_is_in_medians_and_in_doubt(drive: SyntheticDrive, yutu2: Rover) -> None:
+    """From the middle of the drive on the rover comes 0.3 of the way that it came: medians left that out unsaid."""
+    table = drive.telemetry.copy()
+    fixed = np.flatnonzero(table["x_m"].notna())
+    late = fixed[len(fixed) // 3 :]
+    place = table.loc[late, ["x_m", "y_m"]].to_numpy()
+    table.loc[late, ["x_m", "y_m"]] = place[0] + 0.3 * (place - place[0])
+    found = measured_states(InputFile("sent.csv", csv(table)))
+    rows, own = found.drive.rows, found.to_dict()["wheels"]["FL"]
+    assert rows.fast.any() and not (rows.fast & rows.valid).any() and (rows.slip_ratio[rows.fast] > 0.6).all()
+    assert own["slip_ratio"]["median"] > 0.65 and own["measured"] > 2 * own["valid"]
+    (fast,) = [one for one in found.drive.findings.entries if one.kind == "fast slip"]
+    assert fast.doubt and fast.count == int(rows.fast.sum()) and "fast slip" in found.untrusted
+    with pytest.warns(LunarSciWarning, match=rf"{fast.count} slip by more than 0.6"):
+        read_record(InputFile("states.csv", csv(found.tables["states.csv"])), yutu2)
+
+
+def test_a_rover_with_a_blank_sensor_still_stands_on_the_terrain(drive: SyntheticDrive, yutu2: Rover) -> None:
+    blank = set_to(slice(40, None), ["angle_FR_deg", "rate_FR_deg_s", "speed_FR_m_s"], lambda v: np.nan)
+    with pytest.warns(LunarSciWarning, match="missing readings"):
+        found = states(csv(blank(drive.telemetry)), yutu2)
+    assert {one.kind for one in found.findings.entries} == {"missing readings"} and not found.findings.doubt
+    assert not found.rows.measured[-1, 1] and found.rows.measured[:, [0, 2, 3, 4, 5]].all()
+
+
+def test_a_rover_that_steers_only_when_it_starts_is_no_doubt(drive: SyntheticDrive, yutu2: Rover) -> None:
+    table, names = drive.telemetry.copy(), columns("steering_{}_deg")
+    table.loc[:3, names] = 0.0
+    with pytest.warns(LunarSciWarning, match="all of them at its start"):
+        assert not states(csv(table), yutu2).findings.doubt
+    later = drive.telemetry.copy()
+    later.loc[20:24, names] = 0.0
+    with pytest.warns(LunarSciWarning, match="other commands"):
+        assert "other commands" in states(csv(later), yutu2).findings.doubt
+
+
+@pytest.mark.parametrize(("off_m", "out"), [(0.02, 0), (0.5, 1)])
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_the_last_position_is_left_out_for_a_jump_alone(
+    off_m: float, out: int, drive: SyntheticDrive, yutu2: Rover
+) -> None:
+    """Slip may change behind the last but one: 2 cm more or less of way are one of 0.05 to 0.1."""
+    table = drive.telemetry.copy()
+    last = np.flatnonzero(table["x_m"].notna())[-1]
+    yaw = np.radians(table.loc[last, "yaw_deg"])
+    table.loc[last, ["x_m", "y_m"]] -= off_m * np.array([np.cos(yaw), np.sin(yaw)])
+    assert len(states(csv(table), yutu2).left_out) == out
+
+
 def test_headings_that_pass_half_a_turn_are_the_same(drive: SyntheticDrive, yutu2: Rover) -> None:
     plain = states(csv(drive.telemetry), yutu2)
     table = drive.telemetry.copy()
@@ -420,6 +472,7 @@ def test_a_halt_that_the_plan_lacks_is_told_from_a_late_clock(rates: bool, drive
     assert float(again) == pytest.approx(stop, abs=1.0)
 
 
+BENDS = Plan(name="more bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(2.5, 0.25)), speed_m_s=0.05)
 STEERS = Plan(name="bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(1.5, 0.25)), speed_m_s=0.05)
 
 
@@ -456,6 +509,14 @@ def test_honest_clocks_have_no_lag_and_one_arc_does_not_tell(yutu2: Rover) -> No
     straight = dataclasses.replace(STEERS, legs=(Leg(3.0, 0.0),))
     one_arc = states(csv(as_sent(yutu2, straight, 1.0).telemetry), yutu2, straight)
     assert not one_arc.lag.found and one_arc.lag.sigma_s > 1.0
+
+
+@pytest.mark.parametrize("later_s", [6.0, -8.0])
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_a_lag_of_many_seconds_is_found_by_turns(later_s: float, yutu2: Rover) -> None:
+    found = states(csv(as_sent(yutu2, BENDS, later_s).telemetry), yutu2, BENDS)
+    assert found.lag.found and "lag" in found.findings.doubt and abs(found.lag.lag_s - later_s) < 2.0
+    assert found.lag.farthest_s > abs(later_s)
 
 
 def test_a_lag_of_less_than_a_centimetre_is_no_doubt() -> None:

@@ -18,6 +18,7 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions
@@ -124,7 +125,10 @@ def read_record(
 def _valid_rows(found: StateTable) -> StateTable:
     if found.valid.all():
         return found
-    text = f"{found.file}: {int((~found.valid).sum())} of {len(found.valid)} states left out, marked not valid"
+    out = ~found.valid
+    text = f"{found.file}: {int(out.sum())} of {len(out)} states left out, marked not valid"
+    if fast := int((np.abs(found.values[out, OBSERVED.index("slip_ratio")]) > VALID_SLIP).sum()):
+        text += f": {fast} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
     warnings.warn(text, LunarSciWarning, stacklevel=3)
     return found.kept(found.valid)
 

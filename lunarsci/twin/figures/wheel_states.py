@@ -34,7 +34,7 @@ def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
     for panel, name in zip(panels, STATE_PANELS, strict=True):
         _draw_states(panel, drive, name)
     legend_below(parts[1], panels[0], 7)
-    panels[0].set_title("one state between two positions; bars: 68 %; white: not valid")
+    panels[0].set_title("one state between two positions; bars: 68 %; white: not measured")
     panels[-1].set_xlabel("way as the wheels say [m]")
     headline(figure, title, synthetic=drive.telemetry.synthetic or terrain.synthetic)
     return figure
@@ -87,8 +87,8 @@ def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
     for k, wheel in enumerate(drive.rover.wheels):
         # Side by side, so that the bars of six wheels do not hide each other.
         where = rows.distance_m + 0.1 * reach * (k - 0.5 * (len(drive.rover.wheels) - 1))
-        good = rows.valid[:, k] & np.isfinite(values[:, k])
-        bad = ~rows.valid[:, k] & np.isfinite(values[:, k])
+        good = rows.measured[:, k] & np.isfinite(values[:, k])
+        bad = ~rows.measured[:, k] & np.isfinite(values[:, k])
         look: Any = wheel_dots(k)
         color = look["color"]
         shown = np.where(good, values[:, k], np.nan)

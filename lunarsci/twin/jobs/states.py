@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
 DEEPEST = "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
-LONGEST_LAG_S = 10.0
+LONGEST_LAG_S = 30.0
 """Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
@@ -109,6 +109,7 @@ class MeasuredStates(Result):
             "synthetic": drive.telemetry.synthetic,
             "plan": self.known.plan.name if self.planned else None,
             "states": int(rows.slip_ratio.size),
+            "measured": int(rows.measured.sum()),
             "valid": int(rows.valid.sum()),
             "sinkages": int(np.isfinite(rows.sinkage_m).sum()),
             "positions": int(np.isfinite(drive.nodes.fix_m).all(axis=1).sum()),
@@ -228,13 +229,13 @@ def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
 
 
 def _of_wheel(drive: "DriveStates", k: int) -> dict[str, Any]:
-    """Medians over the valid states of a wheel, of the values and of their errors."""
+    """Medians over the measured states of a wheel, of the values and of their errors."""
     import numpy as np
 
-    found: dict[str, Any] = {"valid": int(drive.rows.valid[:, k].sum())}
+    found: dict[str, Any] = {name: int(getattr(drive.rows, name)[:, k].sum()) for name in ("measured", "valid")}
     for name in MEASURED:
         value, sigma = (getattr(drive.rows, column)[:, k] for column in (name, f"{name}_sigma"))
-        known = drive.rows.valid[:, k] & np.isfinite(value)
+        known = drive.rows.measured[:, k] & np.isfinite(value)
         spread = np.percentile(value[known], (50, 5, 95)) if known.any() else np.full(3, np.nan)
         found[name] = {
             "median": float(spread[0]),

@@ -16,6 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, samples_about
 from lunarsci.twin.telemetry.checks import ordered, taken
+from lunarsci.twin.telemetry.far_lag import NEAR_S, FarLag
 from lunarsci.twin.telemetry.filter import Nodes, filtered, linearised
 from lunarsci.twin.telemetry.nodes import twist_at
 from lunarsci.twin.telemetry.reading import WHEEL_COLUMNS, Findings, Telemetry
@@ -48,16 +49,20 @@ class Lag:
     lag_s : positive where the rover moves later than its wheels say; 0 where the drive does not tell. [s]
     sigma_s : its standard error, infinite where the drive does not tell. [s]
     speed_m_s : median speed of the rims that turn. [m/s]
+    farthest_s : how far a lag was looked for; the drive tells of none that is longer. [s]
+    far : whether it is one of `far_lag`.
     """
 
     lag_s: float
     sigma_s: float
     speed_m_s: float
+    farthest_s: float = NEAR_S
+    far: bool = False
 
     @property
     def found(self) -> bool:
         """Whether there is one for sure."""
-        return abs(self.lag_s) > max(TOLD_S, SURE * self.sigma_s)
+        return self.far or abs(self.lag_s) > max(TOLD_S, SURE * self.sigma_s)
 
     @property
     def way_m(self) -> float:
@@ -71,6 +76,7 @@ class Lag:
             "lag_s": self.lag_s if told else None,
             "sigma_s": self.sigma_s if told else None,
             "found": self.found,
+            "farthest_s": self.farthest_s,
         }
 
     @property
@@ -83,7 +89,7 @@ class Lag:
         )
 
 
-def lag_of(nodes: Nodes, whole: Nodes, smoothed: Smoothed, row_s: float) -> Lag:
+def lag_of(nodes: Nodes, whole: Nodes, smoothed: Smoothed, row_s: float, far: FarLag) -> Lag:
     """The lag that makes positions and headings most probable.
 
     Parameters
@@ -92,10 +98,13 @@ def lag_of(nodes: Nodes, whole: Nodes, smoothed: Smoothed, row_s: float) -> Lag:
         there is a lag. They count where a lag makes fewer of them odd.
     smoothed : the motion without a lag. Where there is one, how slip changes is found anew with it.
     row_s : median time between rows; what a column says within one is not known. [s]
+    far : of many seconds, where turns tell one: that is it.
     """
     way = nodes.way_m / np.diff(nodes.time_s)
     speed = float(np.median(way[way > 0])) if (way > 0).any() else 0.0
     path, change = _path(nodes, smoothed), smoothed.change
+    if far.lag_s:
+        return Lag(lag_s=far.lag_s, sigma_s=far.sigma_s, speed_m_s=speed, farthest_s=far.farthest_s, far=True)
     lag = 0.0
     if _counted(nodes) < _counted(whole):
         lag, nodes = _with_odd(nodes, whole, path, smoothed)
@@ -103,7 +112,8 @@ def lag_of(nodes: Nodes, whole: Nodes, smoothed: Smoothed, row_s: float) -> Lag:
     if abs(lag) > sigma:
         change = change_of(_moved(nodes, path, lag))
         lag, sigma = _top(nodes, path, smoothed.state, change, lag)
-    return Lag(lag_s=lag, sigma_s=math.hypot(sigma, WITHIN_ROW * row_s), speed_m_s=speed)
+    sigma = math.hypot(sigma, WITHIN_ROW * row_s)
+    return Lag(lag_s=lag, sigma_s=sigma, speed_m_s=speed, farthest_s=far.farthest_s)
 
 
 def _top(
@@ -188,6 +198,8 @@ def check_lag(lag: Lag, findings: Findings) -> None:
             "they are by another clock or wheels act late; what steering and wheels did, measured by the clock of the "
             "positions (steered_W_deg, angle_W_deg), has no lag"
         )
+        if lag.far:
+            done += ". Slips turn the rover as well, so that this number is coarse: see which lag is left with it"
         findings.add("lag", lag.text, done, doubt=lag.way_m > HARM_M)
 
 

@@ -135,6 +135,7 @@ def _chain(telemetry: Telemetry, rows: IndexArray) -> ErrorChain | None:
 
 
 def motion_at(
+    rover: Rover,
     telemetry: Telemetry,
     nodes: Nodes,
     smoothed: Smoothed,
@@ -143,11 +144,15 @@ def motion_at(
     rows: IndexArray,
     sway_m: FloatArray,
 ) -> Motion:
-    """The smoothed motion of the rover's origin, with the wheels as they were measured."""
+    """The smoothed motion of the rover's origin, with the wheels as they were measured, else as the others say."""
     rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
+    steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
+    lost = np.isnan(rim) & np.isfinite(rim).any(axis=1)[:, None]
+    if lost.any():
+        along, _ = wheel_rows(rover, np.radians(steered))
+        rim = np.where(lost, np.einsum("nwi,ni->nw", along, about(nodes, nodes.twist)), rim)
     sign = np.where(rim < 0, -1.0, 1.0)
     rim = sign * np.maximum(np.abs(np.nan_to_num(rim)), CREEP_M_S)
-    steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
     return Motion(
         time_s=nodes.time_s,
         x_m=smoothed.state[:, 0] + sway_m[:, 0],

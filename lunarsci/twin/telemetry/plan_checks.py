@@ -27,7 +27,8 @@ COVERED = 0.6
 START_M, HEADING_DEG = 0.5, 10.0
 """How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
 EDGE_S = 5.0
-"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid; assumed. [s]"""
+"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
+take to steer to its first leg without doubt; assumed. [s]"""
 STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
 """What slowing down and speeding up again cost, beside the halt itself; of the ramps assumed. [s]"""
 
@@ -156,6 +157,12 @@ class _Beside:
         joins = near[off].mean() >= MOST_NEAR and near.mean() <= FEW_NEAR
         return float(times[row]), what, bool(joins)
 
+    def last_off_s(self) -> float:
+        """When commands are last not those of the plan. Some row must be off. [s]"""
+        inside = self._inside(self.times)
+        steered, fast = self._off(self.times[inside], inside)
+        return float(self.times[inside][(steered | fast).any(axis=1)][-1])
+
     def _near_joins(self, times_s: FloatArray) -> BoolArray:
         """Whether the plan is near the join of two arcs at these times."""
         near, reach = np.zeros(len(times_s), dtype=bool), max(NEAR_M, self.schedule.plan.blend_m)
@@ -271,9 +278,12 @@ def _check_commands(beside: _Beside, findings: Findings) -> None:
             f"{beside.file}: {text}, at no shift of the clock; first {off_s:.6g} s after its start, "
             f"where {what}; give the plan that was driven, and its `rover`"
         )
-    done = "the telemetry's are taken; give the plan that was driven"
-    if joins:
+    done, doubt = "the telemetry's are taken; give the plan that was driven", beside.last_off_s() > EDGE_S
+    if not doubt:
+        text += ", all of them at its start"
+        done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
+    elif joins:
         text += ", most of them near joins of arcs"
         done = f"the telemetry's are taken; {BLEND}"
     said = f"{text}; first {what}"
-    findings.add("other commands", said, done, count=round(now * len(times)), time_s=off_s, doubt=True)
+    findings.add("other commands", said, done, count=round(now * len(times)), time_s=off_s, doubt=doubt)

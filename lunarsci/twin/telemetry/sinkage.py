@@ -194,7 +194,7 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
         drive.findings.add(
             "odd depth", what, "left blank", count=int(odd.sum()), time_s=first, doubt=odd.sum() > 0.2 * own.sum()
         )
-    kept = own & ~odd & (rows.valid | _at_halt(drive)).ravel()
+    kept = own & ~odd & (rows.measured | _at_halt(drive)).ravel()
     shape = rows.slip_ratio.shape
     found, error = (np.where(kept, value, np.nan).reshape(shape) for value in (depth, sigma))
     told = np.isin(rows.node, slipping) | np.isfinite(found).any(axis=1)
@@ -220,7 +220,7 @@ def _with_rows_between(drive: DriveStates) -> StateRows:
         "node": np.array(added, dtype=np.intp),
         "distance_m": distance[added],
         "place_m": drive.held.states[added][..., :2],
-        "valid": np.ones(blank.shape, dtype=np.bool_),
+        "measured": np.ones(blank.shape, dtype=np.bool_),
     }
     both = {name: np.concatenate([getattr(rows, name), value]) for name, value in values.items()}
     return _picked(StateRows(**both), np.argsort(both["node"], kind="stable"))

@@ -303,12 +303,13 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
     count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
     left: list[list[float]] = []
     odd: list[float] = []
-    for change in (SlipProcess.fixed(COARSE, UNKNOWN_LENGTHS_M), SlipProcess.fixed(FINE, UNKNOWN_LENGTHS_M)):
+    wide, narrow = (SlipProcess.fixed(amplitude, UNKNOWN_LENGTHS_M) for amplitude in (COARSE, FINE))
+    for change in (wide, narrow):
         smoothed = smooth(nodes, change)
         nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
         odd += lost
-        while count - len(left) > 3 and np.nanmax(smoothed.squared_distance) > OUTLIER:
-            worst = int(np.nanargmax(smoothed.squared_distance))
+        while count - len(left) > 3 and np.nanmax(far := _judged(smoothed, ends=change is wide)) > OUTLIER:
+            worst = int(np.nanargmax(far))
             left.append([float(nodes.time_s[worst]), *map(float, nodes.fix_m[worst])])
             fix = nodes.fix_m.copy()
             fix[worst] = np.nan
@@ -331,6 +332,18 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
             doubt=many,
         )
     return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
+
+
+def _judged(smoothed: Smoothed, *, ends: bool) -> FloatArray:
+    """Squared distances of positions, those of the first and the last one only where `ends` are to be judged.
+
+    Slip may change most there: no position behind says how it went on.
+    """
+    distance = smoothed.squared_distance.copy()
+    known = np.flatnonzero(np.isfinite(distance))
+    if not ends:
+        distance[known[[0, -1]]] = np.nan
+    return distance
 
 
 def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoothed, list[float]]:

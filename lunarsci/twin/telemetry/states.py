@@ -20,11 +20,14 @@ from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
     AGAINST_PLAN,
     WheelPace,
+    check_fast,
     check_pace,
+    check_stands,
     ordered,
     steering_angles,
     time_gaps,
 )
+from lunarsci.twin.telemetry.far_lag import FarLag, far_lag
 from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.lag import Lag, check_lag, lag_of
 from lunarsci.twin.telemetry.nodes import (
@@ -74,7 +77,7 @@ class StateRows:
     slip_ratio, slip_ratio_sigma, side_slip_deg, side_slip_deg_sigma : (m, wheels)
     sinkage_m, sinkage_m_sigma : NaN where the track does not say it. (m, wheels) [m]
     rim_m_s : measured speed of the rims r_s omega about the node, NaN where it is not. (m, wheels) [m/s]
-    valid : False at halts, beyond the range of the wheel model, and for wheels without readings. (m, wheels)
+    measured : False at halts, and for wheels without readings or off the terrain. (m, wheels)
     """
 
     node: IndexArray
@@ -87,7 +90,17 @@ class StateRows:
     sinkage_m: FloatArray
     sinkage_m_sigma: FloatArray
     rim_m_s: FloatArray
-    valid: BoolArray
+    measured: BoolArray
+
+    @property
+    def fast(self) -> BoolArray:
+        """Measured, but with a slip beyond the range of the wheel model. (m, wheels)"""
+        return np.asarray(self.measured & (np.abs(self.slip_ratio) > VALID_SLIP))
+
+    @property
+    def valid(self) -> BoolArray:
+        """Measured and not fast: what a soil is learned from. (m, wheels)"""
+        return np.asarray(self.measured & ~self.fast)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,7 +175,8 @@ def states_of(
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
         pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
-    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
+    far = far_lag(telemetry, turned)
+    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, far, findings)
     return dataclasses.replace(found, pace=pace)
 
 
@@ -174,29 +188,28 @@ def _along_the_ground(
     steering_rad: FloatArray,
     gaps: BoolArray,
     schedule: Schedule | None,
+    far: FarLag,
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
-    times = telemetry.time_s
-    between = np.column_stack([times[:-1][gaps], times[1:][gaps]])
+    between = np.column_stack([telemetry.time_s[:-1][gaps], telemetry.time_s[1:][gaps]])
     dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
     twist, _, way = _way(rover, dense, wheels, steering, schedule)
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
     every = nodes
     smoothed, nodes, left_out = without_outliers(nodes, findings)
-    first = prescribed_loads(
-        rover, terrain, motion_at(dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
-    )
+    motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
+    first = prescribed_loads(rover, terrain, motion)
     sway = sway_m(rover, first.paths)
     nodes = on_ground(rover, nodes, first, sway)
     smoothed = smooth(nodes)
-    motion = motion_at(dense, nodes, smoothed, wheels, steering, rows, sway)
+    motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
     check_scatter(smoothed, nodes, findings)
     check_glide(smoothed, findings)
     check_change(smoothed, nodes, findings)
     whole = dataclasses.replace(nodes, fix_m=every.fix_m - sway, yaw_rad=every.yaw_rad)
-    lag = lag_of(nodes, whole, smoothed, float(np.median(np.diff(telemetry.time_s))))
+    lag = lag_of(nodes, whole, smoothed, float(np.median(np.diff(telemetry.time_s))), far)
     check_lag(lag, findings)
     check_attitude(dense, held, rows, findings)
     return DriveStates(
@@ -249,22 +262,12 @@ def _state_rows(
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, telemetry.file)
     velocities = wheel_velocities(rover, nodes, smoothed, held)
     slip, side, slip_sigma, side_sigma = (part[chosen] for part in slips_of(velocities, motion))
-    low, high = rows[np.maximum(chosen - 1, 0)], rows[np.minimum(chosen + 1, len(rows) - 1)]
+    low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
     sound = held.outcome[chosen] == 0
-    if not sound.all():
-        findings.add(
-            "off the terrain",
-            "the rover does not stand on the terrain there",
-            "states there are left blank, not valid",
-            count=int((~sound).sum()),
-            time_s=float(nodes.time_s[chosen[int(np.argmin(sound))]]),
-            doubt=True,
-        )
-    fast = np.abs(slip) > VALID_SLIP
+    check_stands(sound, nodes.time_s[chosen], findings)
     slip[halted], side[halted] = 0.0, 0.0
-    blank = np.full(slip.shape, np.nan)
-    return StateRows(
+    result = StateRows(
         node=chosen,
         distance_m=distance[chosen],
         place_m=held.states[chosen][..., :2],
@@ -272,11 +275,13 @@ def _state_rows(
         slip_ratio_sigma=slip_sigma,
         side_slip_deg=side,
         side_slip_deg_sigma=side_sigma,
-        sinkage_m=blank,
-        sinkage_m_sigma=blank.copy(),
+        sinkage_m=np.full(slip.shape, np.nan),
+        sinkage_m_sigma=np.full(slip.shape, np.nan),
         rim_m_s=_rims(wheels, low, high),
-        valid=trusted & sound[:, None] & ~fast & ~halted[:, None],
+        measured=trusted & sound[:, None] & ~halted[:, None],
     )
+    check_fast(result.fast, result.measured, nodes.time_s[chosen], findings)
+    return result
 
 
 def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
@@ -333,8 +338,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    rows, names = drive.rows, drive.rover.wheels
-    each = len(names)
+    rows, names, each = drive.rows, drive.rover.wheels, len(drive.rover.wheels)
     columns = {
         "time_s": np.repeat(drive.nodes.time_s[rows.node], each),
         "distance_m": np.repeat(rows.distance_m, each),
