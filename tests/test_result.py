@@ -26,10 +26,10 @@ from lunarsci.cli.shared.report import Report
 from typer.testing import CliRunner
 
 import lunarsci
-from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import read_input
-from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.options import TYPED
+from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, request_of
 
 ROOT = Path(__file__).parents[1]
@@ -37,7 +37,8 @@ NO_FIELDS = {"output", "save_terrain"}
 """Files that a command writes: no option of a function."""
 WITH_DASHES = {
     "lunarsci/figure.py", "lunarsci/images/jobs/locate.py", "lunarsci/pages/documents.py",
-    "lunarsci/spectra/origin/composition.py", "lunarsci/spectra/readers/text.py", "lunarsci/twin/ground/finer_ground.py",
+    "lunarsci/spectra/origin/composition.py", "lunarsci/spectra/readers/text.py",
+    "lunarsci/twin/ground/finer_ground.py",
 }  # fmt: skip
 """Modules of which an error names an option of commands, or of another program, as it is typed."""
 
@@ -142,6 +143,22 @@ def test_names_of_the_command_line_are_answered_with_those_of_python() -> None:
         lunarsci.infer("no.csv", prior_file="x.toml")
     with pytest.raises(RequestError, match="'draw_posterior' is how the command line has `sample`"):
         lunarsci.infer("no.csv", draw_posterior=True)
+
+
+def test_results_of_arrays_and_of_files_can_be_pickled(tmp_path: Path) -> None:
+    nm = np.arange(600.0, 2600.0, 5.0)
+    values = 0.3 * (1 - 0.3 * np.exp(-(((nm - 950) / 90) ** 2)) - 0.2 * np.exp(-(((nm - 1950) / 200) ** 2)))
+    file = tmp_path / "rock.csv"
+    pd.DataFrame({"wavelength_nm": nm, "reflectance": values}).to_csv(file, index=False)
+    for source in ((nm, values), str(file)):
+        found = lunarsci.bands(source)
+        assert pickle.loads(pickle.dumps(found)).to_json(time=False) == found.to_json(time=False)
+
+
+def test_a_page_says_what_is_no_result() -> None:
+    for wrong in (3, 0, None):
+        with pytest.raises(DataError, match=f"{wrong} is no result; give"):
+            lunarsci.report([wrong])
 
 
 def spelled_with_dashes(source: str) -> bool:
