@@ -231,7 +231,7 @@ class _About:
     """What is recorded of the spectrum in a row: of all alike, and its own column, unit and counts of channels."""
 
     record: dict[str, Any]
-    names: list[str]
+    names: list[str | int]
     units: list[ReflectanceChoice]
     which: IntArray
     counts: dict[str, IntArray]
