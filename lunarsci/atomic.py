@@ -36,7 +36,7 @@ def check_target(path: Path, *, force: bool) -> None:
     if path.exists() and not path.is_file():
         raise OutputError(f"{path}: not a regular file; give another name")
     if path.exists() and not force:
-        raise TakenError(f"{path}: exists already; add --force to replace it or give another name")
+        raise TakenError(f"{path}: exists already; give `force` to replace it, or another name")
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
     if not os.access(path.parent, os.W_OK | os.X_OK):
@@ -48,7 +48,7 @@ def check_folder(folder: Path, *, force: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is not a folder; give another name")
     if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise TakenError(f"{folder}: holds files already; add --force to replace those of the same name")
+        raise TakenError(f"{folder}: holds files already; give `force` to replace those of the same name")
     parent = folder if folder.is_dir() else folder.parent
     if not parent.is_dir():
         raise OutputError(f"{folder}: there is no folder {parent}; create it first")

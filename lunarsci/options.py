@@ -16,6 +16,25 @@ PLAIN = {str: (str, os.PathLike), int: (int,), float: (int, float), bool: (bool,
 """Plain types of options, and what counts as one of them."""
 WORDS = {str: "text", int: "a whole number", float: "a number", bool: "True or False"}
 
+TYPED = {
+    "boulders": "rocks",
+    "class": "classes",
+    "crater_count": "craters",
+    "crater_prior": "prior",
+    "draw_posterior": "sample",
+    "exact_rig": "exact",
+    "minerals": "soil",
+    "pattern": "target",
+    "prior_file": "prior",
+    "rays": "samples",
+    "rock_density": "rocks",
+    "roughness_factor": "roughness",
+    "scattering": "law",
+    "shadow_share": "shadow",
+    "start_file": "start",
+}
+"""Options that the command line has under another name: as typed there, and the name in Python."""
+
 
 def choices_of(hint: Any) -> list[Any]:
     """The values that a type hint names, in its order.

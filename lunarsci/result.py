@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar, get_args, g
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, RequestError
 from lunarsci.names import one_of
-from lunarsci.options import as_meant, check_option, options_text
+from lunarsci.options import TYPED, as_meant, check_option, options_text
 from lunarsci.provenance import Provenance, document, plain, to_json
 
 if TYPE_CHECKING:
@@ -130,6 +130,9 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
     """
     known = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
     if wrong := next((name for name in options if name not in known), None):
+        other = TYPED.get(wrong)
+        if other in known:
+            raise RequestError(f"'{wrong}' is how the command line has `{other}`; give that name in Python")
         raise RequestError(f"'{wrong}' is no option here; {one_of(wrong, sorted(known))}")
     hints = get_type_hints(kind)
     meant = {name: as_meant(value, hints[name]) for name, value in options.items()}

@@ -1,5 +1,6 @@
 """Results of jobs as tables, HTML and JSON; requests as options of a command."""
 
+import ast
 import importlib
 import inspect
 import io
@@ -18,19 +19,28 @@ import pytest
 import typer
 from astropy import units
 from astropy.table import QTable
-from lunarsci.cli import main
+from lunarsci.cli import command_line, main
 from lunarsci.cli.shared.command import command
 from lunarsci.cli.shared.options import option
 from lunarsci.cli.shared.report import Report
 from typer.testing import CliRunner
 
 import lunarsci
-from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import read_input
+from lunarsci.options import TYPED
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, _column, request_of
 
 ROOT = Path(__file__).parents[1]
+NO_FIELDS = {"output", "save_terrain"}
+"""Files that a command writes: no option of a function."""
+WITH_DASHES = {
+    "lunarsci/figure.py", "lunarsci/images/jobs/locate.py", "lunarsci/pages/documents.py",
+    "lunarsci/spectra/origin/composition.py", "lunarsci/spectra/readers/text.py",
+    "lunarsci/twin/ground/finer_ground.py",
+}  # fmt: skip
+"""Modules of which an error names an option of commands, or of another program, as it is typed."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +107,8 @@ def test_options_make_a_request() -> None:
     assert request_of(Asked, Asked(exact=True), {"ties": ("a",)}) == Asked(ties=("a",), exact=True)
     with pytest.raises(RequestError, match=r"'lode' is no option here; did you mean 'load_n'\? these are: exact"):
         request_of(Asked, None, {"lode": 1})
+    with pytest.raises(RequestError, match=r"'rays' is no option here"):
+        request_of(Asked, None, {"rays": 1})
 
 
 REQUESTS = sorted(
@@ -106,6 +118,66 @@ REQUESTS = sorted(
         for name in re.findall(r"^class (\w+Request)\b", path.read_text("utf-8"), re.M)
     }
 )
+
+
+def test_names_of_the_command_line_are_answered_with_those_of_python() -> None:
+    """Each option of a request that is typed otherwise, on every command."""
+    fields_of_requests = {
+        name
+        for module, request in REQUESTS
+        for name in get_type_hints(getattr(importlib.import_module(module), request))
+    }
+    pending, typed = [typer.main.get_command(command_line())], {}
+    while pending:
+        one = pending.pop()
+        pending += getattr(one, "commands", {}).values()
+        for item in one.params:
+            flag = max(item.opts, key=len)
+            own = flag.removeprefix("--").replace("-", "_")
+            if flag.startswith("--") and item.name in fields_of_requests and own != item.name:
+                typed[own] = item.name
+    assert {"prior_file", "draw_posterior", "start_file"} <= set(typed)
+    assert {name: TYPED.get(name) for name in typed if name not in NO_FIELDS} == {
+        name: typed[name] for name in typed if name not in NO_FIELDS
+    }
+    with pytest.raises(RequestError, match="'prior_file' is how the command line has `prior`"):
+        lunarsci.infer("no.csv", prior_file="x.toml")
+    with pytest.raises(RequestError, match="'draw_posterior' is how the command line has `sample`"):
+        lunarsci.infer("no.csv", draw_posterior=True)
+
+
+def test_results_of_arrays_and_of_files_can_be_pickled(tmp_path: Path) -> None:
+    nm = np.arange(600.0, 2600.0, 5.0)
+    values = 0.3 * (1 - 0.3 * np.exp(-(((nm - 950) / 90) ** 2)) - 0.2 * np.exp(-(((nm - 1950) / 200) ** 2)))
+    file = tmp_path / "rock.csv"
+    pd.DataFrame({"wavelength_nm": nm, "reflectance": values}).to_csv(file, index=False)
+    for source in ((nm, values), str(file)):
+        found = lunarsci.bands(source)
+        assert pickle.loads(pickle.dumps(found)).to_json(time=False) == found.to_json(time=False)
+
+
+def test_a_page_says_what_is_no_result() -> None:
+    for wrong in (3, 0, None):
+        with pytest.raises(DataError, match=f"{wrong} is no result; give"):
+            lunarsci.report([wrong])
+
+
+def spelled_with_dashes(source: str) -> bool:
+    """Whether an error or a warning has an option as it is typed, outside the backticks of a command."""
+    for one in ast.walk(ast.parse(source)):
+        if isinstance(one, ast.Raise) or (isinstance(one, ast.Call) and ast.unparse(one.func).endswith("warn")):
+            texts = [part.value for part in ast.walk(one) if isinstance(part, ast.Constant)]
+            if re.search(r"(?<![\w-])--[a-z]", re.sub("`[^`]*`", "", "".join(map(str, texts)))):
+                return True
+    return False
+
+
+def test_errors_name_options_as_python_has_them() -> None:
+    assert spelled_with_dashes('raise ValueError(f"{path}: add --force")')
+    assert not spelled_with_dashes('raise ValueError(f"{path}: add `force`, or `spectra fit --json`")')
+    files = [path for path in (ROOT / "lunarsci").rglob("*.py") if path.relative_to(ROOT).parts[1] != "cli"]
+    found = {str(path.relative_to(ROOT)) for path in files if spelled_with_dashes(path.read_text("utf-8"))}
+    assert found == WITH_DASHES
 
 
 @pytest.mark.parametrize(("module", "request_name"), REQUESTS)

@@ -65,8 +65,8 @@ def command(
             named = folder and (path is None or path.is_dir() or path.suffix.lower() not in FORM_OF)
             where = {key: chosen.pop(key) for key in blocks}
             output = Output(**chosen, folder=named)
-            output.check()
             try:
+                output.check()
                 with (
                     _told_of_earlier_runs(output),
                     heard_warnings(output, lambda text: _with_flags(text, context)) as heard,

@@ -66,8 +66,8 @@ class Report:
     stored: Mapping[str, Any] | None = None
 
     def with_reasons(self, told: Callable[[str], str]) -> "Report":
-        """With the reasons of its failures as `told` words them."""
-        return replace(self, failures=[one.worded(told) for one in self.failures]) if self.failures else self
+        """With the reasons of its failures, and why it is not to be trusted, as `told` words them."""
+        return replace(self, untrusted=told(self.untrusted), failures=[one.worded(told) for one in self.failures])
 
     @classmethod
     def of(

@@ -95,6 +95,8 @@ def read_results(
 
     Raises DataError for what is none of them, ParameterError where no document is given.
     """
+    if strange := [one for one in given if not isinstance(one, str | Path | Result)]:
+        raise DataError(f"{strange[0]!r:.60} is no result; {REMEDY}")
     paths = [one for one in given if not isinstance(one, Result)]
     pictures = [_picture(Path(path)) for path in paths if Path(path).suffix.lower() in PICTURES]
     documents = [

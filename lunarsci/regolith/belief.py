@@ -25,6 +25,8 @@ WIDEST = 5.0
 """Drives narrow a belief and forgetting leads back to its laws, past them by at most (0.25 x 6^2 + 1)^0.5 = 3.2 times;
 assumed. [standard deviations of the laws]"""
 MARK = "# verdict of the fit: "
+CLOSED, CONTACT_ANGLES = "closed", "contact angles"
+"""In the name of a law: the closed form, and contact angles that are unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +87,17 @@ def doubt(verdict: FitVerdict) -> str:
     if verdict.trusted:
         return ""
     return f"the soils come from a fit that is not to be trusted: {verdict.reason}"
+
+
+def other_law(name: str, verdict: FitVerdict | None, rover: str) -> str:
+    """What to know where the soils of a file were found by another law than the twin's; empty where they were not."""
+    if verdict is None or verdict.model == CLOSED:
+        return ""
+    lost = ", whose contact angles it does not keep" if CONTACT_ANGLES in verdict.model else ""
+    return (
+        f"{name} was inferred by the law '{verdict.model}'{lost}; {rover} drives by the closed form with the contact "
+        "angles of its file, where these soils may slip otherwise; infer by the law 'given' with this rover's wheel"
+    )
 
 
 def verdict_line(verdict: FitVerdict) -> str:

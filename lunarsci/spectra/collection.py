@@ -74,7 +74,7 @@ class SpectrumRows(Sequence[Spectrum]):
         known, shifts = np.array([sigma is not None]), {0: one.systematic} if one.systematic else {}
         mask = np.asarray(one.mask)[None]
         return cls(
-            [one.id], one.wavelength_nm, one.reflectance[None], mask, lambda _: one.metadata, sigma, known, shifts
+            [one.id], one.wavelength_nm, one.reflectance[None], mask, [one.metadata].__getitem__, sigma, known, shifts
         )
 
     def __len__(self) -> int:

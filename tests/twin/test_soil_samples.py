@@ -1,12 +1,16 @@
 """Soils of the members from a table."""
 
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.regolith.belief import FitVerdict, first_belief, verdict_line
 from lunarsci.twin.ground.driven_soil import read_soil_samples
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
 from lunarsci.twin.plans.plan import Sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
@@ -73,3 +77,33 @@ def test_given_soils_leave_no_room_for_a_sweep(yutu2: Rover, slope, straight) ->
             predict(yutu2, slope(), straight(1.0), samples={"cohesion_pa": [1.0]}, **extra)
     with pytest.raises(ParameterError, match="one value of each"):
         predict(yutu2, slope(), straight(1.0), samples={"cohesion_pa": [1.0], "friction_angle_deg": [30.0, 31.0]})
+
+
+def read_with_law(tmp_path: Path, model: str, kind: str) -> DriveInputs:
+    """Inputs of a drive on soils that a trusted fit by a law gave."""
+    fit = FitVerdict(
+        trusted=True, reason="", model=model, model_error=(0.01, 0.01, 0.01), model_error_from="residuals",
+        reduced_chi_square=1.0,
+    )  # fmt: skip
+    path = tmp_path / f"soils{kind}"
+    path.write_text(verdict_line(fit) + TABLE if kind == ".csv" else replace(first_belief(), verdict=fit).to_json())
+    return read_drive_inputs(None, "yutu2", None, soil=str(path))
+
+
+@pytest.mark.parametrize("kind", [".csv", ".json"])
+def test_soils_of_another_law_than_the_twins_are_named(tmp_path: Path, kind: str) -> None:
+    """A fit with open contact angles was driven with those of the rover's file: slip 0.34 where 0.27 was true."""
+    for model, lost in (("separate + contact angles", True), ("combined", False)):
+        with pytest.warns(LunarSciWarning, match="inferred by the law") as heard:
+            found = read_with_law(tmp_path, model, kind)
+        (said,) = [str(one.message) for one in heard if "inferred" in str(one.message)]
+        assert f"law '{model}'" in said and ("does not keep" in said) == lost and "the law 'given'" in said
+        assert said in found.remarks and found.soil_record()["caution"] == said
+
+
+@pytest.mark.parametrize("kind", [".csv", ".json"])
+def test_soils_of_the_twins_own_law_need_no_word(tmp_path: Path, kind: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = read_with_law(tmp_path, "closed", kind)
+    assert not any("law" in text for text in found.remarks) and "caution" not in found.soil_record()

@@ -246,7 +246,7 @@ class CalibratedCameras(Result):
         from lunarsci.images.rig import StereoRig
 
         if len(self.found.cameras) < 2:
-            raise ParameterError("one camera is no stereo rig; give the right camera's pictures with --right")
+            raise ParameterError("one camera is no stereo rig; give the right camera's pictures too, as `right`")
         return StereoRig(
             name=self.request.name,
             left=self.found.cameras[0],

@@ -19,7 +19,7 @@ from scipy.special import ndtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.regolith.belief import FitVerdict, SoilBelief, verdict_line
+from lunarsci.regolith.belief import CLOSED, CONTACT_ANGLES, FitVerdict, SoilBelief, verdict_line
 from lunarsci.regolith.inference.mode import (
     Mode,
     find_mode,
@@ -307,9 +307,9 @@ def usable_states(states: WheelStates, wheel: Wheel) -> BoolArray:
 def law_name(model: ContactModel | None, contact: bool) -> str:
     """How a wheel-soil law is called: `closed`, or the shear law of the integrals and what goes beyond it."""
     if model is None:
-        return "closed"
+        return CLOSED
     more = [] if model.bulldozing == "none" else [f"bulldozing {model.bulldozing}"]
-    return " + ".join([model.shear, *more, *(["contact angles"] if contact else [])])
+    return " + ".join([model.shear, *more, *([CONTACT_ANGLES] if contact else [])])
 
 
 def _check(prior: Mapping[str, Law], model_error: float | None, draws: int, contact_without_model: bool) -> None:

@@ -315,7 +315,7 @@ def fit(
     asked = request_of(FitRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     if asked.to_fit_file and (count := len(batch.spectra)) != 1:
-        raise ParameterError(f"a .fit file holds one spectrum, not {count}; fit one at a time, or use --json")
+        raise ParameterError(f"a .fit file holds one spectrum, not {count}; fit one at a time, or take JSON")
     found = fit_batch_of(batch, asked, progress)
     if asked.continuum_spread:
         how: dict[str, Any] = {"model_error": asked.model_error, "starts": asked.starts, "progress": progress}

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -226,6 +226,26 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
     return order, "unsorted"
 
 
+@dataclass(frozen=True, slots=True)
+class _About:
+    """What is recorded of the spectrum in a row: of all alike, and its own column, unit and counts of channels."""
+
+    record: dict[str, Any]
+    names: list[str | int]
+    units: list[ReflectanceChoice]
+    which: IntArray
+    counts: dict[str, IntArray]
+
+    def __call__(self, row: int) -> dict[str, Any]:
+        unit = self.units[self.which[row]]
+        said = {
+            "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
+            "reflectance_unit_from": unit.origin,
+        }
+        counts = {key: int(count[row]) for key, count in self.counts.items()}
+        return {**self.record, "column": self.names[row], **said, **counts}
+
+
 def _assembled(
     table: SpectrumTable, wavelength: FloatArray, order: IntArray, stated: StatedUnits, record: dict[str, Any]
 ) -> tuple[SpectrumRows, dict[str, IntArray]]:
@@ -249,15 +269,6 @@ def _assembled(
         "channels_deleted": deleted,
         "channels_not_positive": not_positive,
     }
-
-    def about(row: int) -> dict[str, Any]:
-        unit = units[which[row]]
-        said = {
-            "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
-            "reflectance_unit_from": unit.origin,
-        }
-        return {**record, "column": names[row], **said, **{key: int(count[row]) for key, count in counts.items()}}
-
     with np.errstate(invalid="ignore"):
         mask = lacking | ~(values > 0)
     shifts = {k: {name: (c.values * scale[k])[order] for name, c in own} for k, own in table.systematic.items()}
@@ -268,7 +279,7 @@ def _assembled(
         wavelength,
         _sorted(values, order),
         _sorted(mask, order),
-        about,
+        _About(record, names, units, which, counts),
         sigma,
         np.broadcast_to(known, len(ids)),
         shifts,

@@ -212,7 +212,7 @@ def _lit_footprint(observation: Observation, settings: Settings, limit: float, n
     if lit < _LEAST_LIT * inside:
         raise DataError(
             f"{observation.id}: {lit} of {inside} pixels of the footprint are lit and valid (reflectance at "
-            f"{SHADOW_BAND_NM:g} nm from {settings.shadow_limit:g} on); nothing to average, see --shadow"
+            f"{SHADOW_BAND_NM:g} nm from {settings.shadow_limit:g} on); nothing to average, see `shadow`"
         )
     shadowed = int(footprint.shadowed.sum())
     if shadowed > _MOST_SHADOW * inside:

@@ -190,6 +190,7 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits_of_ground())
     site.check.belief(given.name, given.belief)
+    site.check.law(given.name, given.verdict)
     check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
     asked, site = asked.on(site.terrain), local.site

@@ -10,7 +10,7 @@ from lunarsci.documents import json_document, toml_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, other_law, read_belief, read_verdict
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, prior_hash, read_prior
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
@@ -77,6 +77,13 @@ class GivenSoil:
     def name(self) -> str:
         """Of the file with soils for the drives; '' where there is none."""
         return "" if self.file is None else self.file.name
+
+    @property
+    def verdict(self) -> FitVerdict | None:
+        """Of the fit that the soils come from, None where they come from none. Raises DataError."""
+        if self.belief is not None:
+            return self.belief.verdict
+        return read_verdict(self.file) if self.file is not None and self.of == "samples" else None
 
     @property
     def one_soil(self) -> bool:
@@ -187,7 +194,8 @@ class DriveInputs:
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
         found = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
-        told = {"doubt": self.doubt_of_belief, "caution": self.caution_of_belief}
+        cautions = (self.caution_of_belief, other_law(self.given.name, self.given.verdict, self.rover.name))
+        told = {"doubt": self.doubt_of_belief, "caution": "; ".join(filter(None, cautions))}
         return found | {key: text for key, text in told.items() if text}
 
     def soil_notes(self, members: int, drawn: int) -> list[str]:
@@ -286,6 +294,7 @@ def read_drive_inputs(
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
     check.looked_at(file.made_for, terrain)
     check.belief(given.name, given.belief)
+    check.law(given.name, given.verdict)
     check.stand_in()
     if soil_counts:
         check.soil(driven, terrain)

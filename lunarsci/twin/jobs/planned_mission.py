@@ -217,6 +217,7 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
     check_soils(asked, given)
     site = read_site(terrain, asked, given.named, asked.limits_of_ground())
     site.check.belief(given.name, given.belief)
+    site.check.law(given.name, given.verdict)
     far = WIDER * mission.fixes.position_sigma_m
     wider = tuple(ExclusionZone(zone.name, zone.x_m, zone.y_m, zone.radius_m + far) for zone in mission.keep_outs)
     site = replace(site, keep_outs=site.keep_outs + wider)

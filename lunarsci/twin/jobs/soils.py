@@ -7,7 +7,7 @@ from typing import Any
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
-from lunarsci.regolith.belief import FitVerdict, doubt, read_verdict
+from lunarsci.regolith.belief import FitVerdict, doubt
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, read_soil_samples
@@ -63,7 +63,7 @@ class Soils:
             soils = replace(soils, discrepancy=law)
         elif given.file is not None:
             rows = read_soil_samples(given.file, members, seed)
-            soils = replace(soils, samples=rows, verdict=read_verdict(given.file))
+            soils = replace(soils, samples=rows, verdict=given.verdict)
         return soils._without_unused_soil()
 
     def _without_unused_soil(self) -> "Soils":

@@ -293,6 +293,7 @@ def update(
     record = read_record(table, known.rover, positions=fixes)
     before = Before.read(asked, known)
     known.check.belief(before.file.name if before.file else "", before.belief)
+    known.check.law(before.file.name if before.file else "", before.belief.verdict if before.believed else None)
     before.refuse_known(source)
     known.check.states(source.name, table.table, known=known.made_for["plan"] is not None)
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})

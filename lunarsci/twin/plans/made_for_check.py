@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.belief import FitVerdict, SoilBelief, other_law
 from lunarsci.regolith.written_names import GROUND, ground_kinship, short_name, written_in
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription
 from lunarsci.tables import read_csv_table
@@ -194,6 +194,11 @@ class MadeForCheck:
                 f"{self.description.origin} to drive its soil with '{own}' all the same"
             )
         self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
+
+    def law(self, name: str, verdict: FitVerdict | None) -> None:
+        """Say it where soils were found by another law than the twin's."""
+        if said := other_law(name, verdict, self.rover.name):
+            self.say(said)
 
     def stand_in(self) -> None:
         """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""
