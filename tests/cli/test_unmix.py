@@ -185,7 +185,8 @@ def test_a_stated_kind_is_unmixed_and_told_what_is_missing(run: Run, soil: Path,
     values = (0.055 + 0.09 * (NM - 450.0) / 1000.0) * (1 - 0.25 * np.exp(-0.5 * ((NM - 960.0) / 90.0) ** 2))
     deep = tmp_path / "rock.csv"
     deep.write_text("wavelength_nm,rock\n" + "".join(f"{a:g},{b:.6f}\n" for a, b in zip(NM, values, strict=True)))
-    rock = found(run, deep, "--starts", "1", "--kind", "solid-rock")["rock"]
+    done = run("spectra", "unmix", deep, "--starts", "1", "--kind", "solid-rock", "--json")
+    rock = json.loads(done.out)["result"]["spectra"][0]["abundance"]
     assert [*rock["ratios"]] == ["olivine_in_mafic", "orthopyroxene_in_pyroxene"]
     for ratio in rock["ratios"].values():
         middle = [] if ratio["fraction"] is None else [ratio["fraction"]]

@@ -213,6 +213,17 @@ def test_without_an_absorption_there_are_no_shares(depth: float, told: bool) -> 
         assert found.status.startswith("not determined: no absorption near 1 um deep enough")
 
 
+def test_a_rock_like_a_chondrite_gets_no_ratio_of_that_class() -> None:
+    """Orthopyroxene and something flat and dark, without olivine: it had 45-57 % of it."""
+    library = {item.id: item.reflectance for item in embedded_end_members(NM)}
+    albedo = 0.12 * SURFACE.albedo(library["PE-CMP-030"]) + 0.88 * 0.1
+    rock = Spectrum("rock", NM, SURFACE.reflectance(albedo))
+    [found] = estimate_each([rock], MAFIC, kinds=[find_kind(rock, "solid-rock")])
+    olivine = found.ratios[0]
+    assert np.isnan(olivine.fraction) or olivine.low95 == 0.0
+    assert (olivine.low95, olivine.high95) == (0.0, 1.0)
+
+
 @pytest.mark.reference
 def test_olivine_of_chips_of_known_modes_lies_in_its_interval_or_is_open(reference_data: Path) -> None:
     """Chips and slabs of meteorites, and norite 78235, which holds no olivine and shows bands of 3 %."""
