@@ -147,7 +147,8 @@ def motion_at(
     """The smoothed motion of the rover's origin, with the wheels as they were measured, else as the others say."""
     rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
     steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
-    lost = np.isnan(rim) & np.asarray(np.isfinite(rim).any(axis=1))[:, None]
+    known = np.isfinite(rim)
+    lost: BoolArray = ~known & known.any(axis=1, keepdims=True)
     if lost.any():
         along, _ = wheel_rows(rover, np.radians(steered))
         rim = np.where(lost, np.einsum("nwi,ni->nw", along, about(nodes, nodes.twist)), rim)
