@@ -4,6 +4,7 @@ import contextlib
 import csv
 import io
 import json
+import math
 import os
 import signal
 import subprocess
@@ -33,7 +34,13 @@ COMMANDS = {
 def command(request: pytest.FixtureRequest, rock: Path, states: Path) -> list[str]:
     """A command that works, with its input."""
     name = request.param
-    modes = ["--modes", "ol=0.2:0.1,opx=0.4:0.1"]
+    craters = rock.parent / "two_craters.csv"
+    craters.write_text(
+        "name,latitude_deg,longitude_deg,diameter_km,olivine,olivine_sigma,orthopyroxene,orthopyroxene_sigma\n"
+        "alike,-43,190,5,0.6,0.02,0.2,0.02\nunlike,-45,171,5,0.05,0.02,0.75,0.02\n"
+    )
+    modes = ["--modes", "ol=0.6:0.02,opx=0.2:0.02", "--craters", str(craters), "--site=-45.44,177.56"]
+    modes += ["--crater-prior", "uniform", "--systematic", "0.02"]
     inputs = {"bands": [rock], "fit": [rock], "match": modes, "identify": [states], "forces": ["--sinkage", "0.008"]}
     return [*COMMANDS[name], *map(str, inputs[name])]
 
@@ -372,13 +379,15 @@ def test_a_batch_lists_what_failed_in_a_file(run: Run, rock: Path, bad_spectra: 
     assert listed.read_bytes() == b""
     kept = run("spectra", "bands", empty, rock, "--failed", listed)
     assert kept.code == 2 and "--force" in kept.err[0] and listed.read_bytes() == b""
-    short = rock.parent / "two: and, a\ttab.csv"
-    short.write_text("wavelength_nm,none\n1000,0.1\n2000,0.2\n")
-    for given, code in (((empty, rock, missing, short), 1), ((empty, missing), 1)):
+    short, only = rock.parent / "two: and, a\ttab.csv", rock.parent / "only.csv"
+    only.write_text("wavelength_nm,none\n1000,0.1\n2000,0.2\n")
+    rows = "".join(f"{nm},,{0.3 - 0.1 * math.exp(-(((nm - 950) / 90) ** 2))}\n" for nm in range(500, 2400, 10))
+    short.write_text(f"wavelength_nm,none,good\n490,0.1,0.3\n495,0.2,0.3\n{rows}")
+    for given, code in (((empty, rock, missing, short), 1), ((empty, missing, only), 1)):
         assert run("spectra", "bands", *given, "--failed", listed, "--force").code == code
         lines = [line.split("\t") for line in listed.read_text("utf-8").splitlines()]
         whole = [line for line in lines if not line[2]]
-        assert [name for name, _, _ in whole] == [str(empty), str(missing)]
+        assert [name for name, _, _ in whole] == [str(empty), str(missing), *([str(only)] if only in given else [])]
         assert all(reason and not reason.startswith(str(empty.parent)) for _, reason, _ in lines)
         assert [(name, spectrum) for name, _, spectrum in lines if spectrum] == (
             [(str(short).replace("\t", r"\x09"), "none")] if short in given else []
@@ -414,7 +423,7 @@ def test_results_in_a_folder_of_inputs_are_left_out_and_said(run: Run, rock: Pat
     (folder / "rock.csv").unlink()
     (folder / "own.json").unlink()
     alone = run("spectra", "bands", folder)
-    assert alone.code == 1 and "nothing but results of lunarsci" in alone.err[-1]
+    assert alone.code == 4 and "nothing but results of lunarsci" in alone.err[-1]
 
 
 def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run: Run, tmp_path: Path) -> None:
@@ -668,7 +677,8 @@ def test_a_batch_without_a_result_says_that_the_file_of_an_earlier_run_was_left(
     assert again.code == 1
     assert f"{out} is of an earlier run and was left as it is" in again.err
     assert f"{plot} is of an earlier run and was left as it is" in again.err
-    assert len(again.err) == 3 and again.err[-1].startswith("error: ")
+    written = [] if quiet else [f"written: {failed}"]
+    assert again.err[2:-1] == written and again.err[-1].startswith("error: ")
     assert out.read_bytes() == before
     part = run(*command, rock)
     assert part.code == 1 and "earlier run" not in " ".join(part.err)
