@@ -483,7 +483,7 @@ def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str)
 
 def test_a_high_shadow_limit_leaves_nothing_and_says_so() -> None:
     simulation = simulate(Scene(), EXACT)
-    with pytest.raises(DataError, match=r"0 of 9085 pixels .* from 0.5 on\); nothing to average, see --shadow"):
+    with pytest.raises(DataError, match=r"0 of 9085 pixels .* from 0.5 on\); nothing to average, see `shadow`"):
         calibrate(observed(simulation), settings(shadow_limit=0.5))
 
 
