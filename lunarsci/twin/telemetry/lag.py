@@ -191,7 +191,10 @@ def _ln_likelihood(nodes: Nodes, reference: FloatArray, change: SlipProcess) -> 
 
 
 def check_lag(lag: Lag, findings: Findings) -> None:
-    """Say a lag that is one for sure; slip and soil are in doubt where the wheels roll far enough in it."""
+    """Say a lag that is one for sure; slip and soil are in doubt where the rover is late and the wheels roll far in it.
+
+    One that is early by less than `NEAR_S` is said alone: an honest drive may look so (docs/validation/drive.md).
+    """
     if lag.found:
         done = (
             f"times are kept as they are: --lag {lag.lag_s:.2f} puts positions and headings back to their wheels, if "
@@ -200,7 +203,7 @@ def check_lag(lag: Lag, findings: Findings) -> None:
         )
         if lag.far:
             done += ". Slips turn the rover as well, so that this number is coarse: see which lag is left with it"
-        findings.add("lag", lag.text, done, doubt=lag.way_m > HARM_M)
+        findings.add("lag", lag.text, done, doubt=lag.far or (lag.lag_s > 0.0 and lag.way_m > HARM_M))
 
 
 def without_lag(telemetry: Telemetry, lag_s: float, findings: Findings) -> Telemetry:
