@@ -186,10 +186,13 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
 
     def record_columns(self) -> dict[str, Column]:
         """The keys `abundance` and `abundances` of records."""
+        from lunarsci.spectra.library.end_member import CHEMISTRY
+
         own, keys = self.shares, ("low", "high", "low95", "high95")
         one: dict[str, Column] = {
             "method": "nbsr",
             "in_domain": own.in_domain,
+            "not_weighed": Same([mineral for mineral in CHEMISTRY if mineral not in PYROXENES]),
             "status": own.statuses,
             "rms_ln": np.where(own.in_domain, self._rms, np.nan),
             "correlation": Where(own.in_domain, Same(CORRELATION)),

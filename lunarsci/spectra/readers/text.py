@@ -93,7 +93,7 @@ def _texts(rows: Sequence[Row]) -> list[int]:
     for row in rows:
         texts = [k for k in texts if not _DIGIT.search(row.fields[k])]
     texts = [k for k in texts if not all(is_missing(row.fields[k]) for row in rows)]
-    return texts if rows and len(rows[0].fields) - len(texts) > 1 else []
+    return texts if rows and len(rows[0].fields) - len(texts) > 1 and 0 not in texts else []
 
 
 def _warn_of_commented_rows(
