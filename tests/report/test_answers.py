@@ -245,7 +245,7 @@ def test_a_soil_map_is_told_by_its_zones(tmp_path: Path) -> None:
     )
     file = tmp_path / "map.json"
     for kept, drives, said in (
-        (zones[:1], "1 zone, from 1 drive. Zone 1 (out, 0.0 to 4.0 m): The ground", ""),
+        (zones[:1], "1 zone, from 1 drive. Zone 1 (out, 0.0 to 4.0 m): The soil for predictions", ""),
         (zones, "2 zones, from 2 drives.", "Zone 2: a drive: the wheels leaned"),
         ((), "", ""),
     ):

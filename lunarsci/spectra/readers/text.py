@@ -64,7 +64,7 @@ def read_text(source: InputFile) -> SpectrumTable:
         values = None
         names, rows = _rows(names, body, separator, source.name)
     width = len(rows[0].fields) if values is None else len(values)
-    texts = _texts(rows) if names else []
+    texts = _texts(rows) if names and any(map(is_wavelength, names)) else []
     roles = _roles_without_names(width, source.name) if names is None else assign_roles(names, source, left_out=texts)
     _warn_of_commented_rows(body, comments, separator, source.name)
     titles = names or [""] * width
@@ -93,7 +93,7 @@ def _texts(rows: Sequence[Row]) -> list[int]:
     for row in rows:
         texts = [k for k in texts if not _DIGIT.search(row.fields[k])]
     texts = [k for k in texts if not all(is_missing(row.fields[k]) for row in rows)]
-    return texts if rows and len(rows[0].fields) - len(texts) > 1 and 0 not in texts else []
+    return texts if rows and len(rows[0].fields) - len(texts) > 1 else []
 
 
 def _warn_of_commented_rows(
