@@ -82,7 +82,8 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
 
     Positions and headings that are later than the wheels, by another clock or because wheels act late, are found where
     wheels steer over, turn, start or stop, and said with the --lag that puts them back; with exit code 3 where wheels
-    roll more than 1 cm within it. Along one arc at one speed no slip depends on it.
+    roll more than 1 cm within it. Those that are early by less than 1.5 s are said alone. Along one arc at one speed no
+    slip depends on it.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin loads` read.

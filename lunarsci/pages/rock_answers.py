@@ -155,7 +155,7 @@ def against(fitted: Result, mixed: Result) -> str:
 def match(result: Result) -> ResultAnswer:
     rocks = result["rocks"]
     open_ones = [rock for rock in rocks if rock.get("best") is None]
-    of = "" if len(open_ones) == len(rocks) else f" of {len(open_ones)} of {counted(len(rocks), 'rock')}"
+    of = "" if len(open_ones) == len(rocks) else f" for {len(open_ones)} of {counted(len(rocks), 'rock')}"
     worth = f"Which source it is, is not decided{of}." if open_ones else ""
     where = " The site is taken to be Chang'E-4's; none was given." if result["site"].get("assumed") else ""
     return ResultAnswer(f"{each(rocks, _one_match, 'rock', _match_in_short)}{where}", trust=worth)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.spectra.spectrum import WIDEST_GAP_NM
+from lunarsci.spectra.spectrum import wide_gap
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +179,8 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
         wavelength_nm[(wavelength_nm >= low) & (wavelength_nm <= high)] if code == NOT_COVERED else wavelength_nm[:0]
     )
     first, last = (inside[0], inside[-1]) if inside.size else (np.nan, np.nan)
-    widest = int(np.argmax(np.diff(inside))) if inside.size > 1 else 0
-    if inside.size > 1 and inside[widest + 1] - inside[widest] > WIDEST_GAP_NM:
-        return f"no result: no usable channel from {inside[widest]:g} to {inside[widest + 1]:g} nm"
+    if inside.size and (gap := wide_gap(inside, first, last)):
+        return "no result: no usable channel from {:g} to {:g} nm".format(*gap)
     return SENTENCES[STATUSES[code]].format(
         deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
     )

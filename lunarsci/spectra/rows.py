@@ -17,6 +17,8 @@ MOST_LETTERS = 3
 """Letters of a number that is misspelt, at most; a first cell with more is a name."""
 UNITS = ("nm", "um", "µm", "μm", "micron", "microns", "%", "percent", "nanometer", "micrometer")
 """Cells of a row of units below the header."""
+DECIMAL_COMMA = ";\t"
+"""Separators beside which a comma within a number is its decimal point."""
 _LONGEST_SHOWN = 40
 
 

@@ -12,8 +12,8 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 
 WIDEST_GAP_NM = 100.0
-"""Channels farther apart than this may hide the bottom of a band of olivine or pyroxene, whose narrowest are some
-170 nm wide at half depth (`mgm_bands.csv`); assumed. [nm]"""
+"""Channels farther apart than this may hide the bottom of a band of olivine or pyroxene, whose narrowest is
+176 nm wide at half depth (OL M2 of `mgm_bands.csv`); assumed. [nm]"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,12 +103,22 @@ class Spectrum:
         return ~np.asarray(self.mask, dtype=bool)
 
 
+def wide_gap(wavelength_nm: FloatArray, low_nm: float, high_nm: float) -> tuple[float, float] | None:
+    """The widest part of a range without a channel, of ascending ones, that may hide a band; None for none. [nm]"""
+    inside = wavelength_nm[(wavelength_nm > low_nm) & (wavelength_nm < high_nm)]
+    first, last = np.searchsorted(wavelength_nm, low_nm, side="right") - 1, np.searchsorted(wavelength_nm, high_nm)
+    begin = wavelength_nm[first] if first >= 0 else low_nm
+    end = wavelength_nm[last] if last < wavelength_nm.size else high_nm
+    channels = np.array([begin, *inside, end])
+    widest = int(np.argmax(np.diff(channels)))
+    gap = float(channels[widest]), float(channels[widest + 1])
+    return gap if gap[1] - gap[0] > WIDEST_GAP_NM else None
+
+
 def reaches_over(wavelength_nm: FloatArray, low_nm: float, high_nm: float) -> bool:
     """Whether channels, ascending, lie on both sides of a range, and nowhere in it too far apart. [nm]"""
-    if not wavelength_nm.size or wavelength_nm[0] > low_nm or wavelength_nm[-1] < high_nm:
-        return False
-    first, last = np.searchsorted(wavelength_nm, low_nm, side="right") - 1, np.searchsorted(wavelength_nm, high_nm)
-    return bool(np.diff(wavelength_nm[first : last + 1]).max(initial=0.0) <= WIDEST_GAP_NM)
+    both = wavelength_nm.size and wavelength_nm[0] <= low_nm and wavelength_nm[-1] >= high_nm
+    return bool(both) and wide_gap(wavelength_nm, low_nm, high_nm) is None
 
 
 def channel_noise(spectrum: Spectrum) -> FloatArray:

@@ -10,7 +10,7 @@ errors describe wrongly.
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -141,20 +141,13 @@ def prior_vector(craters: Sequence[Crater], settings: PriorSettings) -> np.ndarr
 
 
 def reliability(
-    craters: Sequence[Crater],
-    settings: MatchSettings,
-    count: int,
-    seed: int,
-    world: PriorSettings | None = None,
-    systematic: float | None = None,
-    stated: str | None = None,
+    craters: Sequence[Crater], settings: MatchSettings, *drawn: Any, **how: Any
 ) -> tuple[Reliability, Reliability, float]:
     """Reliability in bins of equal count and of equal width, and how often the likeliest source is the true one.
 
-    `world` and `systematic` are the truth that rocks are drawn from; left out, what the matching assumes. With
-    `stated` errors are real, see `simulate_real`.
+    Of rocks that are drawn as for `matched`.
     """
-    matches, sources = matched(craters, settings, count, seed, world, systematic, stated)
+    matches, sources = matched(craters, settings, *drawn, **how)
     posteriors = np.array([[*(item.posterior for item in m.craters), m.other_posterior] for m in matches])
     hits = np.arange(posteriors.shape[1]) == sources[:, None]
     possible = prior_vector(craters, settings.prior) > 0
@@ -171,7 +164,11 @@ def matched(
     systematic: float | None = None,
     stated: str | None = None,
 ) -> tuple[RockMatches, np.ndarray]:
-    """Matches of simulated rocks, and the place of each one's source, as of `reliability`."""
+    """Matches of simulated rocks, and the place of each one's source.
+
+    `world` and `systematic` are the truth that rocks are drawn from; left out, what the matching assumes. With
+    `stated` errors are real, see `simulate_real`.
+    """
     truth = prior_vector(craters, world or settings.prior)
     used = settings.systematic if systematic is None else systematic
     if stated:

@@ -23,7 +23,10 @@ def numbers(value: object) -> list[float]:
 @pytest.mark.parametrize("continuum", ["conic", "hull", "linear"])
 def test_bands(run: Callable[..., object], reference_data: Path, file: str, count: int, continuum: str) -> None:
     done = run("spectra", "bands", reference_data / "spectra" / file, "--continuum", continuum, "--json")
-    assert (done.code, done.err) == (0, []) or (done.code == 3 and all("narrow" in line for line in done.err))
+    # Among those of RELAB are olivines and plagioclases with water, as `test_narrow.py` counts them.
+    doubt = ["a narrow absorption, no pyroxene's, is what there is at 2 µm in "] if file.startswith("relab") else []
+    assert done.code == (3 if doubt else 0) and len(done.err) == len(doubt)
+    assert all(line.startswith(said) for line, said in zip(done.err, doubt, strict=True))
     spectra = json.loads(done.out)["result"]["spectra"]
     assert len({spectrum["id"] for spectrum in spectra}) == count
     for spectrum in spectra:
@@ -32,7 +35,7 @@ def test_bands(run: Callable[..., object], reference_data: Path, file: str, coun
             measured = status.startswith(("ok", "centre depends on the method", "in it a narrow absorption"))
             assert measured == (centre is not None)
             if centre is None:
-                assert status.startswith(("no ", "its ", "a narrow"))
+                assert status.startswith(("no ", "its "))
             else:
                 assert low <= centre <= high
                 assert spectrum[f"bc{band}_sigma_nm"] > 0

@@ -9,8 +9,8 @@ from lunarsci.spectra.spectrum import Spectrum
 
 LEAST_DEPTH = 0.07
 """Below it shares and ratios are not told; measured: of 156 spectra of known modes (`share_errors.csv`) three have
-0.052 or less, whose worst shares are off by 28 to 42 %, two of them in domain by all else; from 0.087 on all ordinary
-chondrites in domain are right within 12 %. Norite 78235 has 0.046. [ln R]"""
+0.052 or less, whose worst shares are off by 28 to 42 %, two of them in domain by all else. The next have 0.087 to
+0.092; ordinary chondrites in domain have 0.133 at least and are right within 12 %. Norite 78235 has 0.046. [ln R]"""
 SEEN_SIGMAS = 3.0
 """Standard errors of noise that an absorption must have; assumed."""
 PLACES = ("level", "um0_94", "um1_06", "um1_25", "um1_52", "um1_96", "um2_30")

@@ -313,6 +313,8 @@ def _doubt(kind: KindVerdict, sigma: FloatArray, unlike: float, known: KindCalib
         return ROCKS_UNCALIBRATED
     if kind.is_weathered:
         return "no weathered soil of known modes was measured with it"
+    if known.name == CHONDRITE:
+        return "it looks like an ordinary chondrite, and so do powders of pyroxene and plagioclase without any olivine"
     if unlike > known.most_unlike:
         return f"unlike mixtures of these minerals ({unlike:.1f} times as far from them as they are from each other)"
     if (wide := known.factor68 * sigma.max()) > MOST_WIDE:

@@ -13,8 +13,8 @@ from lunarsci.tables import table_rows
 
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
 GROUPS = {"pyroxene": ("OPX", "CPX")}
-PYROXENES = ("pyroxene", "orthopyroxene", "clinopyroxene")
 """Minerals that stand for each other in a spectrum: that one of them is there may be sure where each alone is open."""
+PYROXENES = ("pyroxene", *(MINERALS[key] for key in GROUPS["pyroxene"]))
 SURE = 0.93
 """Probability from which something is called sure, as of `Choice.family`; assumed."""
 ALONE = "no second pyroxene"

@@ -10,7 +10,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.noise import deepest_below_hull, scatter_noise_rows
-from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
+from lunarsci.spectra.spectrum import Spectrum, reaches_over, wide_gap
 
 FIT_RANGE_NM = (400.0, 2600.0)
 """What is fitted of a spectrum: the silicates' electronic bands; assumed."""
@@ -154,12 +154,9 @@ def prepare_rows(
 
 def _check_reach(wavelength_nm: FloatArray) -> None:
     if not reaches_over(wavelength_nm, *REQUIRED_NM):
-        low, high = REQUIRED_NM
-        between = wavelength_nm[(wavelength_nm > low) & (wavelength_nm < high)]
-        steps = np.diff([low, *between, high])
-        first, width = [low, *between][int(steps.argmax())], steps.max()
-        gap = f": {width:.0f} nm without a usable channel from {first:.0f} nm on" if width > WIDEST_GAP_NM else ""
-        raise DataError(f"the channels do not reach over {low:g}-{high:g} nm{gap}")
+        gap = wide_gap(wavelength_nm, *REQUIRED_NM)
+        text = ": no usable channel from {:g} to {:g} nm".format(*gap) if gap else ""
+        raise DataError("the channels do not reach over {:g}-{:g} nm".format(*REQUIRED_NM) + text)
 
 
 def _inside(wavelength_nm: FloatArray, whole: bool) -> BoolArray:

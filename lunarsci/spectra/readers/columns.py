@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lunarsci import inputs
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.names import some_of
@@ -63,10 +63,7 @@ _NOT_A_SPECTRUM = {
     *("flag", "flags", "quality", "mask", "weight", "weights", "wavenumber", "wavenumbers", "kanal", "nr"),
 }
 _NOT_REFLECTANCE = {"radiance", "irradiance", "absorbance", "transmittance", "emissivity", "cal", "calibration"}
-_SIGMA = {
-    *("sigma", "std", "stdev", "stddev", "error", "err", "unc", "uncertainty", "standarddeviation"),
-    *("1sigma", "stddeviation", "sd", "σ", "fehler", "unsicherheit", "standardabweichung"),
-}
+_SIGMA = {"sigma", "1sigma", "σ", "std", "sd", "error", "err", "unc"}
 _SIGMA_WORD = re.compile(
     r"st(d|and)?(ard)?(abw|afw|dev|err)|s(t|tan)?dev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|"
     r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"
@@ -268,9 +265,9 @@ def only_spectra(table: SpectrumTable) -> SpectrumTable:
     unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
     constant = unnamed & (low == high) & (low > MAX_FRACTION)
     if constant.any() and not constant.all():
-        dropped = some_of([column.label for column, sigma in _at(table.spectra, constant)], MOST_NAMED)
+        kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
+        dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
         _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, no reflectance")
-        kept = np.flatnonzero(~constant).tolist()
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
         table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=None)
         high = high[kept]
@@ -280,10 +277,6 @@ def only_spectra(table: SpectrumTable) -> SpectrumTable:
             own_name = quoted(without_unit(before.name) + "_sigma")
             _warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
     return table
-
-
-def _at(spectra: Sequence[tuple[Column, Column | None]], which: BoolArray) -> list[tuple[Column, Column | None]]:
-    return [spectra[k] for k in np.flatnonzero(which).tolist()]
 
 
 def _looks_like_error(values: FloatArray, beside: FloatArray) -> bool:

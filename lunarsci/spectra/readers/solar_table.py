@@ -14,6 +14,7 @@ from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
 from lunarsci.spectra.rows import (
+    DECIMAL_COMMA,
     Row,
     check_widths,
     is_missing,
@@ -136,7 +137,7 @@ def _integral(table: _Table, length: str) -> float:
 def _from_text(content: str, file: str) -> _Table:
     lines, comments = split_lines(content)
     separator = separator_of(lines) if lines else " "
-    decimal_comma = separator == ";"
+    decimal_comma = separator in DECIMAL_COMMA
     rows = [Row(n, split_fields(line, separator, f"{file}: line {n}")) for n, line in lines]
     start = next((k for k, row in enumerate(rows) if not _is_heading(row, decimal_comma)), len(rows))
     body = rows[start:]

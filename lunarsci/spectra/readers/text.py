@@ -21,6 +21,7 @@ from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.columns import Roles, assign_roles, is_wavelength
 from lunarsci.spectra.readers.table import Column, SpectrumTable
 from lunarsci.spectra.rows import (
+    DECIMAL_COMMA,
     Row,
     check_widths,
     is_missing,
@@ -39,8 +40,6 @@ _COMMENT_LENGTH = 200
 _COUNT = re.compile(r"[0-9]+")
 _SPLIB_HEADER = re.compile(r"\s*(splib0[67]\w*|s0[67]\w*)\s+Record=(\d+):\s*(\S.*?)\s*$", re.IGNORECASE)
 _DIGIT = re.compile(r"[0-9]")
-DECIMAL_COMMA = ";\t"
-"""Separators beside which a comma within a number is its decimal point."""
 _OTHER_FILE = re.compile(r"wavelengths?|bandpass", re.IGNORECASE)
 _FILE_NAME = re.compile(r"(splib0[67]|s0[67])\w*_(wavelengths|bandpass)", re.IGNORECASE)
 _SPECTROMETERS = ("ASD", "BECK", "NIC4", "AVIRIS")

@@ -203,7 +203,7 @@ def check_lag(lag: Lag, findings: Findings) -> None:
         )
         if lag.far:
             done += ". Slips turn the rover as well, so that this number is coarse: see which lag is left with it"
-        findings.add("lag", lag.text, done, doubt=lag.far or (lag.lag_s > 0.0 and lag.way_m > HARM_M))
+        findings.add("lag", lag.text, done, doubt=lag.far or (lag.way_m > HARM_M and not -NEAR_S < lag.lag_s < 0.0))
 
 
 def without_lag(telemetry: Telemetry, lag_s: float, findings: Findings) -> Telemetry:

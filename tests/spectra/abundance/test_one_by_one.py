@@ -224,6 +224,17 @@ def test_a_rock_like_a_chondrite_gets_no_ratio_of_that_class() -> None:
     assert (olivine.low95, olivine.high95) == (0.0, 1.0)
 
 
+@pytest.mark.parametrize("plagioclase", [0.3, 0.5])
+def test_a_dark_powder_like_a_chondrite_gets_no_olivine_to_be_quoted(plagioclase: float) -> None:
+    """Orthopyroxene, plagioclase and something flat and dark, without olivine: it had 20-80 % of it, in domain."""
+    library = {item.id: SURFACE.albedo(item.reflectance) for item in embedded_end_members(NM)}
+    bright = (1 - plagioclase) * library["PE-CMP-030"] + plagioclase * library["AG-TJM-011"]
+    powder = Spectrum("norite", NM, SURFACE.reflectance(0.7 * bright + 0.3 * 0.15))
+    [found] = estimate_each([powder], MAFIC)
+    assert "it looks like an ordinary chondrite" in found.status
+    assert not found.in_domain
+
+
 @pytest.mark.reference
 def test_olivine_of_chips_of_known_modes_lies_in_its_interval_or_is_open(reference_data: Path) -> None:
     """Chips and slabs of meteorites, and norite 78235, which holds no olivine and shows bands of 3 %."""
