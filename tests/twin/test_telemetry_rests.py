@@ -1,6 +1,7 @@
 """Telemetry of any length: what a rover at rest sends is left out, and moves no state. All of it is synthetic."""
 
 import io
+import re
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -252,3 +253,57 @@ def test_beside_a_long_halt_the_origin_sways_as_about_it(yutu2: Rover) -> None:
     assert sway_m(yutu2, paths) == pytest.approx(told) and np.hypot(*told.T).min() > 0.01
     paths[:, :5] = np.nan
     assert (sway_m(yutu2, paths) == 0).all()
+
+
+def slid(table: pd.DataFrame, way_m: tuple[float, float]) -> pd.DataFrame:
+    """With all positions from amid the halt on moved."""
+    table = table.copy()
+    after = table.index >= halted_row(table)
+    table.loc[after, ["x_m", "y_m"]] += np.array(way_m)
+    return table
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize(
+    ("fixes", "way_m"), [(0, (0.5, 0.1)), (0, (-0.05, 0.2)), (3, (0.5, 0.1)), (3, (0.02, -0.1)), (3, (0.04, 0.04))]
+)
+def test_a_rover_that_slides_while_it_stands_is_said_and_followed(
+    drive: pd.DataFrame, yutu2: Rover, fixes: int, way_m: tuple[float, float]
+) -> None:
+    """No position is left out, the way ends where it did, and slips are what they are without, but for the ground."""
+    table = stood(drive, 60, fixes) if fixes else drive
+    sound, one = found(csv(table), yutu2), found(csv(slid(table, way_m)), yutu2)
+    assert not sound.findings.entries
+    (said,) = one.findings.entries
+    assert said.kind == "slide at a halt" and said.doubt
+    told = re.search(r"moves ([\d.]+) m between ([\d.]+) and ([\d.]+) s", said.what)
+    assert told is not None and float(told[1]) == pytest.approx(np.hypot(*way_m), abs=0.04)
+    assert float(told[2]) < float(table["time_s"][halted_row(table)]) < float(told[3])
+    assert not len(one.left_out)
+    ends = [np.array([drive.motion.x_m[-1], drive.motion.y_m[-1]]) for drive in (sound, one)]
+    assert ends[1] - ends[0] == pytest.approx(way_m, abs=0.02)
+    slips = [wheel_table(drive).query("valid") for drive in (sound, one)]
+    off = (slips[1]["slip_ratio"] - slips[0]["slip_ratio"]) / slips[1]["slip_ratio_sigma"]
+    assert off.abs().max() < 3.0
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_one_wrong_position_beside_a_halt_is_no_slide(drive: pd.DataFrame, yutu2: Rover) -> None:
+    table = drive.copy()
+    at = table.index[table["x_m"].notna() & (table.index > halted_row(table))][0]
+    table.loc[at, "y_m"] += 0.3
+    one = found(csv(table), yutu2)
+    (said,) = one.findings.entries
+    assert said.kind == "position jump" and said.count == 1 and not said.doubt and "none beyond" not in said.done
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize(("at", "which"), [(0, "first"), (-1, "last")])
+def test_a_wrong_position_with_none_beyond_it_is_in_doubt(
+    drive: pd.DataFrame, yutu2: Rover, at: int, which: str
+) -> None:
+    """It may be right, and the rover there."""
+    table = drive.copy()
+    table.loc[table.index[table["x_m"].notna()][at], "y_m"] += 0.4
+    (said,) = found(csv(table), yutu2).findings.entries
+    assert said.kind == "position jump" and said.doubt and f"the {which} one too" in said.what

@@ -19,8 +19,9 @@ from lunarsci.twin.telemetry.checks import ordered, taken
 from lunarsci.twin.telemetry.far_lag import NEAR_S, FarLag
 from lunarsci.twin.telemetry.filter import Nodes, filtered, linearised
 from lunarsci.twin.telemetry.nodes import twist_at
+from lunarsci.twin.telemetry.outliers import OUTLIER
 from lunarsci.twin.telemetry.reading import WHEEL_COLUMNS, Findings, Telemetry
-from lunarsci.twin.telemetry.smoother import OUTLIER, SlipProcess, Smoothed, change_of, smooth
+from lunarsci.twin.telemetry.smoother import SlipProcess, Smoothed, change_of, smooth
 
 TRIED_S = 0.5
 """Lags about the top at which the parabola is measured: a clock or a motor is often late by as much; assumed. [s]"""

@@ -258,7 +258,9 @@ def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> 
     _check_turn(telemetry, twist, moved, wanted, long, findings)
     if not long.any():
         return
-    _check_shift(telemetry, rows, moved, wanted, np.hypot(sigma[1:], sigma[:-1]), findings)
+    still = np.append(0, np.cumsum((twist == 0.0).all(axis=1)))[rows]
+    least = np.where(np.diff(still) > 0, np.inf, 6.0 * np.hypot(sigma[1:], sigma[:-1]))
+    _check_shift(telemetry, rows, moved, wanted, least, findings)
     astray = _astray_deg(moved[long], wanted[long])
     if astray <= ASTRAY_DEG:
         return
@@ -282,14 +284,17 @@ def _check_shift(
     rows: IndexArray,
     moved: FloatArray,
     wanted: FloatArray,
-    sigma_m: FloatArray,
+    least_m: FloatArray,
     findings: Findings,
 ) -> None:
-    """Positions that jump once and stay: another frame from then on. A single bad one jumps back."""
+    """Positions that jump once and stay: another frame from then on. A single bad one jumps back.
+
+    `least_m` is how far each displacement must be off at least, infinite over a halt: `outliers` judges that.
+    """
     off, way = moved - wanted, np.maximum(np.hypot(*wanted.T), LEAST_M)
     size = np.hypot(*off.T)
     calm = np.append(np.append(np.inf, size[:-1] / way[:-1]), np.inf), np.append(size[1:] / way[1:], np.inf)
-    for k in np.flatnonzero(size > np.maximum(SHIFT * way, 6.0 * sigma_m)):
+    for k in np.flatnonzero(size > np.maximum(SHIFT * way, least_m)):
         before = k == 0 or calm[0][k] < 0.5 * SHIFT
         after = k + 1 == len(size) or calm[1][k] < 0.5 * SHIFT
         if before and after and 0 < k < len(size) - 1:

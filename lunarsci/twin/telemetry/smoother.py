@@ -4,11 +4,9 @@ The model is that of `filter`. How fast its deviations change decides how far po
 each has an amplitude and a length. What positions and headings are probable for is known from the filter (its
 marginal likelihood); with what is believed beforehand it gives weights to candidates. No one of them is chosen: the
 motion is averaged over them, so that what is not known of them widens its errors. The smoother, linearised anew about
-its own result until it stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035). Positions and
-headings that fit no motion are left out.
+its own result until it stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
 """
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -281,82 +279,14 @@ def _squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) 
     return squared_distance, chi_square, max(round(count), 1)
 
 
-OUTLIER = 20.0
-"""Mahalanobis distance squared from which a position is left out: once in 22 000 by chance (chi-square, 2 degrees).
-Assumed."""
-MOST_OUTLIERS = 0.2
-"""Share of the positions left out beyond which the result is in doubt; assumed."""
 WORST_CHI_SQUARE = 4.0
-"""Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
+"""Reduced chi-square beyond which the result is in doubt; assumed."""
 LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
 """Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
-COARSE, FINE, UNKNOWN_LENGTHS_M = np.array([0.1, 0.1, 0.05]), np.array([0.03, 0.03, 0.05]), np.full(3, 0.7)
-"""How slip changes on ground that is not known yet, first widely, then as on ground of some degrees; assumed."""
 SPARSE = 0.02
 """Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
 GLIDE_DEG = 3.0
 """Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
-
-
-def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes, FloatArray]:
-    """Smooth, leave out the worst position while it fits no motion, smooth again."""
-    count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
-    left: list[list[float]] = []
-    odd: list[float] = []
-    wide, narrow = (SlipProcess.fixed(amplitude, UNKNOWN_LENGTHS_M) for amplitude in (COARSE, FINE))
-    for change in (wide, narrow):
-        smoothed = smooth(nodes, change)
-        nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
-        odd += lost
-        while count - len(left) > 3 and np.nanmax(far := _judged(smoothed, ends=change is wide)) > OUTLIER:
-            worst = int(np.nanargmax(far))
-            left.append([float(nodes.time_s[worst]), *map(float, nodes.fix_m[worst])])
-            fix = nodes.fix_m.copy()
-            fix[worst] = np.nan
-            nodes = dataclasses.replace(nodes, fix_m=fix)
-            smoothed = smooth(nodes, smoothed.change)
-            if len(left) > max(3, MOST_OUTLIERS * count):
-                break
-    if odd:
-        many = len(odd) > MOST_OUTLIERS * len(nodes.time_s)
-        what = f"{len(odd)} headings fit no motion of the wheels"
-        findings.add("odd heading", what, "left out", count=len(odd), time_s=min(odd), doubt=many)
-    if left:
-        many = len(left) > MOST_OUTLIERS * count
-        findings.add(
-            "position jump",
-            f"{len(left)} of {count} positions fit no motion of the wheels",
-            "left out",
-            count=len(left),
-            time_s=min(left)[0],
-            doubt=many,
-        )
-    return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
-
-
-def _judged(smoothed: Smoothed, *, ends: bool) -> FloatArray:
-    """Squared distances of positions, those of the first and the last one only where `ends` are to be judged.
-
-    Slip may change most there: no position behind says how it went on.
-    """
-    distance = smoothed.squared_distance.copy()
-    known = np.flatnonzero(np.isfinite(distance))
-    if not ends:
-        distance[known[[0, -1]]] = np.nan
-    return distance
-
-
-def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoothed, list[float]]:
-    """Leave out the worst heading while it fits no motion; with the times of those left out."""
-    odd: list[float] = []
-    while np.nanmax(smoothed.yaw_squared_distance) > OUTLIER and len(odd) <= MOST_OUTLIERS * len(nodes.time_s):
-        worst = int(np.nanargmax(smoothed.yaw_squared_distance))
-        odd.append(float(nodes.time_s[worst]))
-        yaw = nodes.yaw_rad.copy()
-        yaw[worst] = np.nan
-        nodes = dataclasses.replace(nodes, yaw_rad=yaw)
-        smoothed = smooth(nodes, smoothed.change)
-    return nodes, smoothed, odd
 
 
 def check_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:

@@ -40,6 +40,7 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
 )
 from lunarsci.twin.telemetry.odometry import body_twist
+from lunarsci.twin.telemetry.outliers import without_outliers
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
@@ -49,7 +50,6 @@ from lunarsci.twin.telemetry.smoother import (
     check_glide,
     check_scatter,
     smooth,
-    without_outliers,
 )
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, check_wheels_agree, wheel_motion
 
