@@ -11,6 +11,7 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import FitVerdict, first_belief, verdict_line
 from lunarsci.twin.ground.driven_soil import read_soil_samples
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
+from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.plans.plan import Sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
@@ -99,6 +100,7 @@ def test_soils_of_another_law_than_the_twins_are_named(tmp_path: Path, kind: str
         (said,) = [str(one.message) for one in heard if "inferred" in str(one.message)]
         assert f"law '{model}'" in said and ("does not keep" in said) == lost and "the law 'given'" in said
         assert said in found.remarks and found.soil_record()["caution"] == said
+        assert Soils.of(found, None, 3, 1).doubt == said
 
 
 @pytest.mark.parametrize("kind", [".csv", ".json"])
@@ -107,3 +109,4 @@ def test_soils_of_the_twins_own_law_need_no_word(tmp_path: Path, kind: str) -> N
         warnings.simplefilter("error")
         found = read_with_law(tmp_path, "closed", kind)
     assert not any("law" in text for text in found.remarks) and "caution" not in found.soil_record()
+    assert not Soils.of(found, None, 3, 1).doubt

@@ -7,7 +7,7 @@ from typing import Any
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
-from lunarsci.regolith.belief import FitVerdict, doubt
+from lunarsci.regolith.belief import FitVerdict, doubt, other_law
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, read_soil_samples
@@ -100,9 +100,11 @@ class Soils:
 
     @property
     def doubt(self) -> str:
-        """Why soils should not be driven on, by their fit or the drives of their belief; empty where they may be."""
+        """Why soils should not be driven on, by their fit, its law or the drives of their belief; empty if they may."""
         fit = "" if self.verdict is None else doubt(self.verdict)
-        return "; ".join(part for part in (fit, self.inputs.doubt_of_belief) if part)
+        known = self.inputs
+        law = other_law(known.given.name, known.given.verdict, known.rover.name)
+        return "; ".join(part for part in (fit, law, known.doubt_of_belief) if part)
 
     def warn_of_fit(self) -> None:
         """Say the doubt of a fit."""

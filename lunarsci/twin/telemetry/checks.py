@@ -20,6 +20,9 @@ LEAST_ROWS = 5
 MOST_FAST = 0.05
 """Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
 doubt; assumed."""
+SKID, LEVEL, GRADE_M, FEWEST_LEVEL = 0.015, 0.05, 1.0, 3
+"""Median slip below 0 which driven wheels do not have unless a slope pushes them; the grade downhill up to which it
+does not, as rolling on soil takes about as much, over so much way [m]; and fewest states that tell it. Assumed."""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
@@ -304,11 +307,41 @@ def check_stands(stands: BoolArray, time_s: FloatArray, findings: Findings) -> N
         )
 
 
-def check_fast(fast: BoolArray, measured: BoolArray, time_s: FloatArray, findings: Findings) -> None:
-    """Say states, (m, wheels) of those that are measured, that slip beyond the range of the wheel model."""
+def check_slips(
+    slip: FloatArray, measured: BoolArray, path_m: FloatArray, rows: IndexArray, time_s: FloatArray, findings: Findings
+) -> None:
+    """Say states that slip beyond the range of the wheel model, and wheels that skid where nothing pushes them.
+
+    `slip` and whether it is `measured`, (m, wheels), are those of some rows of a path (n, 3) and of times (n,).
+    """
+    fast = measured & (np.abs(slip) > VALID_SLIP)
     count, whole = int(fast.sum()), int(measured.sum())
     if count:
         what = f"{count} of {whole} states slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
         done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
-        first = float(time_s[int(np.argmax(fast.any(axis=1)))])
+        first = float(time_s[rows[int(np.argmax(fast.any(axis=1)))]])
         findings.add("fast slip", what, done, count=count, time_s=first, doubt=count > MOST_FAST * whole)
+    driven = np.flatnonzero(measured.any(axis=1) & (_grade(path_m)[rows] > -LEVEL))
+    if len(driven) < FEWEST_LEVEL:
+        return
+    means = np.where(measured, slip, 0.0)[driven].sum(axis=1) / measured[driven].sum(axis=1)
+    if (middle := float(np.median(means))) < -SKID:
+        findings.add(
+            "wheels skid",
+            f"the median slip is {middle:.3f} where no slope pushes the rover: driven wheels do not skid there",
+            "kept; are radius and grousers of the rover file too small, or are positions too far apart?",
+            count=len(driven),
+            time_s=float(time_s[rows[driven[0]]]),
+            doubt=True,
+        )
+
+
+def _grade(path_m: FloatArray) -> FloatArray:
+    """Rise over `GRADE_M` of way about each place of a path (n, 3), over that way; NaN where it is not known. (n,)"""
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m[:, :2], axis=0).T)))
+    known = np.isfinite(path_m[:, 2])
+    if not known.any():
+        return np.full(len(way), np.nan)
+    ends = [np.clip(way + side * 0.5 * GRADE_M, way[0], way[-1]) for side in (-1.0, 1.0)]
+    low, high = (np.interp(end, way[known], path_m[known, 2]) for end in ends)
+    return np.asarray((high - low) / np.maximum(ends[1] - ends[0], 1e-3))

@@ -20,8 +20,8 @@ from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
     AGAINST_PLAN,
     WheelPace,
-    check_fast,
     check_pace,
+    check_slips,
     check_stands,
     ordered,
     steering_angles,
@@ -280,7 +280,7 @@ def _state_rows(
         rim_m_s=_rims(wheels, low, high),
         measured=trusted & sound[:, None] & ~halted[:, None],
     )
-    check_fast(result.fast, result.measured, nodes.time_s[chosen], findings)
+    check_slips(result.slip_ratio, result.measured, held.paths[:, :3], chosen, nodes.time_s, findings)
     return result
 
 
