@@ -84,6 +84,7 @@ def test_the_table_says_what_is_assumed_and_the_csv_has_one_row_each(run: Run) -
     assert len(rows) == len(craters(run, *MODES)) + 1
     assert rows[-1]["name"] == "other source"
     assert sum(float(row["posterior"]) for row in rows) == pytest.approx(1)
+    assert {row["best"] for row in rows} == {"false"}
 
 
 def test_prior_posterior_and_composition_are_apart(run: Run) -> None:
@@ -225,9 +226,12 @@ def test_a_rock_that_goes_with_nothing_comes_from_elsewhere(run: Run, tmp_path: 
     columns = "olivine,olivine_sigma,plagioclase,plagioclase_sigma\n"
     file.write_text(HEADER.strip() + f",{columns}A,-45,178,10,0.05,0.02,0.95,0.02\nB,-44,178,10,0.1,0.02,0.9,0.02\n")
     site = ("--site", "-45.44,177.56")
-    [rock] = result(run, "--modes", "ol=0.95:0.01,plg=0.05:0.01", "--craters", file, *site)["rocks"]
+    asked = ("--modes", "ol=0.95:0.01,plg=0.05:0.01", "--craters", file, *site)
+    [rock] = result(run, *asked)["rocks"]
     assert rock["best"] == "other source"
     assert rock["other"]["posterior"] > 0.99
+    rows = list(csv.DictReader(io.StringIO(run("spectra", "match", *asked, "--csv").out)))
+    assert [row["name"] for row in rows if row["best"] == "true"] == ["other source"]
 
 
 def test_craters_of_ones_own_need_a_site_and_the_embedded_ones_say_that_theirs_is_assumed(

@@ -155,7 +155,7 @@ def match_records(matches: Sequence[RockMatch]) -> Records:
 
 
 def match_table(matches: Sequence[RockMatch]) -> Records:
-    """The same in `--csv`: of each rock a row for each crater, and one for other sources."""
+    """The same in `--csv`: a row for each crater of each rock, and for other sources; `best` where that is decided."""
     first = [*map(_crater_row, matches[0].craters), {"name": OTHER, "prior": matches[0].other_prior}]
     row = np.tile(np.arange(len(first)), len(matches))
     names = dict.fromkeys(name for cells in first for name in cells)
@@ -173,7 +173,8 @@ def match_table(matches: Sequence[RockMatch]) -> Records:
     }
     compared = [text for match in matches for text in (*(item.evidence.basis for item in match.craters), "")]
     rocks = Codes(np.repeat(np.arange(len(matches)), len(first)), [match.rock.id for match in matches])
-    return Records({"rock": rocks, **same, **differ, "compared": compared})
+    best = [cells["name"] == match.best for match in matches for cells in first]
+    return Records({"rock": rocks, **same, **differ, "compared": compared, "best": best})
 
 
 def _crater_row(item: CraterMatch) -> dict[str, Any]:
