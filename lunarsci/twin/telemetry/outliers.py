@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.reading import Findings
 from lunarsci.twin.telemetry.smoother import SlipProcess, Smoothed, smooth
@@ -104,7 +104,7 @@ def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoo
     return nodes, smoothed, odd
 
 
-def _halts_beside(left: tuple[int, ...], fixes: FloatArray, nodes: Nodes) -> list[tuple[int, int]]:
+def _halts_beside(left: tuple[int, ...], fixes: IndexArray, nodes: Nodes) -> list[tuple[int, int]]:
     """First and last node of each halt between positions that are left out and the next ones that are kept."""
     still = np.append(np.append(False, (nodes.way_m == 0.0) & (nodes.loose == 0.0)), False)
     firsts, lasts = np.flatnonzero(still[1:] & ~still[:-1]), np.flatnonzero(still[:-1] & ~still[1:])
@@ -137,7 +137,7 @@ def _say_slide(kept: Kept, first: int, last: int, findings: Findings) -> None:
     )
 
 
-def _say_left(kept: Kept, every: Nodes, fixes: FloatArray, findings: Findings) -> None:
+def _say_left(kept: Kept, every: Nodes, fixes: IndexArray, findings: Findings) -> None:
     if kept.odd:
         many = len(kept.odd) > MOST_OUTLIERS * len(every.time_s)
         what = f"{len(kept.odd)} headings fit no motion of the wheels"
