@@ -162,6 +162,10 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
     "no heading errors": (lambda t: t.drop(columns="yaw_deg_sigma"), "no heading error", False),
     "position jumps": (at_fix(5, ["x_m"], lambda v: v + 0.3), "position jump", False),
     "positions shift": (at_fix(5, ["x_m"], lambda v: v + 0.5, stays=True), "position shift", True),
+    "no positions for long": (
+        lambda t: t.assign(x_m=t.x_m.where(~t.time_s.between(25, 85)), y_m=t.y_m.where(~t.time_s.between(25, 85))),
+        "far positions", False,
+    ),
     "negative variance": (at_fix(5, ["xx_m2"], lambda v: -v), "bad covariance", False),
     "no covariance": (at_fix(5, ["xy_m2"], lambda v: 1.0), "bad covariance", False),
     "errors in another unit": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e6), "errors too large", False),

@@ -307,6 +307,29 @@ def check_stands(stands: BoolArray, time_s: FloatArray, findings: Findings) -> N
         )
 
 
+FAR_M = 1.0
+"""Way by the wheels below which positions are never far apart; assumed. [m]"""
+
+
+def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> None:
+    """Say where the rover rolls much farther than usual from one position to the next, or to either end."""
+    ends = np.concatenate([[0], rows, [len(way_m) - 1]])
+    ways = np.diff(way_m[ends])
+    usual = float(np.median(ways[ways > 0])) if (ways > 0).any() else 0.0
+    far = np.flatnonzero(ways > max(GAP * usual, FAR_M))
+    if far.size:
+        longest = int(far[np.argmax(ways[far])])
+        begin, end = telemetry.time_s[ends[longest]], telemetry.time_s[ends[longest + 1]]
+        findings.add(
+            "far positions",
+            f"no position between {begin:.6g} and {end:.6g} s, {ways[longest]:.3g} m by the wheels where {usual:.2g} m "
+            "are usual",
+            "slip there is told by one state or none; what it was on the way is not known",
+            count=far.size,
+            time_s=float(begin),
+        )
+
+
 def check_slips(
     slip: FloatArray, measured: BoolArray, path_m: FloatArray, rows: IndexArray, time_s: FloatArray, findings: Findings
 ) -> None:

@@ -15,7 +15,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.checks import ordered
+from lunarsci.twin.telemetry.checks import check_far, ordered
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.rests import GAP
 
@@ -151,6 +151,7 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
             f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
             f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
         )
+    check_far(np.flatnonzero(used), telemetry, way_m, findings)
     shared = telemetry.fix_shared_m2
     if shared is not None:
         before = np.flatnonzero(given)
