@@ -19,7 +19,7 @@ from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
-from lunarsci.spectra.readers.likely import unlikely, without_lone
+from lunarsci.spectra.readers.likely import unlikely, unlikely_of_many, without_lone
 from lunarsci.spectra.readers.table import SURELY, Column, ReflectanceUnit, WavelengthUnit, medians_above_0
 from lunarsci.spectra.readers.table import reflectance_unit as choice_of_unit
 from lunarsci.spectra.readers.text import without_wavelength_files
@@ -179,9 +179,12 @@ def _from_memory(
     try:
         units = (wavelength_unit, reflectance_unit)
         spectra = [item] if isinstance(item, Spectrum) else _of_arrays(len(batch.origins), item, *units)
+        told = [] if isinstance(item, Spectrum) else unlikely_of_many([SpectrumRows.of(one) for one in spectra])
     except (DataError, ParameterError) as error:
         batch.failures.append(Failure.of(f"spectrum {len(batch.origins) + 1}", error))
         return
+    for line in told:
+        warnings.warn(line, LunarSciWarning, stacklevel=2)
     for spectrum in spectra:
         content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
         batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))

@@ -52,6 +52,26 @@ def test_errors_that_channels_cannot_have_each_for_itself_are_said(sigma: float,
     assert ["name the column NAME_systematic_samples" in str(item.message) for item in caught] == [True] * told
 
 
+WIDE = np.arange(500.0, 2400.0, 5.0)
+
+
+@pytest.mark.parametrize(("step", "noise", "told"), [(0.0, 0.002, ""), (0.03, 0.002, "+3."), (-0.05, 0.002, "-")])
+def test_a_step_where_detectors_meet_is_told_with_its_place(step: float, noise: float, told: str) -> None:
+    """Beside two absorptions, whose sides are steeper than any continuum."""
+    rng = np.random.default_rng(4)
+    clean = 0.3 * np.exp(-0.5 * ((WIDE - 950) / 80) ** 2) + 0.2 * np.exp(-0.5 * ((WIDE - 1950) / 200) ** 2)
+    level = np.exp(-clean) * (0.1 + 5e-5 * WIDE) * (1.0 + noise * rng.standard_normal(WIDE.size))
+    stepped = np.where(WIDE > 1000, (1.0 + step) * level, level)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        batch = read_batch([(WIDE, np.vstack([level, stepped]))])
+    assert len(batch.spectra) == 2
+    texts = [str(item.message) for item in caught]
+    assert len(texts) == bool(told)
+    for text in texts:
+        assert "with a step between two channels" in text and "at 1002 nm" in text and f"by {told}" in text
+
+
 def test_a_constant_spectrum_is_refused() -> None:
     with pytest.raises(DataError, match=r"rock\.csv: the same value in all channels"):
         read_batch([table(np.full(NM.size, 0.1), 0.01 * SOUND)])
