@@ -114,14 +114,19 @@ def read_soil(soil: str) -> Soil:
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{soil}: not valid TOML: {error}") from error
     read = _soil(document, soil)
-    if strange := unusual(read):
+    warn_of_unusual(read, soil)
+    return read
+
+
+def warn_of_unusual(soil: Soil, called: str) -> None:
+    """Warn of values that no lunar soil is known to have."""
+    if strange := unusual(soil):
         warnings.warn(
-            f"{soil}: {', '.join(strange)}: no lunar soil is known to be so, though clays of the Earth are; "
+            f"{called}: {', '.join(strange)}: no lunar soil is known to be so, though clays of the Earth are; "
             "check the units that the names end in",
             LunarSciWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-    return read
 
 
 def unusual(soil: Soil) -> list[str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import lunarsci
 from lunarsci.errors import LunarSciWarning
 from lunarsci.regolith.soil import Soil, known_soils, read_soil, unusual
 from lunarsci.tables import table_rows
@@ -49,3 +50,12 @@ def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_soil(str(file))
+
+
+@pytest.mark.parametrize("given", [{"stiffness": 1.4e6}, {"cohesion": 5.2e5}, {"friction_angle": 0.6}])
+def test_an_option_of_other_units_is_told(given: dict[str, float]) -> None:
+    with pytest.warns(LunarSciWarning, match=r"the soil: .* no lunar soil .* check the units"):
+        lunarsci.wheel_forces(load=36.5, slip=0.2, **given)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lunarsci.wheel_forces(load=36.5, slip=0.2, **{name: value / 1000 for name, value in given.items() if value > 1})

@@ -266,7 +266,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
 
     from lunarsci.provenance import sha256
     from lunarsci.regolith.forces import cohesion_share, warn_of_shear_sign
-    from lunarsci.regolith.soil import read_soil, soil_hash
+    from lunarsci.regolith.soil import read_soil, soil_hash, warn_of_unusual
     from lunarsci.regolith.traction import traction
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.rovers import read_rover
@@ -274,7 +274,10 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     asked = request_of(WheelForcesRequest, request, options)
     description, slips = read_rover(asked.rover), asked.slips()
     wheel = read_wheel(description)
-    soil = asked.changed(read_soil(asked.soil), wheel.width_m)
+    given = read_soil(asked.soil)
+    soil = asked.changed(given, wheel.width_m)
+    if soil != given:
+        warn_of_unusual(soil, "the soil")
     warn_of_shear_sign(asked.reading)
     if (farthest := max(slips, key=abs)) and abs(farthest) > MAX_VALID_SLIP:
         text = f"slip ratio {farthest:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
