@@ -16,7 +16,7 @@ from lunarsci.twin.jobs.states import states as measured_states
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.telemetry.checks import WheelPace
+from lunarsci.twin.telemetry.checks import WheelPace, check_slips
 from lunarsci.twin.telemetry.lag import Lag, check_lag, without_lag
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
@@ -142,6 +142,12 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
     "clock jumps": (set_to(slice(50, None), "time_s", lambda v: v + 3.0), "clock step", True),
     "encoder reset": (set_to(slice(40, None), "angle_FL_deg", lambda v: v - v.iloc[0]), "encoder reset", False),
     "encoder wraps": (set_to(ALL, columns("angle_{}_deg"), lambda v: v % 360.0), "encoder wrap", False),
+    "encoder wraps, nothing else": (
+        lambda t: t.drop(columns=columns("rate_{}_deg_s", "speed_{}_m_s")).assign(
+            **{name: t[name] % 360.0 for name in columns("angle_{}_deg")}
+        ),
+        "encoder wrap", False,
+    ),
     "stuck encoder": (set_to(slice(30, 60), "angle_ML_deg", lambda v: v.iloc[0]), "stuck", False),
     "stuck rate": (set_to(slice(30, 60), "rate_ML_deg_s", lambda v: v.iloc[0]), "stuck", False),
     "dead rate": (set_to(slice(30, 60), "rate_ML_deg_s", lambda v: 0.0), "odd rate", False),
@@ -197,6 +203,20 @@ def test_what_is_wrong_is_said_and_does_no_harm(name: str, drive: SyntheticDrive
     assert bool(found.findings.doubt) is doubt
     if not doubt and name not in MOVED:
         assert worst(found, drive) < 3.8
+
+
+@pytest.mark.parametrize(
+    ("slip", "grade", "said"),
+    [(-0.004, 0.0, True), (-0.004, -0.03, False), (-0.02, -0.03, True), (-0.02, -0.1, False), (0.001, 0.05, False)],
+)
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_driven_wheels_do_not_skid_unless_a_slope_pushes_them(slip: float, grade: float, said: bool) -> None:
+    """As where positions are computed from the wheels, or their radius is too small."""
+    findings, way = Findings("sent.csv"), np.linspace(0.0, 5.0, 51)
+    path = np.column_stack([way, 0.0 * way, grade * way])
+    slips = slip + 0.001 * np.random.default_rng(2).standard_normal((10, 6))
+    check_slips(slips, np.ones((10, 6), dtype=bool), path, np.arange(3, 43, 4), way / 0.05, findings)
+    assert [(entry.kind, entry.doubt) for entry in findings.entries] == [("wheels skid", True)] * said
 
 
 STEERED = re.compile("steer")

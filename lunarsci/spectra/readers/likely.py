@@ -71,12 +71,15 @@ def unlikely(rows: SpectrumRows, file: str) -> list[str]:
 
 
 def unlikely_of_many(parts: Sequence[SpectrumRows]) -> list[str]:
-    """The same of arrays: of each kind the first that is so. Raises DataError for one that is constant."""
+    """The same of arrays: of each kind the first that is so, but for `smooth`, as what is computed scatters by nothing.
+
+    Raises DataError for one that is constant.
+    """
     first: dict[str, str] = {}
     for rows in parts:
         for line in unlikely(rows, rows.ids[0]):
             first.setdefault(line.split(": ")[1], line)
-    return list(first.values())
+    return [line for line in first.values() if SAID["smooth"] not in line]
 
 
 def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dict[str, BoolArray]:

@@ -20,9 +20,11 @@ LEAST_ROWS = 5
 MOST_FAST = 0.05
 """Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
 doubt; assumed."""
-SKID, LEVEL, GRADE_M, FEWEST_LEVEL = 0.015, 0.05, 1.0, 3
-"""Median slip below 0 which driven wheels do not have unless a slope pushes them; the grade downhill up to which it
-does not, as rolling on soil takes about as much, over so much way [m]; and fewest states that tell it. Assumed."""
+SKIDS = ((0.015, -0.05), (0.002, -0.005))
+GRADE_M, FEWEST_LEVEL = 1.0, 3
+"""Median slip below 0 which driven wheels do not have unless a slope pushes them, with the grade down to which it does
+not: rolling on soil takes about 0.05, on level ground always something. Over so much way [m], and of so many states at
+least. Assumed."""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
@@ -344,19 +346,21 @@ def check_slips(
         done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
         first = float(time_s[rows[int(np.argmax(fast.any(axis=1)))]])
         findings.add("fast slip", what, done, count=count, time_s=first, doubt=count > MOST_FAST * whole)
-    driven = np.flatnonzero(measured.any(axis=1) & (_grade(path_m)[rows] > -LEVEL))
-    if len(driven) < FEWEST_LEVEL:
-        return
-    means = np.where(measured, slip, 0.0)[driven].sum(axis=1) / measured[driven].sum(axis=1)
-    if (middle := float(np.median(means))) < -SKID:
-        findings.add(
-            "wheels skid",
-            f"the median slip is {middle:.3f} where no slope pushes the rover: driven wheels do not skid there",
-            "kept; are radius and grousers of the rover file too small, or are positions too far apart?",
-            count=len(driven),
-            time_s=float(time_s[rows[driven[0]]]),
-            doubt=True,
-        )
+    grade = _grade(path_m)[rows]
+    for skid, least in SKIDS:
+        driven = np.flatnonzero(measured.any(axis=1) & (grade > least))
+        means = np.where(measured, slip, 0.0)[driven].sum(axis=1) / measured[driven].sum(axis=1)
+        if len(driven) >= FEWEST_LEVEL and (middle := float(np.median(means))) < -skid:
+            findings.add(
+                "wheels skid",
+                f"the median slip is {middle:.3f} where no slope pushes the rover: driven wheels do not skid there",
+                "kept; are radius and grousers of the rover file too small, positions too far apart, or computed from "
+                "the wheels?",
+                count=len(driven),
+                time_s=float(time_s[rows[driven[0]]]),
+                doubt=True,
+            )
+            return
 
 
 def _grade(path_m: FloatArray) -> FloatArray:

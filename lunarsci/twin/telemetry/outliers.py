@@ -52,7 +52,8 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
         slides.append(best[0])
     for first, last in slides:
         _say_slide(kept, first, last, findings)
-    _say_left(kept, every, fixes, findings)
+    slipped = any(len(_kept(_free(nodes, way)).left) < len(kept.left) for way in _ways_beside(kept.left, fixes))
+    _say_left(kept, every, fixes, slipped, findings)
     left = np.array(sorted(kept.left), dtype=np.intp)
     return kept.smoothed, kept.nodes, np.column_stack([every.time_s[left], every.fix_m[left]])
 
@@ -117,8 +118,14 @@ def _halts_beside(left: tuple[int, ...], fixes: IndexArray, nodes: Nodes) -> lis
     return [halt for halt in halts if any(low < halt[1] and halt[0] < high for low, high in spans)]
 
 
+def _ways_beside(left: tuple[int, ...], fixes: IndexArray) -> list[tuple[int, int]]:
+    """First and last node of each way from a position that is kept to one beside it that is left out."""
+    out = np.isin(fixes, left)
+    return [(int(fixes[k]), int(fixes[k + 1])) for k in np.flatnonzero(out[1:] != out[:-1])]
+
+
 def _free(nodes: Nodes, halt: tuple[int, int]) -> Nodes:
-    """With a halt at which the rover may slide."""
+    """With a halt, or a way, on which the rover may slide."""
     loose = nodes.loose.copy()
     loose[halt[0] : halt[1]] = SLIDE_M
     return dataclasses.replace(nodes, loose=loose)
@@ -137,7 +144,8 @@ def _say_slide(kept: Kept, first: int, last: int, findings: Findings) -> None:
     )
 
 
-def _say_left(kept: Kept, every: Nodes, fixes: IndexArray, findings: Findings) -> None:
+def _say_left(kept: Kept, every: Nodes, fixes: IndexArray, slipped: bool, findings: Findings) -> None:
+    """`slipped` is whether one piece of the way on which slip is another would hold positions that are left out."""
     if kept.odd:
         many = len(kept.odd) > MOST_OUTLIERS * len(every.time_s)
         what = f"{len(kept.odd)} headings fit no motion of the wheels"
@@ -150,6 +158,8 @@ def _say_left(kept: Kept, every: Nodes, fixes: IndexArray, findings: Findings) -
             which = "last" if int(fixes[-1]) in kept.left else "first"
             what += f", the {which} one too"
             done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
+        if slipped:
+            done += "; they would if the rover slipped suddenly beside one of them, and slips there are wrong then"
         many = len(kept.left) > MOST_OUTLIERS * len(fixes)
-        first = float(every.time_s[min(kept.left)])
-        findings.add("position jump", what, done, count=len(kept.left), time_s=first, doubt=many or end)
+        doubt, first = many or end or slipped, float(every.time_s[min(kept.left)])
+        findings.add("position jump", what, done, count=len(kept.left), time_s=first, doubt=doubt)

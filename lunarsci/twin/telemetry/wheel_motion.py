@@ -173,8 +173,10 @@ def _mended_steps(
     findings: Findings,
 ) -> FloatArray:
     """Turns between rows from the encoders, without wraps, NaN at resets. (n - 1, wheels) [deg]"""
-    if not np.isfinite(step).any() or not np.isfinite(expected).any():
+    if not np.isfinite(step).any():
         return step
+    if not np.isfinite(expected).any():
+        return _nearest_turns(telemetry, rover, step, findings)
     step, off = step.copy(), step - expected
     wrong = np.abs(off) > _tolerance(expected)
     # Over a gap the wheels may have stopped: any turn up to the expected one may be right.
@@ -203,6 +205,19 @@ def _mended_steps(
                 what = f"the angle of wheel {wheel} jumps by {off[row, k]:+.4g} deg against its rate"
                 first = float(telemetry.time_s[row + 1])
                 findings.add(kind, what, done, count=int(which.sum()), time_s=first)
+    return step
+
+
+def _nearest_turns(telemetry: Telemetry, rover: Rover, step: FloatArray, findings: Findings) -> FloatArray:
+    """The same where neither rates nor commands tell the turn: of an angle that stays within one turn the nearest."""
+    step = step.copy()
+    for k, wheel in enumerate(rover.wheels):
+        angle, jumps = telemetry.angle_deg[:, k], np.abs(np.nan_to_num(step[:, k])) > 180.0
+        if jumps.any() and np.nanmax(angle) - np.nanmin(angle) <= 360.0:
+            first = float(telemetry.time_s[int(np.argmax(jumps)) + 1])
+            step[jumps, k] -= 360.0 * np.rint(step[jumps, k] / 360.0)
+            what = f"the angle of wheel {wheel} begins anew after each turn"
+            findings.add("encoder wrap", what, "whole turns added", count=int(jumps.sum()), time_s=first)
     return step
 
 
