@@ -17,7 +17,6 @@ UNNOTICED = {
         "absorbance, not named so",
         "continuum removed",
         "reflectance a row late",
-        "ten values x 1.5",
     },
     "terrain": {
         "heights in ft",

@@ -21,10 +21,10 @@ MOST_FAST = 0.05
 """Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
 doubt; assumed."""
 SKIDS = ((0.015, -0.05), (0.002, -0.005))
-GRADE_M, FEWEST_LEVEL = 1.0, 3
 """Median slip below 0 which driven wheels do not have unless a slope pushes them, with the grade down to which it does
-not: rolling on soil takes about 0.05, on level ground always something. Over so much way [m], and of so many states at
-least. Assumed."""
+not: rolling on soil takes about 0.05, on level ground always something. Assumed."""
+GRADE_M, FEWEST_LEVEL = 1.0, 3
+"""Way over which the grade is taken [m], and states that tell it at least; assumed."""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:

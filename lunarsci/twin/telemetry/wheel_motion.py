@@ -99,6 +99,12 @@ def wheel_motion(
     usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
     if usual == 0:
         raise DataError(f"{telemetry.file}: no wheel turns; there is no slip to find")
+    if (blank := ~np.isfinite(rim).any(axis=1)).any():
+        begin, end = telemetry.time_s[[int(np.argmax(blank)), int(np.argmax(blank)) + 1]]
+        raise DataError(
+            f"{telemetry.file}: between {begin:.6g} and {end:.6g} s no wheel has an angle, a rate or a command of use, "
+            f"in {int(blank.sum())} steps in all; leave these rows out, or give speed_W_m_s"
+        )
     known = np.isfinite(measured)
     return WheelMotion(
         rim_m_s=rim,
@@ -270,8 +276,10 @@ def _sound_rates(
         ):
             if rows.any():
                 first = float(telemetry.time_s[int(np.argmax(rows))])
-                findings.add(kind, what, "left out; its angle is taken", count=int(rows.sum()), time_s=first)
-                rate[rows, k] = np.nan
+                other = bool(np.isfinite(turned[:, k]).any() or np.isfinite(told[:, k]).any())
+                done = "left out; its angle or command is taken" if other else "kept, as nothing else tells its turn"
+                findings.add(kind, what, done, count=int(rows.sum()), time_s=first)
+                rate[rows, k] = np.nan if other else rate[rows, k]
     return rate
 
 
