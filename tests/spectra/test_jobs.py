@@ -11,7 +11,7 @@ import pytest
 from astropy import units
 from lunarsci.cli import main
 
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.spectra.jobs.bands import MeasuredBands, bands
 from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations, calibrate, check_fits
 from lunarsci.spectra.jobs.fit import fit
@@ -198,3 +198,44 @@ def test_a_table_of_names_is_told_from_a_misspelt_number(tmp_path: Path) -> None
         with pytest.raises(DataError) as caught:
             bands(str(file))
         assert ("is the file no table of spectra?" in str(caught.value)) is said
+
+
+def test_masks_of_arrays_are_kept() -> None:
+    """Hot channels in the band, masked in any of the usual ways, are as if they were not there."""
+    from astropy import units as u
+    from astropy.utils.masked import Masked
+
+    hot = np.abs(WAVELENGTH_NM - 940) < 12
+    spoilt, sigma = np.where(hot, 1.3 * REFLECTANCE, REFLECTANCE), np.full(WAVELENGTH_NM.size, 5e-4)
+    gone = [np.delete(one, np.flatnonzero(hot)) for one in (WAVELENGTH_NM, REFLECTANCE, sigma)]
+    wanted = bands(tuple(gone)).to_table()["bc1000_nm"][0]
+    masked = np.ma.array(spoilt, mask=hot)
+    for given in (
+        (WAVELENGTH_NM, masked, sigma),
+        [(WAVELENGTH_NM, masked, sigma)],
+        (WAVELENGTH_NM, np.ma.array([spoilt, spoilt], mask=[hot, hot]), sigma),
+        (WAVELENGTH_NM * u.nm, Masked(spoilt * u.one, mask=hot), sigma * u.one),
+    ):
+        assert bands(given).to_table()["bc1000_nm"][0].value == pytest.approx(wanted.value, abs=0.05)
+    with pytest.raises(LunarSciError, match="some wavelengths are masked"):
+        bands((np.ma.array(WAVELENGTH_NM, mask=hot), spoilt, sigma))
+    table = pd.DataFrame({"a": REFLECTANCE})
+    assert bands((pd.Series(WAVELENGTH_NM), table["a"], sigma)).to_table()["bc1000_nm"][0].value
+
+
+def test_units_of_reflectances_and_errors_are_kept() -> None:
+    from astropy import units as u
+
+    sigma = np.full(WAVELENGTH_NM.size, 5e-4)
+    plain = bands((WAVELENGTH_NM, REFLECTANCE, sigma)).to_table()
+    for reflectance, error, unit in (
+        (100 * REFLECTANCE * u.percent, sigma * u.one, None),
+        (100 * REFLECTANCE * u.percent, 100 * sigma * u.percent, "percent"),
+        (REFLECTANCE, 100 * sigma * u.percent, None),
+        (100 * REFLECTANCE, sigma * u.one, "percent"),
+    ):
+        found = bands((WAVELENGTH_NM * u.nm, reflectance, error), reflectance_unit=unit).to_table()
+        for name in ("bc1000_nm", "bc1000_sigma_nm"):
+            assert found[name][0].value == pytest.approx(plain[name][0].value, rel=1e-6)
+    with pytest.raises(LunarSciError, match="reflectances are fractions or percent"):
+        bands((WAVELENGTH_NM, REFLECTANCE * u.W / u.m**2))

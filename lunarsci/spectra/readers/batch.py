@@ -200,7 +200,8 @@ def _of_arrays(
     if not isinstance(given, tuple) or len(given) not in (2, 3):
         raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
     wavelength = _in_nm(name, given[0], wavelength_unit)
-    rows = [_rows_of(name, part, wavelength.size) for part in given[1:]]
+    rows = [_rows_of(name, _plain(name, part), wavelength.size) for part in given[1:]]
+    in_units = [hasattr(part, "unit") for part in given[1:]]
     reflectance, sigma = rows[0], rows[1] if len(rows) == 2 else None
     if sigma is not None and len(sigma) not in (1, len(reflectance)):
         raise ParameterError(f"{name}: {len(sigma)} rows of errors for {len(reflectance)} spectra; {ARRAYS}")
@@ -208,20 +209,23 @@ def _of_arrays(
     for k, values in enumerate(reflectance):
         name = f"spectrum {before + k + 1}"
         median = float(medians_above_0(values[None])[0])
-        unit = choice_of_unit(Column("", values, 2), median, reflectance_unit, f"<{name}>")
+        stated: ReflectanceUnit | None = "fraction" if in_units[0] else reflectance_unit
+        unit = choice_of_unit(Column("", values, 2), median, stated, f"<{name}>")
         if unit.remark:
             told = f"{name}: a median of {median:.4g} is hardly {reflectance_unit}; is `reflectance_unit` right?"
             warnings.warn(told, LunarSciWarning, stacklevel=2)
         scale = unit.scale
-        errors = None if sigma is None else scale * sigma[min(k, len(sigma) - 1)]
+        errors = None if sigma is None else (1.0 if in_units[-1] else scale) * sigma[min(k, len(sigma) - 1)]
         found.append(Spectrum(name, wavelength, scale * values, errors))
     return found
 
 
 def _in_nm(name: str, given: Any, unit: WavelengthUnit | None) -> FloatArray:
     """Wavelengths in nm: of a quantity, or in the unit that is stated, or by their values, as in a file without one."""
+    if np.any(_mask(given)):
+        raise ParameterError(f"{name}: some wavelengths are masked; mask the reflectances of these channels")
     if hasattr(given, "to_value"):
-        return np.asarray(given.to_value("nm"), float)
+        return np.asarray(getattr(given, "unmasked", given).to_value("nm"), float)
     values = np.asarray(given, float)
     if values.ndim != 1:
         raise ParameterError(f"{name}: wavelengths of shape {values.shape}; they are one row of numbers")
@@ -234,6 +238,23 @@ def _in_nm(name: str, given: Any, unit: WavelengthUnit | None) -> FloatArray:
             stacklevel=2,
         )
     return values * 1000.0 if unit == "um" else values
+
+
+def _mask(given: Any) -> Any:
+    """The mask of an array of numpy or astropy; `mask` of pandas is a method."""
+    mask = getattr(given, "mask", False)
+    return False if callable(mask) else mask
+
+
+def _plain(name: str, given: Any) -> Any:
+    """Numbers without a unit, NaN where they are masked. Raises ParameterError for units that no reflectance has."""
+    mask, values = _mask(given), getattr(given, "unmasked", given)
+    if hasattr(values, "unit"):
+        try:
+            values = values.to_value("")
+        except Exception as error:  # a UnitConversionError of astropy, which is not loaded for plain arrays
+            raise ParameterError(f"{name}: in {values.unit}; reflectances are fractions or percent") from error
+    return np.where(mask, np.nan, np.asarray(values, float)) if np.any(mask) else values
 
 
 def _rows_of(name: str, given: Any, channels: int) -> FloatArray:
