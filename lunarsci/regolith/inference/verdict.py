@@ -215,7 +215,7 @@ def _assumed(mode: Mode, given: bool, states: WheelStates, reduced: float | None
     """What the fit had to assume, in sentences."""
     said = ["priors of priors.toml where none are given"]
     if not states.stated:
-        said.append("errors of measurement as Ding et al. (2024) state them, as the file gives none")
+        said.append("errors of measurement as Ding et al. (2024) state them, where the file gives none")
     if not given:
         said.append(f"normal errors of the model, a share of the load; {mode.alike:.1f} neighbouring states "
                     "count as one independent state")  # fmt: skip
