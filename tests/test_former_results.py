@@ -43,10 +43,6 @@ SAME_MACHINE, OTHER_MACHINE = 1e-12, 1e-6
 DRAWN = {"fit sample": 0.05}
 """Bounds on other machines of what a chain of draws gives, which takes another way where a last digit is another: three
 times 1.6 %, by which quantiles of such a chain differed between an AMD and an Intel processor."""
-LOST = re.compile(r"\.joint\.laws\.[35]\.")
-LOST_BOUND = 0.5
-"""Numbers of laws that the states contradict, 57 behind the best: where the search for a soil ends in so narrow and
-curved a valley moves with last digits, and the model error left over with it. By 38 % between two AMD processors."""
 LONG = 8
 ROCK = "ol=0.1,opx=0.4,cpx=0.2,plg=0.3"
 """Steps that write the files of the later ones; then each command whose `result` is in the table."""
@@ -282,7 +278,6 @@ def differences(former: Any, now: Any, bound: float, place: str = "") -> list[st
         pairs = enumerate(zip(former, now, strict=True))
         return [text for index, (one, other) in pairs for text in differences(one, other, bound, f"{place}.{index}")]
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (former, now))
-    bound = max(bound, LOST_BOUND) if bound > SAME_MACHINE and LOST.search(place) else bound
     if numbers and math.isclose(former, now, rel_tol=bound, abs_tol=bound):
         return []
     return [] if former == now and type(former) is type(now) else [f"{place}: {former!r} was, {now!r} is"]

@@ -239,3 +239,16 @@ def test_units_of_reflectances_and_errors_are_kept() -> None:
             assert found[name][0].value == pytest.approx(plain[name][0].value, rel=1e-6)
     with pytest.raises(LunarSciError, match="reflectances are fractions or percent"):
         bands((WAVELENGTH_NM, REFLECTANCE * u.W / u.m**2))
+
+
+@pytest.mark.parametrize("stated", [False, True], ids=["no units", "units"])
+def test_columns_of_astropy_are_arrays_with_their_masks_and_units(stated: bool) -> None:
+    from astropy.table import Column, MaskedColumn
+
+    hot = np.abs(WAVELENGTH_NM - 940) < 12
+    gone = [np.delete(one, np.flatnonzero(hot)) for one in (WAVELENGTH_NM, REFLECTANCE)]
+    wanted = bands(tuple(gone)).to_table()["bc1000_nm"][0].value
+    scale = 100.0 if stated else 1.0
+    reflectance = MaskedColumn(scale * np.where(hot, 0.9, REFLECTANCE), mask=hot, unit="percent" if stated else None)
+    wavelength = Column(WAVELENGTH_NM / 1e3, unit="um") if stated else Column(WAVELENGTH_NM)
+    assert bands((wavelength, reflectance)).to_table()["bc1000_nm"][0].value == pytest.approx(wanted, abs=0.05)

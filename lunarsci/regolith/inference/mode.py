@@ -14,6 +14,7 @@ from scipy.special import chdtri, ndtri
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.inference.problem import (
+    FINE_SHARE,
     STEP,
     JointProblem,
     common_share,
@@ -24,7 +25,9 @@ from lunarsci.regolith.inference.problem import (
 )
 from lunarsci.regolith.prior import values_of
 
-STEPS, HIGHEST_DAMPING, CONVERGED, ROUGH = 100, 1e10, 1e-4, 0.1
+STEPS, HIGHEST_DAMPING = 100, 1e10
+FINE, CONVERGED, ROUGH = 1e-9, 1e-4, 0.1
+"""Tolerances of -2 ln posterior: of the soil that is told, of limits and totals, and while model errors are sought."""
 LONGEST = 2.0
 """Step, in standard deviations of the prior."""
 OUTLIER = 1e-3
@@ -83,7 +86,10 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
         if abs(math.log(share / before[0])) < SETTLED and (kept == before[1]).all():
             break
     fitted = replace(problem, model_error=(share,) * 3)
-    point, covariance = find_mode(part_of(fitted, kept), point)
+    part = part_of(fitted, kept)
+    point, covariance = find_mode(part, point, tolerance=FINE)
+    freedom = float(np.sum(1 - np.diag(covariance) / problem.width**2))
+    own = replace(problem, model_error=shares_of(part, point, freedom, FINE_SHARE))
     alike, law = states_alike(part_of(own, kept), point), np.diag(problem.width**-2)
     wide = np.linalg.inv(law + (np.linalg.inv(covariance) - law) / alike)
     return Mode(kept, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), own, replace(fitted, alike=alike))
@@ -158,7 +164,7 @@ def find_mode(
     """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
 
     Parameters marked as fixed stay where they start. It ends where a step lowers -2 ln posterior by less than the
-    tolerance.
+    tolerance, and an undamped one was to do so, too: in a narrow valley damped steps are short.
     Minimising them with weights held fixed would flatten the dependence on sinkage, itself measured with error.
     """
     width, center = problem.width, problem.center
@@ -178,7 +184,7 @@ def find_mode(
             scaled[:, fixed] = 0.0
         curvature = scaled.T @ scaled + held
         slope = -scaled.T @ rows
-        before = float(rows @ rows)
+        before, expected = float(rows @ rows), float(slope @ np.linalg.solve(curvature, slope))
         while damping < HIGHEST_DAMPING:
             step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
             trial = white((point + np.clip(step, -LONGEST * width, LONGEST * width))[None])[0]
@@ -189,7 +195,7 @@ def find_mode(
             break
         point, rows = point + np.clip(step, -LONGEST * width, LONGEST * width), trial
         damping = max(damping / 5, 1e-12)
-        if before - float(rows @ rows) < tolerance:
+        if max(before - float(rows @ rows), expected) < tolerance:
             break
     return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 

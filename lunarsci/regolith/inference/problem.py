@@ -250,6 +250,9 @@ TYPICAL, WIDTH = 0.03, 1.0
 any residual has been looked at; assumed."""
 LEAST_SHARE, GROUPS = 1e-3, 8
 """Of the load that a model misses, at least, and into how many parts states are split at most; assumed."""
+ROUGH_SHARE, FINE_SHARE = 1e-3, 1e-7
+"""To what the logarithm of a share is found while the soil is not, and at last: coarser, and last digits, which differ
+between processors, move what is told by per cents."""
 TAILS = (3.0, 4.0, 6.0, 10.0, 30.0)
 """Degrees of freedom of the Student law that residuals are compared with; assumed."""
 
@@ -275,7 +278,9 @@ def _ln_likelihood(problem: JointProblem, residual: FloatArray, slopes: FloatArr
     return float(-0.5 * (white**2).sum() - np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
 
 
-def _fitted(problem: JointProblem, point: FloatArray, freedom: float, common: bool) -> FloatArray:
+def _fitted(
+    problem: JointProblem, point: FloatArray, freedom: float, common: bool, tolerance: float = ROUGH_SHARE
+) -> FloatArray:
     found, slopes = problem.residuals_and_slopes(point[None])
     measured = np.isfinite(problem.forces)
     count = int(measured.sum())
@@ -288,7 +293,7 @@ def _fitted(problem: JointProblem, point: FloatArray, freedom: float, common: bo
         return law - _ln_likelihood(problem, residual, slopes[0], shares)
 
     start = np.log(np.full(1 if common else 3, 0.05))
-    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3}).x
+    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": tolerance, "fatol": tolerance}).x
     return np.asarray(np.maximum(np.exp(np.broadcast_to(best, (3,))), LEAST_SHARE), dtype=np.float64)
 
 
@@ -300,9 +305,11 @@ def common_share(problem: JointProblem, point: FloatArray, freedom: float) -> fl
     return float(_fitted(problem, point, freedom, True)[0])
 
 
-def shares_of(problem: JointProblem, point: FloatArray, freedom: float) -> tuple[float, float, float]:
-    """A share for each of F_N, F_DP, F_L; otherwise as `common_share`."""
-    found = _fitted(problem, point, freedom, False)
+def shares_of(
+    problem: JointProblem, point: FloatArray, freedom: float, tolerance: float = ROUGH_SHARE
+) -> tuple[float, float, float]:
+    """A share for each of F_N, F_DP, F_L, their logarithms to a tolerance; otherwise as `common_share`."""
+    found = _fitted(problem, point, freedom, False, tolerance)
     return (float(found[0]), float(found[1]), float(found[2]))
 
 

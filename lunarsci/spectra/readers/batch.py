@@ -201,7 +201,7 @@ def _of_arrays(
         raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
     wavelength = _in_nm(name, given[0], wavelength_unit)
     rows = [_rows_of(name, _plain(name, part), wavelength.size) for part in given[1:]]
-    in_units = [hasattr(part, "unit") for part in given[1:]]
+    in_units = [_quantity(part) is not None for part in given[1:]]
     reflectance, sigma = rows[0], rows[1] if len(rows) == 2 else None
     if sigma is not None and len(sigma) not in (1, len(reflectance)):
         raise ParameterError(f"{name}: {len(sigma)} rows of errors for {len(reflectance)} spectra; {ARRAYS}")
@@ -224,8 +224,8 @@ def _in_nm(name: str, given: Any, unit: WavelengthUnit | None) -> FloatArray:
     """Wavelengths in nm: of a quantity, or in the unit that is stated, or by their values, as in a file without one."""
     if np.any(_mask(given)):
         raise ParameterError(f"{name}: some wavelengths are masked; mask the reflectances of these channels")
-    if hasattr(given, "to_value"):
-        return np.asarray(getattr(given, "unmasked", given).to_value("nm"), float)
+    if (quantity := _quantity(given)) is not None:
+        return np.asarray(quantity.to_value("nm"), float)
     values = np.asarray(given, float)
     if values.ndim != 1:
         raise ParameterError(f"{name}: wavelengths of shape {values.shape}; they are one row of numbers")
@@ -246,14 +246,19 @@ def _mask(given: Any) -> Any:
     return False if callable(mask) else mask
 
 
+def _quantity(given: Any) -> Any:
+    """The quantity of astropy, without its mask, that something is, or a column with a unit; None for plain numbers."""
+    if hasattr(given, "quantity"):
+        return None if given.unit is None else given.quantity
+    return getattr(given, "unmasked", given) if hasattr(given, "to_value") else None
+
+
 def _plain(name: str, given: Any) -> Any:
-    """Numbers without a unit, NaN where they are masked. Raises ParameterError for units that no reflectance has."""
-    mask, values = _mask(given), getattr(given, "unmasked", given)
-    if hasattr(values, "unit"):
-        try:
-            values = values.to_value("")
-        except Exception as error:  # a UnitConversionError of astropy, which is not loaded for plain arrays
-            raise ParameterError(f"{name}: in {values.unit}; reflectances are fractions or percent") from error
+    """Numbers, fractions of what has a unit, NaN where they are masked. Raises ParameterError for another unit."""
+    mask, quantity = _mask(given), _quantity(given)
+    if quantity is not None and not quantity.unit.is_equivalent(""):
+        raise ParameterError(f"{name}: in {quantity.unit}; reflectances are fractions or percent")
+    values = given if quantity is None else quantity.to_value("")
     return np.where(mask, np.nan, np.asarray(values, float)) if np.any(mask) else values
 
 

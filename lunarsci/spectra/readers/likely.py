@@ -134,11 +134,10 @@ def _steps(wavelength_nm: FloatArray, values: FloatArray, usable: BoolArray) -> 
         rows = np.flatnonzero(which.ravel() == kind)
         place = wavelength_nm[channels]
         sure, step = _step_at(place, np.log(values[np.ix_(rows, channels)]))
-        largest = sure.argmax(axis=1)
-        for row, k in zip(rows[sure.max(axis=1) > STEP_SURE], largest[sure.max(axis=1) > STEP_SURE], strict=True):
-            j = int(np.searchsorted(rows, row))
-            at = 0.5 * (place[k + STEP_CHANNELS - 1] + place[k + STEP_CHANNELS])
-            found.append((int(row), float(np.expm1(step[j, k])), float(at)))
+        for row, own, steps in zip(rows, sure, step, strict=True):
+            if own[k := int(own.argmax())] > STEP_SURE:
+                edge = k + STEP_CHANNELS - 1
+                found.append((int(row), float(np.expm1(steps[k])), float(place[edge : edge + 2].mean())))
     return sorted(found)
 
 

@@ -52,7 +52,7 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
         slides.append(best[0])
     for first, last in slides:
         _say_slide(kept, first, last, findings)
-    slipped = any(len(_kept(_free(nodes, way)).left) < len(kept.left) for way in _ways_beside(kept.left, fixes))
+    slipped = any(_fit_on_another_way(nodes, kept, run, fixes) for run in _runs(kept.left, fixes))
     _say_left(kept, every, fixes, slipped, findings)
     left = np.array(sorted(kept.left), dtype=np.intp)
     return kept.smoothed, kept.nodes, np.column_stack([every.time_s[left], every.fix_m[left]])
@@ -118,10 +118,20 @@ def _halts_beside(left: tuple[int, ...], fixes: IndexArray, nodes: Nodes) -> lis
     return [halt for halt in halts if any(low < halt[1] and halt[0] < high for low, high in spans)]
 
 
-def _ways_beside(left: tuple[int, ...], fixes: IndexArray) -> list[tuple[int, int]]:
-    """First and last node of each way from a position that is kept to one beside it that is left out."""
-    out = np.isin(fixes, left)
-    return [(int(fixes[k]), int(fixes[k + 1])) for k in np.flatnonzero(out[1:] != out[:-1])]
+def _runs(left: tuple[int, ...], fixes: IndexArray) -> list[IndexArray]:
+    """Positions that are left out one after the other, as places in `fixes`."""
+    out = np.flatnonzero(np.isin(fixes, left))
+    return np.split(out, np.flatnonzero(np.diff(out) > 1) + 1) if out.size else []
+
+
+def _fit_on_another_way(nodes: Nodes, kept: Kept, run: IndexArray, fixes: IndexArray) -> bool:
+    """Whether they fit with all that are kept if the rover moves as it likes just before them, or just behind."""
+    fix = kept.nodes.fix_m.copy()
+    fix[fixes[run]] = nodes.fix_m[fixes[run]]
+    whole = dataclasses.replace(kept.nodes, fix_m=fix)
+    ways = [(fixes[k], fixes[k + 1]) for k in (run[0] - 1, run[-1]) if 0 <= k < len(fixes) - 1]
+    tried = (smooth(_free(whole, way), SlipProcess.fixed(COARSE, UNKNOWN_LENGTHS_M)) for way in ways)
+    return any(np.nanmax(one.squared_distance) <= OUTLIER for one in tried)
 
 
 def _free(nodes: Nodes, halt: tuple[int, int]) -> Nodes:
