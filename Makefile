@@ -2,8 +2,19 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PYTESTFLAGS ?=
 
-.PHONY: help demo test quick check docs fuzz man clean
+# What is installed and compiled here is read again, also where Python's own compiled files are switched off.
+unexport PYTHONDONTWRITEBYTECODE
+
+# uv installs some five times as fast as pip; where it cannot be had, or does not know the index, pip does the same.
+define install
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python --editable '.[$(1)]' 2>$(VENV)/.uv-errors \
+		|| $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(1)]'
+	@touch $@
+endef
+
+.PHONY: help demo test quick check docs fuzz man clean FORCE
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -12,10 +23,10 @@ demo: $(VENV)/.installed ## the whole chain on embedded data, with pictures in l
 	$(BIN)/lunarsci demo --force
 
 test: $(VENV)/.tested ## the whole suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PYTESTFLAGS)
 
 quick: $(VENV)/.tested ## the quick part of the suite
-	$(BIN)/python -m pytest -m quick
+	$(BIN)/python -m pytest -m quick $(PYTESTFLAGS)
 
 check: $(VENV)/.developed ## linter, formatter, types
 	$(BIN)/ruff check .
@@ -25,25 +36,30 @@ check: $(VENV)/.developed ## linter, formatter, types
 docs: $(VENV)/.documented ## the documentation as pages for a browser, in docs/_build; any warning is an error
 	$(BIN)/python -m sphinx -b html -q -W --keep-going docs docs/_build
 
-$(BIN)/python:
+# One environment for one Python: another PYTHON that is asked for gets a new one. What is half made is taken away.
+VERSION := import sys; print("%d.%d" % sys.version_info[:2])
+$(VENV)/.made: FORCE
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'lunarsci needs Python 3.11 or newer: make PYTHON=python3.11 ...')"
-	$(PYTHON) -m venv $(VENV)
+	@if [ -e $@ ] && { [ "$(origin PYTHON)" = file ] || [ "$$($(PYTHON) -c '$(VERSION)')" = "$$(cat $@)" ]; }; then exit 0; fi; \
+	$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
+		echo "$(PYTHON) cannot make environments: on Debian and Ubuntu, apt-get install python3-venv; then make again" >&2; exit 1; }; \
+	rm -rf $(VENV); \
+	$(PYTHON) -m venv $(VENV) && $(PYTHON) -c '$(VERSION)' >$@ || { rm -rf $(VENV); exit 1; }; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv || true
 
-$(VENV)/.installed: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[report]'
-	@touch $@
+$(VENV)/.installed: pyproject.toml $(VENV)/.made
+	$(call install,report)
 
 $(VENV)/.tested: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
-	@touch $@
+	$(call install,test)
 
 $(VENV)/.developed: $(VENV)/.tested
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	@touch $@
+	$(call install,dev)
 
 $(VENV)/.documented: $(VENV)/.tested
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
-	@touch $@
+	$(call install,docs)
+
+FORCE:
 
 fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py
