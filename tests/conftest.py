@@ -21,38 +21,14 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores a
 
 os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to its workers
 
-LONGEST = (
-    "test_readme.py",
-    "test_calibrate.py",
-    "test_footprint.py",
-    "test_spoiled.py",
-    "test_fuzz.py",
-    "test_atomic.py",
-    "test_examples.py",
-    "test_help.py",
-    "test_pictures.py",
-    "test_pictures_page.py",
-    "test_cluster.py",
-    "test_coverage.py",
-    "test_laboratory.py",
-    "test_mixtures.py",
-    "test_wheel.py",
-    "test_joint.py",
-    "test_posterior.py",
-    "test_measurements.py",
-    "test_fit.py",
-    "test_bands.py",
-    "test_orbital_grids.py",
-    "test_force_soil.py",
-    "test_former_results.py",
-    "test_compiled.py",
-    "test_measured_wheels.py",
-    "test_twin_update.py",
-    "test_outcomes.py",
+FIRST = (
+    *("test_former_rocks.py", "test_former_drives.py"),
+    *("test_readme.py", "test_help.py", "test_pictures.py", "test_cluster.py", "test_examples.py"),
+    *("test_fuzz.py", "test_atomic.py", "test_calibrate.py", "test_pictures_page.py", "test_faults.py"),
+    *("test_laboratory.py", "test_repeatable.py", "test_mixtures.py", "test_coverage.py", "test_measured_wheels.py"),
 )
-"""Files that take longest; they start first, so that no worker is left with one at the end. The README compiles nearly
-everything; beside it run the four files after it, which need little compiled code, so that two workers do not compile
-the same, and the others, the wheel too, find it in the cache."""
+"""Files that start first: two that compile nearly everything, each another half; then those that take longest, so that
+no worker is left with one at the end."""
 
 
 QUICK = (
@@ -85,13 +61,39 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first; mark the quick ones."""
-    rank = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(LONGEST)))
+def pytest_addoption(parser: pytest.Parser) -> None:
+    help_text = "fail if more tests than these are skipped: on a machine that should have all that they need"
+    parser.addoption("--most-skipped", type=int, default=None, help=help_text)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Put the longest files first; mark the quick ones; leave studies to those who ask for them."""
+    if "study" not in config.getoption("markexpr"):
+        studies = [item for item in items if item.get_closest_marker("study")]
+        config.hook.pytest_deselected(items=studies)
+        items[:] = [item for item in items if item not in studies]
+    rank = {name: number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(FIRST)))
     for item in items:
         if is_quick(item.path) and item.get_closest_marker("slow") is None:
             item.add_marker("quick")
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Say so where too many were skipped."""
+    skipped, most = len(terminalreporter.stats.get("skipped", ())), config.getoption("--most-skipped")
+    if most is not None and skipped > most:
+        terminalreporter.write_line(f"FAILED: {skipped} tests were skipped, {most} at most are expected here", red=True)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail where too many were skipped."""
+    reporter, most = (
+        session.config.pluginmanager.get_plugin("terminalreporter"),
+        session.config.getoption("--most-skipped"),
+    )
+    if reporter and most is not None and len(reporter.stats.get("skipped", ())) > most and session.exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture(scope="session")

@@ -64,6 +64,7 @@ def test_the_loop_predicts_the_return_and_gives_the_same_bytes_again(tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_the_loop_that_begins_with_pictures_predicts_the_return(tmp_path: Path, program: Path) -> None:
     """Nothing of ground, places and ruts reaches the twin but pictures: a Navcam's with half of the pixels each way."""
     pytest.importorskip("cv2")

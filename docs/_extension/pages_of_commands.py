@@ -257,7 +257,7 @@ def keys_text() -> str:
     known = meanings()
     answers = json.loads((ROOT / "tests/former_results.json").read_text("utf-8"))["answers"]
     lines = dict(
-        re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/test_former_results.py").read_text("utf-8"), re.M)
+        re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/benchmarks/former.py").read_text("utf-8"), re.M)
     )
     paths = sorted((path for path, _ in every_command()), key=len, reverse=True)
     found: dict[str, dict[str, None]] = {}

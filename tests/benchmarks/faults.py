@@ -304,8 +304,10 @@ class _Known(BaseException):
     """All is known of this command: the process that computed it need not write."""
 
 
-def killed_at_each_write(act: Callable[[], Any], folder: Path, calls: Calls, *, from_the_start: bool = False) -> Writes:
-    """Kill what `act` does in the folder at each call that changes it; after each kill let it end.
+def killed_at_each_write(
+    act: Callable[[], Any], folder: Path, calls: Calls, *, points: range = range(1, 1000), from_the_start: bool = False
+) -> Writes:
+    """Kill what `act` does in the folder at each call that changes it, or at some `points`; after each let it end.
 
     What is computed, and what the files will hold, is made once: where `act` begins to write the process forks, once
     for every call and once more for the run that ends. `from_the_start`: it forks before, as what is written on the
@@ -343,7 +345,7 @@ def killed_at_each_write(act: Callable[[], Any], folder: Path, calls: Calls, *, 
         found.targets = [name for name in new if new[name] != old.get(name)]
         left = [name for name in after if name not in before and Path(name).parts[0] not in new]
         found.wrong += [f"exit code {code}"] * (code not in (0, 3)) + [f"left behind: {name}" for name in left]
-        for point in range(1, 1000):
+        for point in points:
             _restore(folder, before)
             if (code := forked(point)) is None:
                 return
@@ -419,8 +421,11 @@ WRITERS: dict[str, tuple[str, str]] = {
 read what earlier ones wrote."""
 
 
-def killed_writers(place: str, told: str, names: Sequence[str]) -> None:
-    """In a process of its own: what became of each command at each of its calls that write, into a file."""
+def killed_writers(place: str, told: str, names: Sequence[str], every: int) -> None:
+    """In a process of its own: what became of each command at `every` so-manieth of its calls that write, into a file.
+
+    The first call is another one for each command.
+    """
     from lunarsci.images.rig_files import read_rig, rig_text
 
     folder, calls, found = Path(place), Calls(), {}
@@ -431,13 +436,14 @@ def killed_writers(place: str, told: str, names: Sequence[str]) -> None:
     Path("wheels.csv").write_text(_said("twin forces short.toml --csv")[1])
     case_of("map", folder, 4 / 640)
     _said("spectra map cube.img --products bands -o ../map.nc")  # forks of it then begin with all that it imports
-    for name, (line, targets) in WRITERS.items():
+    for number, (name, (line, targets)) in enumerate(WRITERS.items()):
         if name in names:
             for target in targets.split():
                 _leave_old(target)
             before = sum(os.times()[:4])
             typed = f"{line} --force" if targets else line
-            one = killed_at_each_write(lambda typed=typed: _said(typed)[0], folder, calls,
+            points = range(1 + number % every, 1000, every)
+            one = killed_at_each_write(lambda typed=typed: _said(typed)[0], folder, calls, points=points,
                                        from_the_start=name == "map")  # fmt: skip
             found[name] = asdict(replace(one, seconds=sum(os.times()[:4]) - before))
             Path(told).write_text(json.dumps(found))
@@ -455,10 +461,12 @@ def _said(line: str) -> tuple[int, str]:
     return code, out.getvalue()
 
 
-def killed_at_writes(folder: Path, names: Sequence[str] = tuple(WRITERS)) -> dict[str, Writes]:
-    """What became of each command."""
+def killed_at_writes(folder: Path, names: Sequence[str] = tuple(WRITERS), every: int = 1) -> dict[str, Writes]:
+    """What became of each command, killed at each of its calls that write, or at one of `every` so many."""
     (folder / "work").mkdir()
-    process = CONTEXT.Process(target=killed_writers, args=(str(folder / "work"), str(folder / "writes.json"), names))
+    process = CONTEXT.Process(
+        target=killed_writers, args=(str(folder / "work"), str(folder / "writes.json"), names, every)
+    )
     process.start()
     process.join()
     found = json.loads((folder / "writes.json").read_text())

@@ -1,6 +1,6 @@
 """How far every answer moves from one processor to another: `python tests/benchmarks/processors.py [NAME ...]`.
 
-The commands of `tests/test_former_results.py`, SYNTHETIC throughout, in one process a setting: numpy without its vector
+The commands of `tests/benchmarks/former.py`, SYNTHETIC throughout, in one process a setting: numpy without its vector
 instructions, OpenBLAS with the kernels of an older processor, numba with the instructions that every x86-64 has. What a
 processor computes otherwise is chosen by these; the rest of it is IEEE 754. For each setting and command, the number
 that moves most as a share of its size, and whatever else is not the same. Compiles everything anew for each setting.
@@ -69,7 +69,7 @@ def answers_in(setting: str, commands: list[str], folder: Path, compiled: Path |
 
 def needed(commands: list[str]) -> list[str]:
     """These entries of `COMMANDS`, and those before them that write what they read."""
-    import test_former_results as former
+    import former
 
     lines = former.COMMANDS
     files = {**former.FILES, **former.CSV_FILES}
@@ -86,11 +86,11 @@ def needed(commands: list[str]) -> list[str]:
 
 def write(commands: list[str], target: Path) -> None:
     """Run the commands in this process, and before them those that write what they read."""
-    import test_former_results as former
+    import former
 
-    former.COMMANDS = {name: former.COMMANDS[name] for name in needed(commands)}
+    chosen = {name: former.COMMANDS[name] for name in needed(commands)}
     with tempfile.TemporaryDirectory() as folder:
-        target.write_text(json.dumps(former.answers(Path(folder))), "utf-8")
+        target.write_text(json.dumps(former.answers(Path(folder), chosen)), "utf-8")
 
 
 def main() -> None:

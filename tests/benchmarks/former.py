@@ -1,0 +1,362 @@
+"""What every command answers, and what it answered before: `tests/former_results.json`, made by running this file.
+
+`python tests/benchmarks/former.py` prints every number, text and key that is another than in the table. A change on
+purpose is recorded by `python tests/benchmarks/former.py --why "..." [NAME ...]`: it renews those answers, or all, and
+says so in CHANGELOG.md. Of each number six digits are held, whatever its size: the others depend on the processor and
+on the libraries.
+"""
+
+import argparse
+import contextlib
+import html
+import io
+import json
+import math
+import os
+import re
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lunarsci.cli import main
+from lunarsci.cli.shared.emit import emit
+from lunarsci.cli.shared.printing import render
+from lunarsci.cli.shared.report import Report
+from lunarsci.cli.shared.table import TextTable
+from pictured import MISSION, PLAN
+from rich.cells import cell_len
+
+import lunarsci
+from lunarsci.pages.job import report
+from lunarsci.provenance import to_json
+from lunarsci.result import Result
+
+ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "tests/former_results.json"
+BOUND = 1e-6
+"""By which a number may differ from the former one, as a share of it."""
+NOTHING = 1e-12
+"""A number below stands for zero: sums that cancel leave other last digits on other processors."""
+DRAWN = {"fit sample": 0.05, "identify joint": 1e-5}
+"""Bounds on what a chain of draws gives, which takes another way where a last digit is another: three times 1.6 %, by
+which quantiles of such a chain differed between an AMD and an Intel processor; and on how far laws of shear are apart,
+which is the small difference of two sums."""
+LONG = 8
+ROCK = "ol=0.1,opx=0.4,cpx=0.2,plg=0.3"
+"""Steps that write the files of the later ones; then each command whose `result` is in the table."""
+ROCKS: dict[str, str] = {
+    "simulate": f"spectra simulate --rock {ROCK} --seed 3 -o scene",
+    "calibrate": "spectra calibrate scene",
+    "calibrate other": "spectra calibrate scene --photometry akimov --phase sp-high --solar g173 --vnir-steps remove",
+    "write spectra": "spectra calibrate scene -o rock.ecsv",
+    "bands": "spectra bands rock.ecsv",
+    "bands hull": "spectra bands rock.ecsv --continuum hull --smooth 0",
+    "indices": "spectra indices rock.ecsv",
+    "fit": "spectra fit rock.ecsv",
+    "fit auto": "spectra fit rock.ecsv --assemblage auto --starts 2",
+    "fit damping": "spectra fit rock.ecsv --continuum wavenumber-cubic --prior damping",
+    "fit spread": "spectra fit rock.ecsv --continuum-spread --starts 2 --model-error 0.01",
+    "fit profile": "spectra fit rock.ecsv --assemblage OPX-CPX --errors profile --composition wo=42:3 --starts 2",
+    "fit sample": "spectra fit rock.ecsv --assemblage OPX-CPX --errors sample --seed 4 --starts 2",
+    "fit held": "spectra fit rock.ecsv --fix opx_1_center_nm=915 --bound cpx_2_center_nm=2150:2350 --starts 1 "
+    "--tie cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10",
+    "unmix": "spectra unmix rock.ecsv --kind solid-rock --starts 1 --opaque",
+    "unmix hapke": "spectra unmix rock.ecsv --kind solid-rock --method hapke --iron --starts 1",
+    "unmix known": "spectra unmix rock.ecsv --kind solid-rock --together --starts 1",
+    "match modes": "spectra match --modes ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05 --name fin",
+    "match bands": "spectra match bands.json --site=-45,177 --ejecta-law housen",
+    "write library": "spectra library import rock.ecsv --mineral other -o library.ecsv",
+    "library check": "spectra library check library.ecsv",
+}
+DRIVES: dict[str, str] = {
+    "forces": "regolith forces --load 36.5 --slip -0.05 --side-slip 2",
+    "forces exact": "regolith forces --load 36.5 --slip 0.2 --side-slip 5 --exact --shear ellipse --bulldozing hegedus",
+    "forces grouser": "regolith forces --load 20 --rover cmu-grouser --slip 0.3 --slip-sinkage lyasko",
+    "wheel loads": "twin forces short.toml",
+    "identify": "regolith identify states.csv --lateral-modulus 20",
+    "identify solved": "regolith identify states.csv --reading signed",
+    "identify joint": "regolith infer states.csv --seed 2",
+    "compare soils": "regolith compare soil.json",
+    "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
+    "choice": "twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3 --fixes 0.05,0.5 -o chosen",
+    "mission": "twin plan --mission mission.toml --risk 0.3 --members 4",
+    "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
+    "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
+    "rocks": "images rocks ground/terrain.npz --sizes 0.2",
+    "cameras": "images cameras",
+    "terrain synthetic": "twin terrain synthetic --crater-count 5 --rocks 0.02 --seed 7",
+    "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",
+    "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",
+    "simulate drive": "twin simulate short.toml --seed 5 -o drive",
+    "states": "twin states drive/telemetry.csv short.toml --track drive/track.csv -o states",
+    "loads of paths": "twin loads short.toml --motion predicted/paths.csv --member 1",
+    "loads of states": "twin loads --motion states/motion.csv --states states/states.csv --seed 1",
+    "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 "
+    "--particles 32 --save belief.json --save-map map.json --no-ruts",
+    "predict sun": "twin predict short.toml --sun 200,12 --charge 0.5",
+    "sweep": "twin sweep short.toml --vary wheel.radius_m=0.13:0.29:2 --vary mass.body_kg=90:120:2 "
+    "--sweep friction_angle_deg=30:50:2 --sample 0.2",
+    "predict belief": "twin predict short.toml --soil belief.json --members 4",
+    "choice teach": "twin plan --target 2,0.3 --risk 0.3 --candidates 2 --members 64 --soil belief.json --teach",
+    "predict map": "twin predict short.toml --soil map.json --members 4",
+    "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
+    "history": "twin history belief.json",
+    "reproduce": "reproduce --part soil",
+}
+COMMANDS = ROCKS | DRIVES
+FILES = {"bands.json": "bands", "soil.json": "identify joint"}
+"""Files that hold the document of an earlier command."""
+CSV_FILES = {"states.csv": "wheel loads"}
+
+
+NOTEBOOK: dict[str, Callable[[], Result]] = {
+    "calibrate": lambda: lunarsci.calibrate("scene"),
+    "bands": lambda: lunarsci.bands("rock.ecsv"),
+    "indices": lambda: lunarsci.indices("rock.ecsv"),
+    "fit": lambda: lunarsci.fit("rock.ecsv"),
+    "fit held": lambda: lunarsci.fit(
+        "rock.ecsv",
+        fix=("opx_1_center_nm=915",),
+        bound=("cpx_2_center_nm=2150:2350",),
+        tie=("cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10",),
+        starts=1,
+    ),
+    "unmix": lambda: lunarsci.unmix("rock.ecsv", kind="solid-rock", starts=1, opaque=True),
+    "match modes": lambda: lunarsci.match(modes="ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05", name="fin"),
+    "forces": lambda: lunarsci.wheel_forces(load=36.5, slip=-0.05, side_slip=2),
+    "identify": lambda: lunarsci.identify("states.csv", lateral_modulus="20"),
+    "compare soils": lambda: lunarsci.compare_soils("soil.json"),
+    "identify joint": lambda: lunarsci.infer("states.csv", seed=2),
+    "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5"),
+    "track": lambda: lunarsci.track("ground/terrain.npz", line="0,1,2.5,1.2", step=0.5),
+    "rocks": lambda: lunarsci.rocks("ground/terrain.npz", sizes="0.2"),
+    "cameras": lambda: lunarsci.cameras(),
+    "predict sweep": lambda: lunarsci.predict("short.toml", sweep=("friction_angle_deg=30:50:3",)),
+    "sweep": lambda: lunarsci.sweep(
+        "short.toml",
+        vary=("wheel.radius_m=0.13:0.29:2", "mass.body_kg=90:120:2"),
+        sweep=("friction_angle_deg=30:50:2",),
+        sample=0.2,
+    ),
+    "states": lambda: lunarsci.states("drive/telemetry.csv", "short.toml", track="drive/track.csv"),
+    "loads of paths": lambda: lunarsci.loads("predicted/paths.csv", plan="short.toml", member=1),
+    "update": lambda: lunarsci.update(
+        "states/states.csv",
+        plan="short.toml",
+        positions="states/positions.csv",
+        seed=1,
+        particles=32,
+        ruts=False,
+        by_place=True,
+    ),
+    "compare drives": lambda: lunarsci.compare("predicted", "states/states.csv", positions="states/positions.csv"),
+}
+"""The same jobs in Python, by the name of the command that must answer the same."""
+
+
+def said(arguments: list[str]) -> tuple[int, str]:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+        code = main(arguments)
+    return code, out.getvalue()
+
+
+def short(value: Any) -> Any:
+    """Long lists of numbers as their length, ends and moments, other long lists as their length and ends."""
+    if isinstance(value, dict):
+        return {key: short(item) for key, item in value.items()}
+    if not isinstance(value, list):
+        return value
+    if len(value) <= LONG:
+        return [short(item) for item in value]
+    kept = {
+        "length": len(value),
+        "first": short(value[0]),
+        "middle": short(value[len(value) // 2]),
+        "last": short(value[-1]),
+    }
+    if all(isinstance(item, float) for item in value):
+        kept |= {"sum": math.fsum(value), "squares": math.fsum(item * item for item in value)}
+    return kept
+
+
+def with_contents(result: dict[str, Any]) -> dict[str, Any]:
+    """A result whose files in JSON are what they hold: their size hangs on last digits, which are the processor's."""
+    if not isinstance(result.get("files"), list):
+        return result
+    files = [
+        {"name": file["name"], "content": json.loads(next(Path().rglob(file["name"])).read_text("utf-8"))}
+        if str(file.get("name", "")).endswith(".json")
+        else file
+        for file in result["files"]
+    ]
+    return result | {"files": files}
+
+
+TABLES: dict[str, list[TextTable]] = {}
+"""Tables for people of every command, kept as it runs."""
+
+
+@contextlib.contextmanager
+def kept_tables(name: str) -> Iterator[None]:
+    """What a command hands over to be shown is kept on its way."""
+
+    def keep(report: Report, *more: Any) -> int:
+        TABLES[name] = list(report.tables() if callable(report.tables) else report.tables)
+        return emit(report, *more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lunarsci.cli.shared.command.emit", keep)
+        yield
+
+
+def answers(folder: Path, commands: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """The `result` of each of these commands, run in a folder."""
+    found: dict[str, dict[str, Any]] = {}
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        Path("short.toml").write_text(PLAN)
+        Path("mission.toml").write_text(MISSION)
+        for name, line in commands.items():
+            wanted = [] if name.startswith("write") else ["--json"]
+            with kept_tables(name):
+                code, text = said([*line.split(), *wanted, "--no-time", "-q"])
+            if not wanted:
+                continue
+            if code not in (0, 3):
+                found[name] = {"exit": code}
+                continue
+            Path("answers").mkdir(exist_ok=True)
+            Path("answers", f"{name}.json").write_text(text, "utf-8")
+            document = json.loads(text)
+            found[name] = {
+                "exit": code,
+                "schema": document["schema"],
+                "result": short(with_contents(document["result"])),
+            }
+            for path, of in FILES.items():
+                if of == name:
+                    Path(path).write_text(text, "utf-8")
+            for path, of in CSV_FILES.items():
+                if of == name:
+                    Path(path).write_text(said([*line.split(), "--csv", "-q"])[1], "utf-8")
+    finally:
+        os.chdir(before)
+    return found
+
+
+def differences(former: Any, now: Any, bound: float, place: str = "") -> list[str]:
+    """Keys that came or are gone, and values that are not the same."""
+    if isinstance(former, dict) and isinstance(now, dict):
+        other = [f"{place}.{key}: gone" for key in former.keys() - now.keys()]
+        other += [f"{place}.{key}: new" for key in now.keys() - former.keys()]
+        return other + [
+            text
+            for key in former.keys() & now.keys()
+            for text in differences(former[key], now[key], bound, f"{place}.{key}")
+        ]
+    if isinstance(former, list) and isinstance(now, list):
+        if len(now) != len(former):
+            return [f"{place}: another length"]
+        pairs = enumerate(zip(former, now, strict=True))
+        return [text for index, (one, other) in pairs for text in differences(one, other, bound, f"{place}.{index}")]
+    if isinstance(former, float) and isinstance(now, float):
+        alike = math.isclose(former, now, rel_tol=bound, abs_tol=NOTHING)
+    else:
+        alike = former == now and type(former) is type(now)
+    return [] if alike else [f"{place}: {former!r} was, {now!r} is"]
+
+
+def former_answers() -> dict[str, dict[str, Any]]:
+    """The table."""
+    found: dict[str, dict[str, Any]] = json.loads(TABLE.read_text("utf-8"))["answers"]
+    return found
+
+
+SAID_OTHERWISE = ("what calibration errors add to the ratios is not determined at 1 µm",)
+"""What the status of a fit says of its bands already: what calibration errors do to them is not determined."""
+VERDICT = re.compile(
+    "likel|not determined|hardly|decides nothing|weak evidence|strong evidence|cannot be|out of domain|do not use|"
+    "not to be|no-go|strained|says? nothing|not calibrated|nothing was|depends on|undetermined|fit for use"
+)
+"""Words by which commands say what they do not vouch for."""
+
+
+def page_says_what_the_command_says(name: str, now: dict[str, Any], folder: Path) -> None:
+    """Every verdict of the tables for people, and of stderr, stands on the page; so does no better one."""
+    made = report(folder / "answers" / f"{name}.json")
+    [section] = made.rows()
+    page = " ".join(re.sub("<[^>]+>", " ", html.unescape(made.html().decode())).split()).lower()
+    texts = [text for one in TABLES[name] for text in (*one.notes, one.title, *(c for row in one.rows for c in row))]
+    clauses = {part.strip(" .").lower() for text in texts for part in re.split(r"[;(),]|: |- ", text)}
+    missing = [part for part in clauses - {*SAID_OTHERWISE} if VERDICT.search(part) and part not in page]
+    assert missing == []
+    assert (section["tone"] in ("doubt", "no-go")) == (now[name]["exit"] == 3)
+    assert made.page.documents[0].provenance["untrusted"].lower() in page
+    assert ("go" in section["answer"].lower().split()) <= (now[name]["exit"] == 0)
+
+
+def tables_fit_the_terminal(name: str) -> None:
+    """No line is wider than 80, 100 and 160 columns, and wider terminals show no fewer of them."""
+    shown = {width: render(TABLES[name], width) for width in (80, 100, 160)}
+    for width, text in shown.items():
+        assert [line for line in text.split("\n") if cell_len(line) > width] == []
+    left_out = [text.count("more column") for text in shown.values()]
+    assert left_out == sorted(left_out, reverse=True)
+
+
+def notebook_gets_what_the_command_prints(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the byte; and as a table, a picture and HTML."""
+    monkeypatch.chdir(folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = NOTEBOOK[name]()
+    printed = json.loads(Path("answers", f"{name}.json").read_text("utf-8"))
+    made = json.loads(found.to_json(time=False))
+    for part in ("schema", "result"):
+        assert to_json(made[part]) == to_json(printed[part])
+    for part in ("inputs", "tables", "sources", "seed"):
+        assert made["provenance"][part] == printed["provenance"][part]
+    assert len(found.to_table()) == len(found.answers()) > 0
+    assert "<table" in found._repr_html_()
+    assert found.plot().axes
+
+
+def record(names: list[str], why: str, made: dict[str, Any]) -> None:
+    """Renew these answers in the table, and name them and the reason in the changelog."""
+    former = former_answers()
+    changed = sorted(
+        name for name in names or made if differences(former.get(name), made[name], DRAWN.get(name, BOUND))
+    )
+    document = {"answers": {name: made[name] if name in changed else former[name] for name in sorted(made)}}
+    TABLE.write_text(json.dumps(document, indent=0, sort_keys=True) + "\n", "utf-8")
+    log = ROOT / "CHANGELOG.md"
+    text, line = log.read_text("utf-8"), f"- Recorded answers of {', '.join(f'`{name}`' for name in changed)}: {why}\n"
+    start = text.index("\n- ", text.index("## [Unreleased]")) + 1
+    log.write_text(text[:start] + line + text[start:], "utf-8")
+
+
+def run() -> None:
+    """Compare, or record."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--why", help="what changed these numbers, for the changelog; the answers are then renewed")
+    parser.add_argument("names", nargs="*", help="answers that are renewed; by default all that differ")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        made = answers(Path(folder), COMMANDS)
+    if options.why:
+        return record(options.names, options.why, made)
+    former = former_answers()
+    print(
+        "\n".join(t for n in made for t in differences(former.get(n), made[n], DRAWN.get(n, BOUND), n)) or "as before"
+    )
+
+
+if __name__ == "__main__":
+    for library in ("OPENBLAS", "OMP", "MKL"):  # as in the tests: sums in threads round otherwise
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+    run()
