@@ -12,7 +12,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -244,6 +244,7 @@ def test_a_picture_is_as_it_was_looked_at_and_can_be_printed(name: str) -> None:
     assert faults(figure, printed=printed) == []
 
 
+@cache
 def makers() -> set[tuple[str, str]]:
     """File and innermost function of every place of the library that makes a figure."""
     found = set()

@@ -76,7 +76,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"lunarsci images cameras {DEMO}/rig.toml --disparity-error 0.2",
     ),
     "images render": (
-        "lunarsci images render --rig yutu2-hazcam --rays 1 -o pair",
+        f"lunarsci images render --rig {DEMO}/rig.toml --rays 1 -o pair",
         f"lunarsci images render --rig {DEMO}/rig.toml --rays 1 \\\n  --x 0.5 -o station-2",
     ),
     "images dem": (

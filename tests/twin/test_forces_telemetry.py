@@ -112,14 +112,15 @@ def test_on_a_slope_all_wheels_together_pull_the_weight_whatever_the_soil(yutu2:
 
 
 @pytest.mark.slow
-def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
-    """Six drives, each on another soil drawn from the priors: the error of a drive is that of one soil, alike at all
+@pytest.mark.parametrize("count", [2, pytest.param(6, marks=pytest.mark.study)])
+def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rover, driven, count: int) -> None:  # type: ignore[no-untyped-def]
+    """Drives each on another soil drawn from the priors: the error of a drive is that of one soil, alike at all
     its poses, so that a single drive says nothing of how often intervals hold the truth."""
     first, ground, exact = first_belief(), synthetic_longji(), driven[1]
-    drives = predict(yutu2, ground, PLAN, samples=first.draws(6, 7), time_step_s=0.05)
+    drives = predict(yutu2, ground, PLAN, samples=first.draws(count, 7), time_step_s=0.05)
     assert drives.finished.all()
     off, sigma = {"before": [], "after": []}, {"before": [], "after": []}
-    for m in range(6):
+    for m in range(count):
         x, y, yaw = (drives.paths[m, :, k] for k in (0, 1, 5))
         motion = dataclasses.replace(exact, x_m=x, y_m=y, yaw_deg=yaw)
         motion = next(drawn_motions(motion, 1, 0.5, np.random.default_rng(m)))

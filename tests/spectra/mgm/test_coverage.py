@@ -18,8 +18,8 @@ def bench(load_benchmark: Callable[[str], ModuleType]) -> ModuleType:
 @pytest.mark.parametrize(
     ("method", "assemblage", "noise", "count"),
     [
-        ("profile", "OPX", 0.005, 20),
-        ("sample", "OPX", 0.01, 5),
+        ("profile", "OPX", 0.005, 10),
+        ("sample", "OPX", 0.01, 4),
         pytest.param("profile", "OPX-CPX", 0.005, 40, marks=pytest.mark.study),
         pytest.param("sample", "OPX", 0.01, 30, marks=pytest.mark.study),
     ],
