@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from lunarsci.regolith.forces import (
     MOST_COHESION,
     closed_form_forces,
     cohesion_share,
+    contact_forces,
     slip_ratio,
     stress_moments,
     travel_ratio,
@@ -67,6 +69,64 @@ def test_no_shear_strength_leaves_the_compaction_resistance() -> None:
     assert float(found.drawbar_pull_n) == pytest.approx(-0.15 * 0.15 * backward, rel=1e-9)
     assert float(found.lateral_force_n) == 0
     assert float(found.resistance_torque_nm) == 0
+
+
+HARDENING = SOIL.replace(sinkage_exponent=1.1, sinkage_exponent_slip=0.2)
+"""At a slip of 0.2 its exponent is 1.14."""
+
+
+def of_a_triangle(z: float, slip: float, beta_deg: float, peak: float) -> list[float]:
+    """F_N, F_DP, F_L, M_R of `WHEEL` on `SOIL` in slip, of triangles with the tips of Eqs 12-17 at theta_m."""
+    r, b, h, r_s = 0.15, 0.15, 0.008, 0.1552
+    theta_1, theta_1e = math.acos(1 - z / r), math.acos((r - z) / (r + h))
+    theta_m, travel = theta_1 / 2, 1 - slip
+    j_x = r_s * ((theta_1e - theta_m) - travel * (math.sin(theta_1e) - math.sin(theta_m)))
+    j_y = r * travel * math.tan(math.radians(beta_deg)) * (theta_1e - theta_m)
+    tau_x = (520 + peak * math.tan(math.radians(42))) * (1 - math.exp(-j_x / 17.8e-3))
+    tau_y = (520 + peak * math.tan(math.radians(12.4))) * (1 - math.exp(-j_y / 20e-3))
+
+    def whole(weight: Callable[[float], float]) -> float:
+        def of(t: float) -> float:
+            return weight(t) * float(np.interp(t, [0, theta_m, theta_1], [0, 1, 0]))
+
+        return float(b * quad(of, 0, theta_1, points=[theta_m])[0])
+
+    return [
+        whole(lambda t: r * peak * math.cos(t) + r_s * tau_x * math.sin(t)),
+        whole(lambda t: r_s * tau_x * math.cos(t) - r * peak * math.sin(t)),
+        whole(lambda _: r_s * tau_y),
+        whole(lambda _: r_s**2 * tau_x),
+    ]
+
+
+def depth_at_the_peak(z: float) -> float:
+    """How far the wheel has gone into the ground at the middle of its contact. [m]"""
+    theta_1 = math.acos(1 - z / 0.15)
+    return 0.15 * (math.cos(theta_1 / 2) - math.cos(theta_1))
+
+
+@pytest.mark.parametrize("beta", [0.3, 5.0, 40.0])
+def test_forces_are_integrals_of_triangular_stresses(beta: float) -> None:
+    """The lateral displacement has r, the lever of the stress r_s; at 0.3 deg no displacement saturates."""
+    found = closed_form_forces(WHEEL, HARDENING, 0.012, 0.2, beta)
+    values = [float(getattr(found, name)) for name in found.__slots__]
+    assert values == pytest.approx(of_a_triangle(0.012, 0.2, beta, 820e3 * depth_at_the_peak(0.012) ** 1.14), rel=1e-8)
+
+
+PRESSED, LEFT = 0.012, 0.007
+
+
+@pytest.mark.parametrize(("z", "reloads"), [(0.003, True), (0.005, True), (0.009, False), (0.012, False)])
+def test_a_wheel_in_a_rut_follows_the_line_of_reloading_up_to_the_old_stress(z: float, reloads: bool) -> None:
+    """A rut pressed to z_u = 12 mm has risen by 5 mm: its bottom carries nothing, 12 mm carry K z_u^N, and in between
+    stress is in proportion (Wong 2008, ch. 2). Deeper ground is undisturbed."""
+    depth = depth_at_the_peak(z)
+    assert (LEFT + depth < PRESSED) == reloads
+    peak = 820e3 * (PRESSED**1.14 * depth / (PRESSED - LEFT) if reloads else (LEFT + depth) ** 1.14)
+    lateral = 0.8 * math.tan(math.radians(5.0))
+    soil = HARDENING.vector()
+    found, _, _ = contact_forces(z, 0.2, 0.8, lateral, 0.8, (PRESSED, LEFT), WHEEL.vector(), soil, 0)
+    assert [float(value) for value in found] == pytest.approx(of_a_triangle(z, 0.2, 5.0, peak), rel=1e-8)
 
 
 def test_signed_reading_is_smooth_and_rises_through_zero_slip() -> None:

@@ -132,24 +132,64 @@ def test_bulldozing_adds_side_force_with_the_sign_of_the_side_slip(law: str) -> 
     assert float(heavier.lateral_force_n) > pushed.lateral_force_n[2]
 
 
-def test_hegedus_force_is_its_formula() -> None:
-    """Straight sideways: the soil's force on the segment of the wheel below ground."""
-    soil = SOIL.replace(cohesion_pa=0.0)
-    model = ContactModel(bulldozing="hegedus", gravity_m_s2=9.81)
-    z, r = 0.02, 0.15
-    both = [integrated_forces_in_motion(WHEEL, soil, z, [0.0, 0.01, 0.01], m) for m in (model, ContactModel())]
-    phi = math.radians(38)
+def hegedus(depth: float, cohesion: float, weight: float, phi: float) -> float:
+    """Force per length of a blade (Hegedus 1960, as in Ishigami et al. 2007). [N/m]"""
     x_c = math.pi / 4 - phi / 2
     d_1 = 1 / math.tan(x_c) + math.tan(x_c + phi)
     d_2 = 1 / math.tan(x_c) + 1 / math.tan(x_c) ** 2 * math.tan(phi)
+    return d_1 * (cohesion * depth + d_2 * weight * depth**2 / 2)
+
+
+def wong(depth: float, cohesion: float, weight: float, phi: float) -> float:
+    """Passive earth pressure on a side wall, per length (Wong 2008, as in Ishigami et al. 2007). [N/m]"""
+    cot = 1 / math.tan(math.pi / 4 - phi / 2)
+    return 0.5 * weight * depth**2 * cot**2 * (1 + 0.5 * cot * math.tan(phi)) + 2 * depth * cohesion * cot
+
+
+@pytest.mark.parametrize("cohesion", [0.0, 520.0])
+@pytest.mark.parametrize("law", [hegedus, wong])
+def test_the_force_on_the_side_is_its_formula(law: Callable[..., float], cohesion: float) -> None:
+    """Straight sideways: the soil's force on the segment of the wheel below ground, of 1500 kg/m3 on Earth."""
+    soil = SOIL.replace(cohesion_pa=cohesion)
+    model = ContactModel(bulldozing=law.__name__, gravity_m_s2=9.81)  # type: ignore[arg-type]
+    z, r = 0.02, 0.15
+    both = [integrated_forces_in_motion(WHEEL, soil, z, [0.0, 0.01, 0.01], m) for m in (model, ContactModel())]
     theta_1 = math.acos(1 - z / r)
 
     def density(t: float) -> float:
         depth = r * (math.cos(t) - math.cos(theta_1))
-        return d_1 * 0.5 * d_2 * 1500 * 9.81 * depth**2 * (r - depth * math.cos(t)) if depth > 0 else 0.0
+        return law(depth, cohesion, 1500 * 9.81, math.radians(38)) * (r - depth * math.cos(t))
 
-    expected = quad(density, -0.1 * theta_1, theta_1)[0]
+    expected = quad(density, -theta_1 / 10, theta_1)[0]
     assert float(both[0].lateral_force_n[0] - both[1].lateral_force_n[0]) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("z", [0.004, 0.012])
+def test_a_wheel_without_shear_in_a_rut_is_carried_by_the_line_of_reloading(z: float) -> None:
+    """p = p_u - (k_0 + A_u z_u) (z_u - z) from the bottom of a rut of 12 mm on (Wong 2008, ch. 2), then K z^N.
+
+    The lighter wheel stays on the line, the stress at the middle of the heavier one is above the old one.
+    """
+    r, b, stiffness, exponent, pressed = 0.15, 0.15, 820e3, 1.05, 0.012
+    k_0, a_u = 0.5e6, 8e7
+    old = stiffness * pressed**exponent
+    bottom = pressed - old / (k_0 + a_u * pressed)
+    theta_1 = math.acos(1 - z / r)
+    theta_2, theta_m = -theta_1 / 10, theta_1 / 2
+    assert (bottom + r * (math.cos(theta_m) - math.cos(theta_1)) > pressed) == (z > 0.01)
+
+    def stress(t: float) -> float:
+        at = t if t >= theta_m else theta_1 - (t - theta_2) / (theta_m - theta_2) * (theta_1 - theta_m)
+        below = bottom + r * (math.cos(at) - math.cos(theta_1))
+        return stiffness * below**exponent if below > pressed else old - (k_0 + a_u * pressed) * (pressed - below)
+
+    slick = SOIL.replace(cohesion_pa=0.0, friction_angle_deg=0.0, sinkage_exponent_slip=0.0)
+    model = ContactModel(rut_m=pressed, reload_n_m3=k_0, reload_rise_n_m4=a_u)
+    found = integrated_forces(WHEEL, slick, z, 0.0, model=model)
+    for value, weight in ((found.normal_force_n, math.cos), (found.drawbar_pull_n, lambda t: -math.sin(t))):
+        halves = ((theta_2, theta_m), (theta_m, theta_1))
+        parts = [quad(lambda t, w=weight: stress(t) * w(t), *half, limit=200)[0] for half in halves]
+        assert float(value) == pytest.approx(b * r * sum(parts), rel=2e-3)
 
 
 def test_a_rut_carries_more_and_meets_the_virgin_soil_at_its_depth() -> None:

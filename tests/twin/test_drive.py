@@ -78,6 +78,28 @@ def test_a_side_slope_pushes_downhill_and_the_lateral_force_holds_against_it(yut
     assert column(result, "lateral_force_n").sum() == pytest.approx(-WEIGHT * 0.03, rel=0.02)
 
 
+@pytest.mark.parametrize("gradient", [(0.0, 0.1), (0.05, 0.1), (-0.1, -0.05)])
+def test_steady_drive_across_a_slope_balances_all_moments(yutu2: Rover, slope, straight, gradient) -> None:  # type: ignore[no-untyped-def]
+    """About the centre of mass, so that the weight has no moment. F_L acts at the middle of the triangle of stress, a
+    third of the sum of its angles, M_R about the axle. The chassis tilts by 0.3 deg as wheels sink unequally, which
+    moves levers about x and y by millimetres, and those about the normal hardly."""
+    result = predict(yutu2, slope(*gradient), straight(4.0), sweep=(), ruts=False)
+    z, normal, pull, side, torque = (
+        column(result, name)
+        for name in ("sinkage_m", "normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm")
+    )
+    arms = yutu2.wheel_positions_m
+    body, wheels = yutu2.body_kg * np.array(yutu2.body_center_m), yutu2.wheel_kg * arms.sum(axis=0)
+    arms = arms - (body + wheels) / yutu2.mass_kg
+    middle = 1.5 * np.arccos(1.0 - z / 0.15) / 3.0  # theta_1, theta_1 / 2, and 0 behind the wheel
+    ahead, below = (yutu2.wheel.shearing_radius_m * of(middle) for of in (np.sin, np.cos))
+    forces, own = np.column_stack([pull, -side, normal]), np.column_stack([-below * side, -torque, -ahead * side])
+    by_forces, by_moments = np.cross(arms, forces).sum(axis=0), own.sum(axis=0)
+    assert abs(by_moments[2]) > 0.25
+    assert by_forces == pytest.approx(-by_moments, rel=0.04)
+    assert by_forces[2] == pytest.approx(-by_moments[2], rel=0.01)
+
+
 def test_the_end_converges_with_first_order_in_the_time_step(yutu2) -> None:  # type: ignore[no-untyped-def]
     terrain, plan = synthetic_longji(rms_m=0.0), read_plan()
     steps = np.array([0.2, 0.1, 0.05, 0.025])

@@ -12,6 +12,9 @@ from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.assimilation.particles import draw_particles, fit_emulator
 from lunarsci.twin.assimilation.posterior import PosteriorMode, SoilCoordinates, find_mode, inflation_of, wheel_errors
 from lunarsci.twin.assimilation.residuals import DriveBias
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
@@ -161,3 +164,37 @@ def test_errors_that_stay_are_removed_as_their_covariance_says() -> None:
     assert np.linalg.norm(row) > 5.0 and np.linalg.norm(marginalised.applied(row)) < np.sqrt(2.0)
     with pytest.raises(ParameterError, match="model error of 'nothing'"):
         DriveBias({"nothing": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("quantity", "softer"), [("side_slip_deg", "lateral_modulus_mm"), ("slip_ratio", "shear_modulus_mm")]
+)
+def test_a_slip_that_is_off_puts_the_rover_where_a_drive_with_more_slip_ends(
+    yutu2: Rover, slope: Any, quantity: str, softer: str
+) -> None:
+    """Up and across a slope on two soils, of which one lets the wheels slip more: what states and places differ by lies
+    along the error that all wheels share. With a lever of the wrong sign none of it would, of twice the size a third
+    would not, as states and places are made to weigh alike."""
+    plan = Plan(name="oblique", legs=(Leg(3.0),), speed_m_s=0.05, heading_deg=30.0)
+    modulus = {"lateral_modulus_mm": 20.0, "shear_modulus_mm": 18.0}
+    soils = {name: [value, value * (1.2 if name == softer else 1.0)] for name, value in modulus.items()}
+    drives = predict(yutu2, slope(0.06, 0.02), plan, samples=soils)
+    slips = drives.states[:, 2:, :, STATE_COLUMNS.index(quantity)].reshape(2, -1)
+    places = drives.paths[:, 2:, :2]
+    apart, moved = float(np.diff(slips.mean(axis=1))[0]), (places[1] - places[0]).ravel()
+    k, shape = OBSERVED.index(quantity), (slips.shape[1], 6)
+    values = np.zeros(shape)
+    values[:, k] = slips[0].mean()
+    off = np.zeros(shape)
+    off[:, k] = apart
+    weight = np.sqrt(len(off)) * abs(apart) / np.linalg.norm(moved)
+    bias = DriveBias(common={quantity: 100.0}).marginalised(
+        values,
+        np.ones(shape),
+        np.arange(len(off)) % 6,
+        places[0] - drives.paths[0, 0, :2],
+        weight * np.eye(moved.size),
+        values,
+    )
+    row = np.append(off, weight * moved)
+    assert np.linalg.norm(bias.applied(row)) < 0.1 * np.linalg.norm(row)

@@ -66,6 +66,28 @@ def test_the_worst_member_uses_most_of_a_limit(driven: Prediction) -> None:
     assert missed.member == driven.miss_m.argmax() and "misses" in missed.why
 
 
+@pytest.mark.parametrize(("least_m", "tightest", "member"), [(0.08, "sinkage_m", 7), (0.09, "clearance_m", 0)])
+def test_the_tightest_limit_may_be_at_least_or_at_most(
+    driven: Prediction, least_m: float, tightest: str, member: int
+) -> None:
+    """Member 7 sinks 17 mm of at most 20 mm, 85 %. Member 0 has 0.10 m of at least 0.08 m, 80 %, or 0.09 m, 90 %."""
+    states = np.zeros_like(driven.states)
+    states[..., SINKAGE], states[..., VALID] = 0.008, 1.0
+    states[7, 5, 2, SINKAGE] = 0.017
+    sunk = dataclasses.replace(lifted(driven, 0.1), states=states)
+    limits = (Limit("sinkage_m", "m", 0.02, "test", False), Limit("clearance_m", "m", least_m, "test", False))
+    verdict = judge(limited(sunk, *limits))
+    assert [one.used for one in verdict.limits[:2]] == pytest.approx([0.85, least_m / 0.1])
+    assert verdict.worst.member == member and tightest in verdict.worst.why
+    assert verdict.worst.why.endswith("nearest to what is allowed")
+
+
+def test_a_clearance_of_nothing_uses_more_than_any_limit(driven: Prediction) -> None:
+    low = limited(lifted(driven, -0.01), Limit("clearance_m", "m", 0.05, "test", False))
+    assert judge(low).limits[0].used == np.inf
+    assert judge(limited(lifted(driven, 0.0), Limit("clearance_m", "m", 0.0, "test", False))).limits[0].used == 0.0
+
+
 def test_states_outside_of_the_model_are_counted_by_kind(driven: Prediction) -> None:
     """1320 states: 20 members, 11 samples, 6 wheels."""
     states = np.zeros_like(driven.states)

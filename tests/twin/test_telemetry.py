@@ -92,10 +92,13 @@ def test_telemetry_is_the_drive_with_the_errors_it_says(drive: SyntheticDrive) -
     table, prediction = drive.telemetry, drive.prediction
     assert (table["synthetic"] == "true").all() and (drive.track["synthetic"] == "true").all()
     fixed = table["x_m"].notna()
-    off_m = table.loc[fixed, ["x_m", "y_m"]] - prediction.paths[0][fixed][:, :2]
-    assert off_m.to_numpy().std() == pytest.approx(0.04 / 3 * 0.5, rel=0.5)
     assert np.diff(prediction.distance_m[fixed]) == pytest.approx(0.5, abs=0.06)
-    assert (table["yaw_deg"] - prediction.paths[0, :, 5]).std() == pytest.approx(0.1, rel=0.3)
+    # Of 20 drives: 440 coordinates scatter by 3.4 %, 2,000 headings by 1.6 %.
+    sent = [simulate_telemetry(prediction, drive.errors, seed).telemetry for seed in range(20)]
+    off_m = np.concatenate([one.loc[fixed, ["x_m", "y_m"]] - prediction.paths[0][fixed][:, :2] for one in sent])
+    assert np.sqrt((off_m**2).mean()) == pytest.approx(0.04 / 3 * 0.5, rel=0.1)
+    off_deg = np.concatenate([one["yaw_deg"] - prediction.paths[0, :, 5] for one in sent])
+    assert np.sqrt((off_deg**2).mean()) == pytest.approx(0.1, rel=0.05)
     # The wheels turn as far as the commands add up to: r_s omega is the way of a wheel that does not slip.
     rover = prediction.rover
     turned = np.radians(table["angle_ML_deg"].iloc[-1] - table["angle_ML_deg"].iloc[0]) * rover.wheel.shearing_radius_m
@@ -231,19 +234,17 @@ def test_the_smoother_is_the_generalised_least_squares_of_its_model(follows: flo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "low", "high"), [("slip_ratio", 0.6, 0.8), ("side_slip_deg", 0.6, 0.8)])
-def test_two_thirds_of_the_true_slips_lie_within_their_errors(
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("slip_ratio", 0.75, 1.02), ("side_slip_deg", 0.8, 1.42), ("sinkage_m", 0.77, 1.02)]
+)
+def test_true_states_lie_within_their_errors(
     covered: dict[str, np.ndarray], name: str, low: float, high: float
 ) -> None:
-    assert low < (np.abs(covered[name]) < 1).mean() < high
+    """The root mean square of errors over their sigmas scatters by 5 % between sets of twelve drives, 10 % sideways."""
+    assert low < np.sqrt((covered[name] ** 2).mean()) < high
+    assert 0.65 < (np.abs(covered[name]) < 1).mean() < 0.85
     assert (np.abs(covered[name]) < 3).mean() > 0.98
-
-
-@pytest.mark.slow
-def test_two_thirds_of_the_true_sinkages_lie_within_their_errors(covered: dict[str, np.ndarray]) -> None:
-    assert 0.6 < (np.abs(covered["sinkage_m"]) < 1).mean() < 0.8
-    assert (np.abs(covered["sinkage_m"]) < 3).mean() > 0.98
-    assert abs(covered["sinkage_m"].mean()) < 0.25
+    assert abs(covered[name].mean()) < 0.25
 
 
 @pytest.fixture(scope="module")
