@@ -19,7 +19,7 @@ def bench(load_benchmark: Callable[[str], ModuleType]) -> ModuleType:
     ("method", "assemblage", "noise", "count"),
     [
         ("profile", "OPX", 0.005, 10),
-        ("sample", "OPX", 0.01, 4),
+        ("sample", "OPX", 0.01, 5),
         pytest.param("profile", "OPX-CPX", 0.005, 40, marks=pytest.mark.study),
         pytest.param("sample", "OPX", 0.01, 30, marks=pytest.mark.study),
     ],
