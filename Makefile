@@ -14,7 +14,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help demo test quick studies check docs fuzz man clean FORCE
+.PHONY: help demo test quick studies mutants check docs fuzz man clean FORCE
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -63,6 +63,10 @@ FORCE:
 
 studies: $(VENV)/.tested ## whole coverage studies, every point of a kill, loops from pictures; some minutes
 	$(BIN)/python -m pytest -m study $(PYTESTFLAGS)
+
+MUTANTS ?= --count 150
+mutants: $(VENV)/.tested ## faults planted at random in the science, and which of them no test sees; some hours
+	$(BIN)/python tests/benchmarks/mutants.py $(MUTANTS)
 
 fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py

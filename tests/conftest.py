@@ -3,6 +3,7 @@
 import fcntl
 import importlib.util
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -13,6 +14,13 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+
+CHECKOUT = Path(__file__).with_name("checkout")
+"""What makes processes import the lunarsci of this checkout, whichever is installed."""
+
+if str(CHECKOUT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):  # else Python has run it already
+    runpy.run_path(str(CHECKOUT / "sitecustomize.py"))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(CHECKOUT), os.environ.get("PYTHONPATH", "")]))
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "lunarsci-numba"))
 

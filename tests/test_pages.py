@@ -107,6 +107,10 @@ def test_options_named_in_pages_exist(
     others |= {
         "--extra-index-url",
         "--strict",
+        "--count",
+        "--only",
+        "--nearest-only",
+        "--why",
         "--write",
         "--small",
         "--seed",

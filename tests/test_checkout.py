@@ -1,0 +1,32 @@
+"""Tests use the lunarsci of their own checkout."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import lunarsci
+
+ROOT = Path(__file__).parents[1]
+LOOK = (
+    "import lunarsci, lunarsci.cli as c, lunarsci.spectra_data as s; print(lunarsci.__file__, c.__file__, s.__file__)"
+)
+
+
+def test_a_checkout_beside_another_installed_one_tests_itself(tmp_path: Path) -> None:
+    """In this process, and in those that it starts, wherever another lunarsci comes first."""
+    for name in ("lunarsci", "lunarsci/cli", "lunarsci/spectra_data"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    assert Path(lunarsci.__file__) == ROOT / "lunarsci/__init__.py"
+    own = os.environ["PYTHONPATH"]
+    for path, top in ((str(tmp_path), tmp_path / "lunarsci"), (f"{own}{os.pathsep}{tmp_path}", ROOT)):
+        done = subprocess.run(
+            [sys.executable, "-c", LOOK],
+            env=os.environ | {"PYTHONPATH": path},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+        assert all(Path(file).is_relative_to(top) for file in done.stdout.split()), done
+        assert len(done.stdout.split()) == 3
