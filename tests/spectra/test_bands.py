@@ -157,6 +157,74 @@ def test_asymmetry_is_the_share_of_the_area_beyond_the_centre() -> None:
     assert measured(reflectance(), continuum_name="hull").bands["1000"].asymmetry == pytest.approx(0, abs=0.02)
 
 
+@pytest.mark.parametrize(("centre", "before", "behind"), [(973.0, 60.0, 60.0), (963.0, 40.0, 110.0)])
+def test_a_channel_across_the_centre_counts_on_both_sides(centre: float, before: float, behind: float) -> None:
+    """Channels of 20 nm are slabs from edge to edge, each as deep as its middle; the centre cuts one of them in two."""
+    nm = np.arange(460.0, 2500.0, 20.0)
+    width = 3 * np.where(nm < centre, before, behind)
+    depth = 0.3 * np.maximum(1 - np.abs(nm - centre) / width, 0.0) ** 2
+    found = measure_bands(
+        Spectrum("x", nm, 0.4 * (1 - depth)), continuum_name="hull", smoothing=Smoothing(window_nm=0)
+    ).bands["1000"]
+    assert found.center_nm is not None and abs(found.center_nm % 20) > 0.1, "the centre is in no channel's middle"
+    right = np.clip(nm + 10 - np.maximum(nm - 10, found.center_nm), 0, None) @ depth
+    left = np.clip(np.minimum(nm + 10, found.center_nm) - (nm - 10), 0, None) @ depth
+    assert found.area_nm == pytest.approx(left + right, rel=1e-9)
+    assert found.asymmetry == pytest.approx((right - left) / (right + left), rel=1e-9)
+
+
+def test_the_error_of_an_asymmetry_is_made_of_its_derivatives() -> None:
+    """Channel by channel by differences, at a noise so small that nothing but the first order is left.
+
+    The shoulders are peaks at 700 and 1400 nm, so that no channel takes the place of another as a tie.
+    """
+    width = np.where(GRID < 1000, 60.0, 120.0)
+    level = 0.3 - 2e-4 * np.maximum(700 - GRID, 0) - 1e-4 * np.maximum(GRID - 1400, 0)
+    values = level * (1 - 0.4 * np.exp(-0.5 * ((GRID - 1000) / width) ** 2))
+    noise, step = np.full(GRID.size, 1e-9), 1e-7
+    moved = values + step * np.vstack([np.eye(GRID.size), -np.eye(GRID.size)])
+    found = band_arrays(GRID, np.vstack([values, moved]), noise, continuum_name="linear").bands["1000"]
+    up, down = np.split(found.asymmetry[1:], 2)
+    slopes = (up - down) / (2 * step)
+    assert found.asymmetry_sigma[0] == pytest.approx(1e-9 * np.sqrt((slopes**2).sum()), rel=5e-3)
+
+
+TWO_NM = np.arange(460.0, 2500.0, 10.0)
+APART_NM = 40.0
+"""Distance of two minima."""
+
+
+def two_minima(difference: float) -> np.ndarray:
+    """A fourth-order band with minima at 940 and 980 nm, so narrow that one window holds it; the second is less deep
+    by so much of the continuum."""
+    x = (TWO_NM - 960.0) / (APART_NM / 2)
+    return 0.4 * np.minimum(0.7 + 0.02 * (x**2 - 1) ** 2 + 0.5 * difference * x, 1.0)
+
+
+def test_two_equal_minima_are_each_the_lower_one_with_one_half() -> None:
+    """Then the centre is off by their whole distance d, or not at all: a variance of d^2 / 2 about what is stated.
+
+    Beside it is the bias of the window, 2 % of half its width of 80 nm.
+    """
+    noise = np.full(TWO_NM.size, 1e-4 * 0.4)
+    spectrum = Spectrum("two", TWO_NM, two_minima(0.0), noise)
+    band = measure_bands(spectrum, continuum_name="hull", smoothing=Smoothing(window_nm=0)).bands["1000"]
+    assert band.center_nm is not None and abs(abs(band.center_nm - 960) - APART_NM / 2) < 0.1
+    assert band.center_sigma_nm == pytest.approx(np.sqrt(APART_NM**2 / 2 + (0.02 * 40) ** 2), rel=1e-3)
+
+
+def test_the_chance_of_a_second_minimum_is_that_of_noise() -> None:
+    """The share of 20000 draws in which noise makes it the lower one, times the square of the distance."""
+    noise, rng = np.full(TWO_NM.size, 1e-3 * 0.4), np.random.default_rng(3)
+    clean = two_minima(1e-3)
+    draws = np.vstack([clean, clean + noise * rng.standard_normal((20_000, TWO_NM.size))])
+    band = band_arrays(TWO_NM, draws, noise, continuum_name="hull", smoothing=Smoothing(window_nm=0)).bands["1000"]
+    assert np.isfinite(band.center_nm).all()
+    share = np.mean(band.center_nm[1:] > 960)
+    assert 0.1 < share < 0.25
+    assert band.center_sigma_nm[0] ** 2 == pytest.approx(share * APART_NM**2, rel=0.06)
+
+
 def test_a_batch_gives_what_each_spectrum_gives_alone() -> None:
     rng = np.random.default_rng(8)
     grids = [GRID, GRID[::2], GRID]
