@@ -42,7 +42,8 @@ def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int, interpolation_px: float) -> None:
     """Right(u - d, v) = left(u, v) with d linear; white noise of 2 in pictures of 300.
 
-    Without noise the curve between pixels is what is off, which a smaller window averages less.
+    Without noise the curve between pixels is what is off, which a smaller window averages less. With noise
+    errors are 12 to 15 % larger than the normal matrix says; 1200 of them tell that to 2 %.
     """
     v, u = np.mgrid[:80, :160].astype(float)
     truth = 20 + 0.05 * u - 0.1 * v
@@ -57,11 +58,14 @@ def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int
     assert known[10:-10, 50:-10].mean() > 0.99
     assert np.abs(exact.disparity - truth)[known].max() < interpolation_px
     assert np.nanmedian(exact.slope_u) == pytest.approx(0.05, abs=1e-3)
-    noisy = [p + 2.0 * random.standard_normal(p.shape) for p in plain]
-    found = refine(*noisy, start, slopes, half_px=half_px, step_px=9)  # type: ignore[arg-type]
-    z = ((found.disparity - truth) / found.sigma)[np.isfinite(found.disparity)]
-    assert len(z) > 60
-    assert z.std() == pytest.approx(1.0, abs=0.25)
+    errors = []
+    for _ in range(12):
+        noisy = [p + 2.0 * random.standard_normal(p.shape) for p in plain]
+        found = refine(*noisy, start, slopes, half_px=half_px, step_px=9)  # type: ignore[arg-type]
+        errors.append(((found.disparity - truth) / found.sigma)[np.isfinite(found.disparity)])
+    z = np.concatenate(errors)
+    assert len(z) > 1200
+    assert 1.05 < np.sqrt(np.mean(z**2)) < 1.2
 
 
 def test_rows_that_are_apart_are_measured() -> None:

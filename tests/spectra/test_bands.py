@@ -54,22 +54,16 @@ def test_results_do_not_depend_on_brightness() -> None:
         assert bright[key] == pytest.approx(dark[key], rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["hull", "conic"])
-def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName) -> None:
-    """Those of a centre are larger: they hold the bias of lopsided bands, of which these have none."""
+@pytest.mark.parametrize(("name", "of_area"), [("hull", 1.15), ("conic", 1.0)])
+def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName, of_area: float) -> None:
+    """6000 draws tell a scatter to 0.9 %. The hull touches the noisiest channels, so areas under it scatter less than
+    they say. Errors of a centre are larger: they hold the bias of lopsided bands, of which these have none."""
     rng, noise = np.random.default_rng(5), 0.0012
-    sigma = np.full(GRID.size, noise)
-    spectra = [Spectrum("n", GRID, reflectance() + rng.normal(scale=noise, size=GRID.size), sigma) for _ in range(200)]
-    rows = [item.to_dict() for item in measure_batch(spectra, continuum_name=name)]
-    for value, error, most in (
-        ("bc1000_nm", "bc1000_sigma_nm", 1.6),
-        ("bc2000_nm", "bc2000_sigma_nm", 1.6),
-        ("bd1000", "bd1000_sigma", 1.2),
-        ("ba1000_nm", "ba1000_sigma_nm", 1.3),
-        ("ba2000_nm", "ba2000_sigma_nm", 1.3),
-    ):
-        scatter = np.std([row[value] for row in rows], ddof=1)
-        assert 0.8 < np.median([row[error] for row in rows]) / scatter < most, value
+    values = reflectance() + rng.normal(scale=noise, size=(6000, GRID.size))
+    for band in band_arrays(GRID, values, np.full(GRID.size, noise), continuum_name=name).bands.values():
+        assert np.median(band.depth_sigma) / np.std(band.depth) == pytest.approx(1.0, abs=0.06)
+        assert np.median(band.area_sigma_nm) / np.std(band.area_nm) == pytest.approx(of_area, abs=0.06)
+        assert 1.1 < np.median(band.center_sigma_nm) / np.std(band.center_nm) < 1.6
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -294,29 +288,31 @@ def made_up(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
     return GRID, values[::10], float(fine[near[np.argmin((values / hull)[near])]])
 
 
-@pytest.mark.parametrize("noise", [0.003, 0.01])
-def test_stated_errors_hold_the_true_minima(noise: float) -> None:
-    """Made-up bands of 200 rocks, asymmetric ones included; truth is the minimum of the curve itself, without noise.
-
-    Nearly all are less lopsided than the error supposes: 68 % intervals hold 77 and 83 %.
-    """
+@pytest.fixture(scope="module")
+def rocks() -> list[tuple[np.ndarray, np.ndarray, float]]:
     rng = np.random.default_rng(20)
-    rocks = [made_up(rng) for _ in range(200)]
-    spectra = [
-        Spectrum("x", grid, values * (1 + noise * rng.normal(size=grid.size)), noise * values)
-        for grid, values, _ in rocks
-    ]
-    found = [item.to_dict() for item in measure_batch(spectra, continuum_name="hull")]
-    errors = np.array(
-        [
-            (record["bc1000_nm"] - truth) / record["bc1000_sigma_nm"]
-            for record, (_, _, truth) in zip(found, rocks, strict=True)
-            if record["bc1000_nm"] is not None
-        ]
-    )
-    assert errors.size >= 190
-    assert 0.60 < np.mean(np.abs(errors) < 1) < 0.88
-    assert np.mean(np.abs(errors) < 1.96) > 0.88
+    return [made_up(rng) for _ in range(600)]
+
+
+@pytest.mark.parametrize(("noise", "size"), [(0.003, 0.86), (0.01, 0.73)])
+def test_stated_errors_hold_the_true_minima(
+    rocks: list[tuple[np.ndarray, np.ndarray, float]], noise: float, size: float
+) -> None:
+    """Made-up bands of 600 rocks, asymmetric ones included; truth is the minimum of the curve itself, without noise.
+
+    Nearly all are less lopsided than the error supposes, so errors are smaller than stated by what 1500 rocks showed;
+    600 tell that to 3 %.
+    """
+    rng = np.random.default_rng(21)
+    values, truth = np.array([row for _, row, _ in rocks]), np.array([nm for _, _, nm in rocks])
+    noisy = values * (1 + noise * rng.normal(size=values.shape))
+    band = band_arrays(GRID, noisy, noise * values, continuum_name="hull").bands["1000"]
+    found = np.isfinite(band.center_nm)
+    assert found.mean() > 0.95
+    errors = ((band.center_nm - truth) / band.center_sigma_nm)[found]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(size, abs=0.08)
+    assert np.mean(np.abs(errors) < 1) > 0.72
+    assert np.mean(np.abs(errors) < 1.96) > 0.94
 
 
 @pytest.mark.reference
