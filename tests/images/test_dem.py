@@ -17,10 +17,10 @@ from lunarsci.cli import main
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Camera, Pose
 from lunarsci.images.elevation import ElevationModel, read_elevation
-from lunarsci.images.gridding import _common_errors
+from lunarsci.images.gridding import _common_errors, grid_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.landscape import Landscape, landscape_on
-from lunarsci.images.matching import MATCHED, SHADOW, _islands, match, rectify
+from lunarsci.images.matching import MATCHED, SHADOW, Rectified, StereoMatches, _islands, match, rectify
 from lunarsci.images.pictures import png_bytes, read_picture
 from lunarsci.images.refinement import HALF_PX, refine
 from lunarsci.images.render import RenderedPair, render
@@ -42,7 +42,8 @@ def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int, interpolation_px: float) -> None:
     """Right(u - d, v) = left(u, v) with d linear; white noise of 2 in pictures of 300.
 
-    Without noise the curve between pixels is what is off, which a smaller window averages less.
+    Without noise the curve between pixels is what is off, which a smaller window averages less. With noise
+    errors are 12 to 15 % larger than the normal matrix says; 1200 of them tell that to 2 %.
     """
     v, u = np.mgrid[:80, :160].astype(float)
     truth = 20 + 0.05 * u - 0.1 * v
@@ -57,11 +58,14 @@ def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int
     assert known[10:-10, 50:-10].mean() > 0.99
     assert np.abs(exact.disparity - truth)[known].max() < interpolation_px
     assert np.nanmedian(exact.slope_u) == pytest.approx(0.05, abs=1e-3)
-    noisy = [p + 2.0 * random.standard_normal(p.shape) for p in plain]
-    found = refine(*noisy, start, slopes, half_px=half_px, step_px=9)  # type: ignore[arg-type]
-    z = ((found.disparity - truth) / found.sigma)[np.isfinite(found.disparity)]
-    assert len(z) > 60
-    assert z.std() == pytest.approx(1.0, abs=0.25)
+    errors = []
+    for _ in range(12):
+        noisy = [p + 2.0 * random.standard_normal(p.shape) for p in plain]
+        found = refine(*noisy, start, slopes, half_px=half_px, step_px=9)  # type: ignore[arg-type]
+        errors.append(((found.disparity - truth) / found.sigma)[np.isfinite(found.disparity)])
+    z = np.concatenate(errors)
+    assert len(z) > 1200
+    assert 1.05 < np.sqrt(np.mean(z**2)) < 1.2
 
 
 def test_rows_that_are_apart_are_measured() -> None:
@@ -161,6 +165,67 @@ def test_common_errors_are_those_of_drawn_rigs_up_to_the_edges_of_what_is_seen()
     wrong = [pose.to_world(rig.triangulate(*rig.drawn(random).project(seen)).points) for _ in range(300)]
     off = np.array([there[:, 2] - 0.1 * there[:, 0] + 0.2 * there[:, 1] for there in wrong])
     np.testing.assert_allclose(found[known], np.sqrt((off**2).mean(axis=0)), rtol=0.14)
+
+
+STEEP, WAVE_M = 0.25, 0.15
+"""Greatest slope of waves along x and along y, and their length. [-, m]"""
+ABOVE = Pose.looking([0.0, 0.0, 1.5], 0.0, 18.5)
+FOCAL_PX, BASE_M = 1200.0, 0.27
+
+
+def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Ground that falls by 0.05 along x, as uneven along x as along y: slopes about it have a mean square of
+    `STEEP`^2 / 2. [m]"""
+    turns = 2 * np.pi / WAVE_M
+    return np.asarray(STEEP / turns * (np.sin(turns * x) + np.sin(turns * y + 1.0)) - 0.05 * (x - 4.5))
+
+
+@pytest.fixture(scope="module")
+def depths() -> np.ndarray:
+    """How far 110 by 300 pixels see the waves from 1.5 m above them: the first crossing of each ray. [m]"""
+    v, u = np.mgrid[:110, :300].astype(float)
+    way = np.stack([(u - 149.5) / FOCAL_PX, (v - 54.5) / FOCAL_PX, np.ones(u.shape)], axis=-1) @ ABOVE.rotation.T
+
+    def below(depth: np.ndarray) -> np.ndarray:
+        return np.asarray(1.5 + depth * way[..., 2] < waves(depth * way[..., 0], depth * way[..., 1]))
+
+    trials = np.linspace(1.4, 1.6, 300)[:, None, None] / -way[..., 2]
+    first = below(trials).argmax(axis=0)
+    low, high = (np.take_along_axis(trials, (first - k)[None], axis=0)[0] for k in (1, 0))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = np.where(below(middle), low, middle), np.where(below(middle), middle, high)
+    return low
+
+
+def model_of(depths: np.ndarray, shift_px: float, sigma_px: float) -> ElevationModel:
+    """Heights from disparities that are all off by a shift, by a rig without error."""
+    disparity, blank = FOCAL_PX * BASE_M / depths + shift_px, np.zeros(depths.shape)
+    frame = Rectified(np.eye(3), FOCAL_PX, (149.5, 54.5), BASE_M, np.zeros((2, *depths.shape, 2), np.float32))
+    matches = StereoMatches(
+        rectified=frame, left=blank, disparity=disparity, sigma_px=blank + sigma_px, reason=blank.astype(np.uint8),
+        first=disparity, row_offset_px=0.0,
+    )  # fmt: skip
+    rig = dataclasses.replace(small_rig(), covariance=np.zeros((len(PARAMETERS), len(PARAMETERS))))
+    return grid_of(matches, rig, ABOVE, name="waves", spacing_m=0.01, farthest_m=20.0)
+
+
+def test_an_error_along_the_ray_is_one_of_height_on_uneven_ground(depths: np.ndarray) -> None:
+    """A point that is wrong along its ray is also beside itself, which slopes from node to node turn into height.
+
+    Truth is what heights do where all disparities are off by 0.01 px, at 4 to 5 m: on even ground they would
+    move by a sixth less. Differences from node to node lose 3 % of the slopes of these waves. A stated error is that
+    of one pixel times w / (sqrt(n) + w - 1) of n pixels, w = 4.
+    """
+    exact, told = model_of(depths, 0.0, 1e-9), model_of(depths, 0.0, 0.05)
+    x, y = np.meshgrid(exact.x_m, exact.y_m)
+    up, down = (model_of(depths, shift, 1e-9).at("height_m", x, y) for shift in (0.01, -0.01))
+    of_noise = told.layer("height_m_sigma") ** 2 - exact.layer("height_m_sigma") ** 2
+    stated = np.sqrt(of_noise) / 0.05 * (np.sqrt(np.maximum(told.layer("count"), 1)) + 3) / 4
+    true = (up - down) / 0.02
+    known = np.isfinite(true) & np.isfinite(stated) & (np.abs(np.hypot(x, y) - 4.5) < 0.5)
+    assert known.sum() > 3000
+    assert np.sqrt(np.mean(stated[known] ** 2)) == pytest.approx(np.sqrt(np.mean(true[known] ** 2)), rel=0.04)
 
 
 def test_heights_are_as_wrong_as_they_say(

@@ -13,7 +13,7 @@ from stations import judged
 pytest.importorskip("cv2", reason="needs the extra images")
 
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.adjustment import SMALLEST_PX, PairTies, adjust, triangulated
+from lunarsci.images.adjustment import DEFINED_PX, SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
@@ -132,6 +132,86 @@ def test_chains_are_as_wrong_as_they_say(pairs: list[tuple[int, int]]) -> None:
     if len(pairs) == 2:
         # The second step is known by dead reckoning alone, the last one by ties.
         assert np.sqrt(np.mean(ends)) == pytest.approx(math.sqrt(0.08**2 * 2 + 0.05**2), rel=0.1)
+
+
+def seen_from(poses: list[Pose], near: int, far: int, seed: int) -> PairTies:
+    """Ties without error, of ground before two stations, by the rig of the file."""
+    random, rig = np.random.default_rng(seed), navcam()
+    x = poses[near].center_m[0] + random.uniform(1.8, 5.0, TIES)
+    ground = in_order(x, random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES))
+    sides = []
+    for pose in (poses[near], poses[far]):
+        left, right = rig.project(pose.to_camera(ground))
+        sides += [left, right[:, 0] - left[:, 0], np.full(TIES, 0.1)]
+    return PairTies(near, far, TiePoints(*sides, np.zeros((TIES, 2, 2)), np.ones(TIES)))
+
+
+STEPPED = [Pose.looking([2.0 * k, 0.1 * k, 1.5], 2.0 * k, 24.0) for k in range(3)]
+
+
+def test_a_station_without_ties_keeps_its_step_from_the_one_before() -> None:
+    """Ties move the first station by 0.3, -0.2 and 0.1 m; dead reckoning puts the second as far from it as before.
+
+    The error of its place is that of the first and that of the step together.
+    """
+    off = np.array([0.3, -0.2, 0.1])
+    told = [STEPPED[0], *(Pose(rotation=pose.rotation, center_m=pose.center_m + off) for pose in STEPPED[1:])]
+    step = np.array([0.4, 0.5, 0.6])
+    loose = np.diag(np.concatenate([[0.01] * 3, step]) ** 2)
+    found = adjust(told, [loose] * 3, navcam(), [seen_from(STEPPED, 1, 0, 1)])
+    np.testing.assert_allclose(found.poses[1].center_m, STEPPED[1].center_m, atol=3e-4)
+    apart = told[2].center_m - told[1].center_m
+    np.testing.assert_allclose(found.poses[2].center_m - found.poses[1].center_m, apart, atol=1e-9)
+    np.testing.assert_allclose(found.poses[2].rotation, told[2].rotation, atol=1e-9)
+    one, two = (found.covariance[k : k + 3, k : k + 3] for k in (3, 9))
+    np.testing.assert_allclose(two, one + np.diag(step**2), rtol=1e-6, atol=1e-9)
+    assert np.trace(one) < 0.01 * np.trace(np.diag(step**2)), "ties, not dead reckoning, say where the first is"
+
+
+def test_a_station_between_two_that_are_tied_shares_the_gap_by_the_errors_of_its_steps() -> None:
+    """The last of three stations, tied to the first, closes a gap of 0.15 m along x, 0.1 m along y and z.
+
+    Steps of 1, 2 and 1 dm before and 2, 1 and 1 dm after take 1/5, 4/5 and half of it, by their variances.
+    """
+    gap = np.array([0.15, -0.1, 0.1])
+    told = [*STEPPED[:2], Pose(rotation=STEPPED[2].rotation, center_m=STEPPED[2].center_m + gap)]
+    before, after = np.array([0.1, 0.2, 0.1]), np.array([0.2, 0.1, 0.1])
+    errors = [np.diag(np.concatenate([[0.01] * 3, step]) ** 2) for step in (before, before, after)]
+    found = adjust(told, errors, navcam(), [seen_from(STEPPED, 2, 0, 2)])
+    np.testing.assert_allclose(found.poses[2].center_m, STEPPED[2].center_m, atol=3e-3)
+    closed = found.poses[2].center_m - told[2].center_m
+    np.testing.assert_allclose(
+        found.poses[1].center_m - told[1].center_m, closed * np.array([0.2, 0.8, 0.5]), atol=1e-8
+    )
+    np.testing.assert_allclose(found.poses[1].rotation, told[1].rotation, atol=1e-9)
+    between, end = (found.covariance[k : k + 3, k : k + 3] for k in (3, 9))
+    left = np.diag(before**2 * after**2 / (before**2 + after**2))
+    share = np.diag([0.2, 0.8, 0.5])
+    np.testing.assert_allclose(between, left + share @ end @ share, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("times", [1.5, 3.0])
+def test_errors_of_templates_are_inflated_to_what_they_are(times: float) -> None:
+    """4000 ties whose places scatter so many times as much as stated; nearer stations see as well as they say.
+
+    A median of 4000 has a relative error of 1 / (2 ln 2 sqrt(4000)) = 1.1 % in the square; three of it are 3.4 %.
+    """
+    count, rig, random = 4000, navcam(), np.random.default_rng(8)
+    poses = [Pose.looking([0, 0, 1.5], 0.0, 25.0), Pose.looking([7, 0.3, 1.4], -2.0, 24.0, 1.0)]
+    ground = np.column_stack(
+        [random.uniform(8.8, 13, count), random.uniform(-0.8, 0.9, count), random.normal(0, 0.05, count)]
+    )
+    template = np.array([[0.09, 0.04], [0.04, 0.06]])
+    stated = template / OVERLAPPING + SMALLEST_PX**2 * np.eye(2)
+    sides = []
+    for pose, covariance in ((poses[1], DEFINED_PX**2 * np.eye(2)), (poses[0], times**2 * stated)):
+        left, right = rig.project(pose.to_camera(ground))
+        off = random.multivariate_normal(np.zeros(2), covariance, count)
+        sides += [left + off, right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(count), np.full(count, 0.1)]
+    ties = TiePoints(*sides, np.tile(template, (count, 1, 1)), np.ones(count))
+    told = np.diag(np.array([0.005, 0.005, 0.0175, 0.15, 0.15, 0.1]) ** 2)
+    found = adjust(poses, [np.eye(6), told], rig, [PairTies(1, 0, ties)])
+    assert found.inflation[0] ** 2 == pytest.approx(times**2, rel=0.034)
 
 
 def test_a_loop_that_closes_knows_its_end_better() -> None:

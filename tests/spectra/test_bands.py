@@ -54,22 +54,16 @@ def test_results_do_not_depend_on_brightness() -> None:
         assert bright[key] == pytest.approx(dark[key], rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["hull", "conic"])
-def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName) -> None:
-    """Those of a centre are larger: they hold the bias of lopsided bands, of which these have none."""
+@pytest.mark.parametrize(("name", "of_area"), [("hull", 1.15), ("conic", 1.0)])
+def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName, of_area: float) -> None:
+    """6000 draws tell a scatter to 0.9 %. The hull touches the noisiest channels, so areas under it scatter less than
+    they say. Errors of a centre are larger: they hold the bias of lopsided bands, of which these have none."""
     rng, noise = np.random.default_rng(5), 0.0012
-    sigma = np.full(GRID.size, noise)
-    spectra = [Spectrum("n", GRID, reflectance() + rng.normal(scale=noise, size=GRID.size), sigma) for _ in range(200)]
-    rows = [item.to_dict() for item in measure_batch(spectra, continuum_name=name)]
-    for value, error, most in (
-        ("bc1000_nm", "bc1000_sigma_nm", 1.6),
-        ("bc2000_nm", "bc2000_sigma_nm", 1.6),
-        ("bd1000", "bd1000_sigma", 1.2),
-        ("ba1000_nm", "ba1000_sigma_nm", 1.3),
-        ("ba2000_nm", "ba2000_sigma_nm", 1.3),
-    ):
-        scatter = np.std([row[value] for row in rows], ddof=1)
-        assert 0.8 < np.median([row[error] for row in rows]) / scatter < most, value
+    values = reflectance() + rng.normal(scale=noise, size=(6000, GRID.size))
+    for band in band_arrays(GRID, values, np.full(GRID.size, noise), continuum_name=name).bands.values():
+        assert np.median(band.depth_sigma) / np.std(band.depth) == pytest.approx(1.0, abs=0.06)
+        assert np.median(band.area_sigma_nm) / np.std(band.area_nm) == pytest.approx(of_area, abs=0.06)
+        assert 1.1 < np.median(band.center_sigma_nm) / np.std(band.center_nm) < 1.6
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -157,6 +151,74 @@ def test_asymmetry_is_the_share_of_the_area_beyond_the_centre() -> None:
     assert measured(reflectance(), continuum_name="hull").bands["1000"].asymmetry == pytest.approx(0, abs=0.02)
 
 
+@pytest.mark.parametrize(("centre", "before", "behind"), [(973.0, 60.0, 60.0), (963.0, 40.0, 110.0)])
+def test_a_channel_across_the_centre_counts_on_both_sides(centre: float, before: float, behind: float) -> None:
+    """Channels of 20 nm are slabs from edge to edge, each as deep as its middle; the centre cuts one of them in two."""
+    nm = np.arange(460.0, 2500.0, 20.0)
+    width = 3 * np.where(nm < centre, before, behind)
+    depth = 0.3 * np.maximum(1 - np.abs(nm - centre) / width, 0.0) ** 2
+    found = measure_bands(
+        Spectrum("x", nm, 0.4 * (1 - depth)), continuum_name="hull", smoothing=Smoothing(window_nm=0)
+    ).bands["1000"]
+    assert found.center_nm is not None and abs(found.center_nm % 20) > 0.1, "the centre is in no channel's middle"
+    right = np.clip(nm + 10 - np.maximum(nm - 10, found.center_nm), 0, None) @ depth
+    left = np.clip(np.minimum(nm + 10, found.center_nm) - (nm - 10), 0, None) @ depth
+    assert found.area_nm == pytest.approx(left + right, rel=1e-9)
+    assert found.asymmetry == pytest.approx((right - left) / (right + left), rel=1e-9)
+
+
+def test_the_error_of_an_asymmetry_is_made_of_its_derivatives() -> None:
+    """Channel by channel by differences, at a noise so small that nothing but the first order is left.
+
+    The shoulders are peaks at 700 and 1400 nm, so that no channel takes the place of another as a tie.
+    """
+    width = np.where(GRID < 1000, 60.0, 120.0)
+    level = 0.3 - 2e-4 * np.maximum(700 - GRID, 0) - 1e-4 * np.maximum(GRID - 1400, 0)
+    values = level * (1 - 0.4 * np.exp(-0.5 * ((GRID - 1000) / width) ** 2))
+    noise, step = np.full(GRID.size, 1e-9), 1e-7
+    moved = values + step * np.vstack([np.eye(GRID.size), -np.eye(GRID.size)])
+    found = band_arrays(GRID, np.vstack([values, moved]), noise, continuum_name="linear").bands["1000"]
+    up, down = np.split(found.asymmetry[1:], 2)
+    slopes = (up - down) / (2 * step)
+    assert found.asymmetry_sigma[0] == pytest.approx(1e-9 * np.sqrt((slopes**2).sum()), rel=5e-3)
+
+
+TWO_NM = np.arange(460.0, 2500.0, 10.0)
+APART_NM = 40.0
+"""Distance of two minima."""
+
+
+def two_minima(difference: float) -> np.ndarray:
+    """A fourth-order band with minima at 940 and 980 nm, so narrow that one window holds it; the second is less deep
+    by so much of the continuum."""
+    x = (TWO_NM - 960.0) / (APART_NM / 2)
+    return 0.4 * np.minimum(0.7 + 0.02 * (x**2 - 1) ** 2 + 0.5 * difference * x, 1.0)
+
+
+def test_two_equal_minima_are_each_the_lower_one_with_one_half() -> None:
+    """Then the centre is off by their whole distance d, or not at all: a variance of d^2 / 2 about what is stated.
+
+    Beside it is the bias of the window, 2 % of half its width of 80 nm.
+    """
+    noise = np.full(TWO_NM.size, 1e-4 * 0.4)
+    spectrum = Spectrum("two", TWO_NM, two_minima(0.0), noise)
+    band = measure_bands(spectrum, continuum_name="hull", smoothing=Smoothing(window_nm=0)).bands["1000"]
+    assert band.center_nm is not None and abs(abs(band.center_nm - 960) - APART_NM / 2) < 0.1
+    assert band.center_sigma_nm == pytest.approx(np.sqrt(APART_NM**2 / 2 + (0.02 * 40) ** 2), rel=1e-3)
+
+
+def test_the_chance_of_a_second_minimum_is_that_of_noise() -> None:
+    """The share of 20000 draws in which noise makes it the lower one, times the square of the distance."""
+    noise, rng = np.full(TWO_NM.size, 1e-3 * 0.4), np.random.default_rng(3)
+    clean = two_minima(1e-3)
+    draws = np.vstack([clean, clean + noise * rng.standard_normal((20_000, TWO_NM.size))])
+    band = band_arrays(TWO_NM, draws, noise, continuum_name="hull", smoothing=Smoothing(window_nm=0)).bands["1000"]
+    assert np.isfinite(band.center_nm).all()
+    share = np.mean(band.center_nm[1:] > 960)
+    assert 0.1 < share < 0.25
+    assert band.center_sigma_nm[0] ** 2 == pytest.approx(share * APART_NM**2, rel=0.06)
+
+
 def test_a_batch_gives_what_each_spectrum_gives_alone() -> None:
     rng = np.random.default_rng(8)
     grids = [GRID, GRID[::2], GRID]
@@ -226,29 +288,31 @@ def made_up(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
     return GRID, values[::10], float(fine[near[np.argmin((values / hull)[near])]])
 
 
-@pytest.mark.parametrize("noise", [0.003, 0.01])
-def test_stated_errors_hold_the_true_minima(noise: float) -> None:
-    """Made-up bands of 200 rocks, asymmetric ones included; truth is the minimum of the curve itself, without noise.
-
-    Nearly all are less lopsided than the error supposes: 68 % intervals hold 77 and 83 %.
-    """
+@pytest.fixture(scope="module")
+def rocks() -> list[tuple[np.ndarray, np.ndarray, float]]:
     rng = np.random.default_rng(20)
-    rocks = [made_up(rng) for _ in range(200)]
-    spectra = [
-        Spectrum("x", grid, values * (1 + noise * rng.normal(size=grid.size)), noise * values)
-        for grid, values, _ in rocks
-    ]
-    found = [item.to_dict() for item in measure_batch(spectra, continuum_name="hull")]
-    errors = np.array(
-        [
-            (record["bc1000_nm"] - truth) / record["bc1000_sigma_nm"]
-            for record, (_, _, truth) in zip(found, rocks, strict=True)
-            if record["bc1000_nm"] is not None
-        ]
-    )
-    assert errors.size >= 190
-    assert 0.60 < np.mean(np.abs(errors) < 1) < 0.88
-    assert np.mean(np.abs(errors) < 1.96) > 0.88
+    return [made_up(rng) for _ in range(600)]
+
+
+@pytest.mark.parametrize(("noise", "size"), [(0.003, 0.86), (0.01, 0.73)])
+def test_stated_errors_hold_the_true_minima(
+    rocks: list[tuple[np.ndarray, np.ndarray, float]], noise: float, size: float
+) -> None:
+    """Made-up bands of 600 rocks, asymmetric ones included; truth is the minimum of the curve itself, without noise.
+
+    Nearly all are less lopsided than the error supposes, so errors are smaller than stated by what 1500 rocks showed;
+    600 tell that to 3 %.
+    """
+    rng = np.random.default_rng(21)
+    values, truth = np.array([row for _, row, _ in rocks]), np.array([nm for _, _, nm in rocks])
+    noisy = values * (1 + noise * rng.normal(size=values.shape))
+    band = band_arrays(GRID, noisy, noise * values, continuum_name="hull").bands["1000"]
+    found = np.isfinite(band.center_nm)
+    assert found.mean() > 0.95
+    errors = ((band.center_nm - truth) / band.center_sigma_nm)[found]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(size, abs=0.08)
+    assert np.mean(np.abs(errors) < 1) > 0.72
+    assert np.mean(np.abs(errors) < 1.96) > 0.94
 
 
 @pytest.mark.reference

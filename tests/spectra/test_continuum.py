@@ -49,6 +49,14 @@ def test_linear_meets_the_spectrum_at_its_ties() -> None:
         assert level[at] == pytest.approx(values[at], rel=1e-12)
 
 
+@pytest.mark.parametrize("tie", [end for shoulder in SHOULDERS_NM[:2] for end in shoulder])
+def test_a_shoulder_holds_the_channels_at_its_ends(tie: float) -> None:
+    """A peak at the very channel at which a shoulder begins or ends is its tie; one channel farther out is not."""
+    for at, inside in ((tie, True), (tie + (5.0 if tie in (850.0, 1650.0) else -5.0), False)):
+        values = spectrum() + np.where(at == GRID, 0.2, 0.0)
+        assert (of_one("linear", values)[at == GRID] == pytest.approx(values[at == GRID], rel=1e-12)) == inside
+
+
 def test_a_spectrum_that_ends_before_the_ties_says_what_to_use() -> None:
     short = GRID < 1200
     with pytest.raises(DataError, match="`continuum` hull"):

@@ -62,6 +62,7 @@ def test_spectra_one_by_one_are_found_as_well_as_the_readme_says(bench: Any, lab
 
 @pytest.mark.parametrize("mode", ["alone", "alone, present", "together", "together, present", "others known"])
 def test_sixty_eight_per_cent_intervals_hold_about_that_share(bench: Any, laboratory: Any, mode: str) -> None:
+    """Of some 130 shares, were they independent, three standard errors of 68 % are 0.12; some are of one series."""
     one, two = bench.coverage(laboratory, mode)
     assert 0.60 <= one <= 0.80
     assert two >= 0.85

@@ -1,5 +1,6 @@
 """Shares of spectra taken one by one: what is dark, what is not determined, and libraries without siblings."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,15 @@ from lunarsci.spectra.abundance.end_members import embedded_end_members, without
 from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.mixing import HapkeSurface
 from lunarsci.spectra.abundance.one_by_one import MAFIC, estimate_each
-from lunarsci.spectra.abundance.posterior import CHONDRITE, DARK, MOST_MISFIT, MOST_WIDE, POWDER, calibrations
+from lunarsci.spectra.abundance.posterior import (
+    CHONDRITE,
+    DARK,
+    MOST_MISFIT,
+    MOST_WIDE,
+    POWDER,
+    Discrepancy,
+    calibrations,
+)
 from lunarsci.spectra.spectrum import Spectrum
 
 NM = np.arange(450.0, 2451.0, 10.0)
@@ -139,6 +148,25 @@ def test_olivine_and_orthopyroxene_never_become_clinopyroxene(reference_data: Pa
     assert error[2] <= 10
     assert error.max() <= 14
     assert MOST_WIDE < 0.15
+
+
+def test_a_discrepancy_varies_as_its_parts_say() -> None:
+    """At 450, 570 and 1450 nm: 1 um and 0.88 um before the middle of the range, and at it; term by term by hand.
+
+    The details at 450 and 570 nm, one length of 120 nm apart, are alike by exp(-1/2); the edge falls by exp(-1.2).
+    """
+    found = Discrepancy(level=0.1, slope=0.2, bend=0.3, detail=0.04, channel=0.03, edge=0.5).covariance(
+        np.array([450.0, 570.0, 1450.0])
+    )
+    square = (1.0 + 0.88**2) / 3
+    bends = 1.0 - square, 0.88**2 - square, -square
+    first = 0.01 + 0.04 * 1.0 + 0.09 * bends[0] ** 2 + 0.0016 + 0.25 + 0.0009
+    between = 0.01 + 0.04 * 0.88 + 0.09 * bends[0] * bends[1] + (0.0016 + 0.25 * math.exp(-1.2)) * math.exp(-0.5)
+    last = 0.01 + 0.09 * bends[2] ** 2 + 0.0016 + 0.25 * math.exp(-20.0) + 0.0009
+    assert found[0, 0] == pytest.approx(first, rel=1e-9)
+    assert found[0, 1] == found[1, 0] == pytest.approx(between, rel=1e-9)
+    assert found[2, 2] == pytest.approx(last, rel=1e-9)
+    assert found[0, 2] == pytest.approx(0.01 + 0.09 * bends[0] * bends[2], rel=1e-9)
 
 
 def test_what_a_mixture_misses_is_told_beside_level_and_slope() -> None:

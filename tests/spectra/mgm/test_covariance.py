@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.stats import truncnorm
 
 from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.batch import problem_of
+from lunarsci.spectra.mgm.data import MgmData
+from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.laplace import bounded_covariances
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 
@@ -50,6 +53,52 @@ def test_one_bound_alone_is_a_truncated_normal_law() -> None:
     law = truncnorm(-np.inf, (0 - mean) / sigma, loc=mean, scale=sigma)
     assert covariance[1, 1] == pytest.approx(law.moment(2))
     assert covariance[0, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("steepness", [0.0, 1.0, 10.0, 29.9, 30.1, 60.0, 1000.0])
+def test_the_variance_at_a_bound_is_that_of_the_one_sided_density(steepness: float) -> None:
+    """Mean of t^2 under exp(-g t - h t^2 / 2), t >= 0, by quadrature: to 1e-4 where g / sqrt(h) is above 30."""
+    bend = 9.0
+    slope = steepness * bend**0.5
+    covariance = bounded_covariance(np.diag([1.0, bend]), np.array([0.0, slope]), np.zeros(2), model_of_two())
+    reach = 40.0 / np.hypot(slope, bend**0.5)
+
+    def moment(power: int) -> float:
+        return float(quad(lambda t: t**power * np.exp(-slope * t - 0.5 * bend * t**2), 0.0, reach, epsabs=0.0)[0])
+
+    assert covariance[1, 1] == pytest.approx(moment(2) / moment(0), rel=1e-4 if steepness > 30 else 1e-7)
+    assert covariance[0, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("scatter", [0.5, 3.0])
+def test_errors_are_widened_by_chi_square_over_its_degrees_of_freedom(scatter: float) -> None:
+    """Centres and widths are fixed, so the fit is a least-squares problem that numpy solves.
+
+    A strength that its prior holds counts as the part of a parameter that the data determine: the trace of
+    (J J' + P)^-1 J J', J of the data and P of the prior. Errors are never narrowed, and the prior is never widened.
+    """
+    grid, noise, model = np.linspace(450.0, 2395.0, 60), 0.02, mgm_model("OPX-CPX", "log-quadratic")
+    bands = model.assemblage.bands
+    for band in bands:
+        for name, value in ((f"{band.key}_center_nm", band.center_nm), (f"{band.key}_fwhm_nm", band.fwhm_nm)):
+            model = model.bounded(name, value, value)
+    shapes = np.array([np.exp(-4 * np.log(2) * ((grid - band.center_nm) / band.fwhm_nm) ** 2) for band in bands])
+    errors = scatter * noise * np.random.default_rng(6).standard_normal(grid.size)
+    ln = -1.5 - shapes.sum(axis=0) + errors
+    data = MgmData("made", grid, np.exp(ln), np.full(grid.size, noise**-2), np.zeros((0, grid.size)), 0.0)
+    [fit] = fit_data([data], model, 1)
+    design = np.vstack([np.vander((grid - 1500) / 1100, 3, increasing=True).T, shapes]) / noise
+    prior = np.diag([0.0] * 3 + [band.strength_sigma**-2 for band in bands])
+    inverse = np.linalg.inv(design @ design.T + prior)
+    chi2 = float(((ln / noise - design.T @ inverse @ design @ ln / noise) ** 2).sum())
+    determined = float(np.trace(inverse @ design @ design.T))
+    assert 11 < determined < 3 + len(bands) - 0.05, "priors take a part"
+    reduced = chi2 / (grid.size - determined)
+    assert fit.reduced_chi2 == pytest.approx(reduced, rel=1e-4)
+    free = np.array([0, 1, 2, *range(5, model.prior.size, 3)])
+    assert (fit.parameters[free[3:]] < 0).all(), "no strength is on its bound"
+    wanted = np.linalg.inv(design @ design.T / max(reduced, 1.0) + prior)
+    assert np.allclose(fit.covariance[np.ix_(free, free)], wanted, rtol=1e-6, atol=1e-6 * wanted.max())
 
 
 def test_away_from_bounds_it_is_the_inverse_curvature() -> None:
