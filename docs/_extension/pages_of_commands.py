@@ -256,9 +256,7 @@ def keys_text() -> str:
     """Keys of `--json` by command, as its recorded answers have them, with units and meanings."""
     known = meanings()
     answers = json.loads((ROOT / "tests/former_results.json").read_text("utf-8"))["answers"]
-    lines = dict(
-        re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/benchmarks/former.py").read_text("utf-8"), re.M)
-    )
+    lines = dict(re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/benchmarks/former.py").read_text("utf-8"), re.M))
     paths = sorted((path for path, _ in every_command()), key=len, reverse=True)
     found: dict[str, dict[str, None]] = {}
     for name, answer in answers.items():
