@@ -21,6 +21,8 @@ CHECKOUT = Path(__file__).with_name("checkout")
 if str(CHECKOUT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):  # else Python has run it already
     runpy.run_path(str(CHECKOUT / "sitecustomize.py"))
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(CHECKOUT), os.environ.get("PYTHONPATH", "")]))
+    for _name in [name for name in sys.modules if name.split(".")[0] == "lunarsci"]:
+        del sys.modules[_name]  # of the installed one: pytest has looked there for the class of a warning
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "lunarsci-numba"))
 

@@ -1,6 +1,7 @@
 """Closed-form forces against quadrature of a triangular stress, published numbers, limits and measured wheels."""
 
 import csv
+import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -127,6 +128,23 @@ def test_a_wheel_in_a_rut_follows_the_line_of_reloading_up_to_the_old_stress(z: 
     soil = HARDENING.vector()
     found, _, _ = contact_forces(z, 0.2, 0.8, lateral, 0.8, (PRESSED, LEFT), WHEEL.vector(), soil, 0)
     assert [float(value) for value in found] == pytest.approx(of_a_triangle(z, 0.2, 5.0, peak), rel=1e-8)
+
+
+def test_slopes_are_differences_of_the_forces_where_slip_does_not_change_the_stress() -> None:
+    """F_N, F_DP and M_R by the travel ratio, F_L by the lateral one, with c2 = n1 = 0."""
+    z, travel, lateral, step = 0.011, 0.9, 0.05, 1e-5
+    wheel = dataclasses.replace(WHEEL, max_stress_c2=0.0).vector()
+    soil = SOIL.replace(sinkage_exponent_slip=0.0).vector()
+
+    def forces(travel: float, lateral: float) -> np.ndarray:
+        return np.array(contact_forces(z, 0.1, travel, lateral, travel, (0.0, 0.0), wheel, soil, 0)[0], dtype=float)
+
+    _, slopes, _ = contact_forces(z, 0.1, travel, lateral, travel, (0.0, 0.0), wheel, soil, 0)
+    by_travel = (forces(travel + step, lateral) - forces(travel - step, lateral)) / (2 * step)
+    by_lateral = (forces(travel, lateral + step) - forces(travel, lateral - step)) / (2 * step)
+    expected = [by_travel[0], by_travel[1], by_lateral[2], by_travel[3]]
+    assert np.all(np.abs(expected) > 1e-3)
+    assert [float(value) for value in slopes] == pytest.approx(expected, rel=1e-6)
 
 
 def test_signed_reading_is_smooth_and_rises_through_zero_slip() -> None:

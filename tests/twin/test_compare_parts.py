@@ -1,9 +1,12 @@
 """The parts of a comparison against published laws and other ways to work them out."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from lunarsci.twin.comparison.checks import standardised
 from lunarsci.twin.comparison.scores import (
     correlation_length,
     crps,
@@ -36,6 +39,17 @@ def test_crps_is_the_integral_of_the_squared_difference_of_the_distributions() -
     steps = (members[:, None] <= x).mean(axis=0)
     assert own_law == pytest.approx(integrate.trapezoid((steps - (x >= observed)) ** 2, x), abs=1e-3)
     assert crps(np.array([observed]), members[:1, None]) == pytest.approx(2.2)
+
+
+def test_a_value_is_standardised_by_members_and_its_own_error() -> None:
+    """Members 1, 3 and 5: mean 3, variance 4, and 4 / 3 more as the mean of three is not known better. One member has
+    no variance."""
+    record = SimpleNamespace(values=np.array([[9.0]]))
+    three = SimpleNamespace(predicted=np.array([[[1.0]], [[3.0]], [[5.0]]]), sigma=np.array([[2.0]]), record=record)
+    alone = SimpleNamespace(predicted=np.array([[[1.0]]]), sigma=np.array([[2.0]]), record=record)
+    rows = np.array([True])
+    assert standardised(three, 0, rows) == pytest.approx(6.0 / np.sqrt(4.0 + 4.0 / 3.0 + 4.0))  # type: ignore[arg-type]
+    assert standardised(alone, 0, rows) == pytest.approx(4.0)  # type: ignore[arg-type]
 
 
 def test_energy_score_is_least_for_the_law_that_is_right() -> None:
