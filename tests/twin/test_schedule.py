@@ -6,9 +6,18 @@ import math
 import numpy as np
 import pytest
 
+from lunarsci.twin.lanes import BODY, new_work
 from lunarsci.twin.plans.path import CREEP, wheel_commands
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
-from lunarsci.twin.plans.schedule import EASE_S, STEERING_RAD_S, all_commands, make_schedule, run_commands, start_motion
+from lunarsci.twin.plans.schedule import (
+    EASE_S,
+    STEERING_RAD_S,
+    _poses,
+    all_commands,
+    make_schedule,
+    run_commands,
+    start_motion,
+)
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 
@@ -194,3 +203,12 @@ def test_a_drive_begins_with_the_wheels_that_do_not_steer_rolling_straight_on(yu
     middle = rover.wheel_positions_m[2, 0]
     assert middle == pytest.approx(-0.1) and turn == pytest.approx(0.4 * 0.05)
     assert (ahead, left + turn * middle) == pytest.approx((0.05, 0.0), abs=1e-15)
+
+
+@pytest.mark.parametrize("heading", [0.5, 2.0, -2.5])
+def test_a_heading_is_that_of_the_quaternion(heading: float) -> None:
+    """A turn by an angle about the vertical is (cos(h / 2), 0, 0, sin(h / 2))."""
+    work = new_work(6)
+    w, i, j, k = BODY.view(work.body, "quaternion")
+    w[:], i[:], j[:], k[:] = math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)
+    assert _poses(work)[:, 2] == pytest.approx(heading)

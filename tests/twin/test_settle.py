@@ -126,6 +126,7 @@ def test_what_cannot_settle_says_so(yutu2: Rover, slope) -> None:  # type: ignor
     assert loads(yutu2, slope(), stiffness_kpa_m_n=1e-3)[0] in (UNSETTLED, SANK)
     assert loads(yutu2, slope(1.7))[0] == UNSETTLED
     assert loads(yutu2, slope(3.0))[0] == CLIFF
+    assert loads(yutu2, slope(0.0, 3.0))[0] == CLIFF
     assert loads(yutu2, slope(), at=(50.0, 0.0))[0] == LEFT
     holed = slope()
     holed.height_m[14:19, 6:11] = np.nan
