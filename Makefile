@@ -39,8 +39,8 @@ docs: $(VENV)/.documented ## the documentation as pages for a browser, in docs/_
 # One environment for one Python: another PYTHON that is asked for gets a new one. What is half made is taken away.
 VERSION := import sys; print("%d.%d" % sys.version_info[:2])
 $(VENV)/.made: FORCE
-	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'lunarsci needs Python 3.11 or newer: make PYTHON=python3.11 ...')"
 	@if [ -e $@ ] && { [ "$(origin PYTHON)" = file ] || [ "$$($(PYTHON) -c '$(VERSION)')" = "$$(cat $@)" ]; }; then exit 0; fi; \
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'lunarsci needs Python 3.11 or newer: make PYTHON=python3.11 ...')" || exit 1; \
 	$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 		echo "$(PYTHON) cannot make environments: on Debian and Ubuntu, apt-get install python3-venv; then make again" >&2; exit 1; }; \
 	rm -rf $(VENV); \

@@ -53,11 +53,11 @@ def test_every_job_of_the_package_is_tried() -> None:
 def test_a_difference_is_seen() -> None:
     """Six digits of each number, up to twelve places after the point, and every key."""
     before = {"a": [1.0, {"b": "x"}], "c": None, "d": 2, "e": 2e-9}
-    assert former.differences(before, before | {"new": 1}, 1e-6) == [".new: new"]
-    assert former.differences(before, before | {"d": 3}, 1e-6) == [".d: 2 was, 3 is"]
-    assert former.differences(before, before | {"e": 2.01e-9}, 1e-6) == [".e: 2e-09 was, 2.01e-09 is"]
-    assert former.differences(before, before | {"a": [1.0 + 1e-8, {"b": "x"}]}, 1e-6) == []
-    assert sorted(former.differences(before, {"a": [1.0, {}], "c": 0, "d": 2, "e": 2e-9}, 1e-6)) == [
+    assert former.differences(before, before | {"new": 1}, "") == [".new: new"]
+    assert former.differences(before, before | {"d": 3}, "") == [".d: 2 was, 3 is"]
+    assert former.differences(before, before | {"e": 2.01e-9}, "") == [".e: 2e-09 was, 2.01e-09 is"]
+    assert former.differences(before, before | {"a": [1.0 + 1e-8, {"b": "x"}]}, "") == []
+    assert sorted(former.differences(before, {"a": [1.0, {}], "c": 0, "d": 2, "e": 2e-9}, "")) == [
         ".a.1.b: gone",
         ".c: None was, 0 is",
     ]

@@ -422,9 +422,9 @@ read what earlier ones wrote."""
 
 
 def killed_writers(place: str, told: str, names: Sequence[str], every: int) -> None:
-    """In a process of its own: what became of each command at `every` so-manieth of its calls that write, into a file.
+    """In a process of its own: what became of each command at its calls that write, into a file.
 
-    The first call is another one for each command.
+    Of `every` calls one is taken, another one for each command.
     """
     from lunarsci.images.rig_files import read_rig, rig_text
 
@@ -462,7 +462,7 @@ def _said(line: str) -> tuple[int, str]:
 
 
 def killed_at_writes(folder: Path, names: Sequence[str] = tuple(WRITERS), every: int = 1) -> dict[str, Writes]:
-    """What became of each command, killed at each of its calls that write, or at one of `every` so many."""
+    """What became of each command, killed at its calls that write: at one of `every`."""
     (folder / "work").mkdir()
     process = CONTEXT.Process(
         target=killed_writers, args=(str(folder / "work"), str(folder / "writes.json"), names, every)

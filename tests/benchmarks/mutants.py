@@ -2,9 +2,8 @@
 
 A fault is a formula with another sign, factor, unit, power, axis, function, comparison or constant, planted at random
 into a copy of the checkout. Tests run until one fails: first those that mirror the module by name or import it, then
-the others, by the number of imports that lie between. A test that fails without the
-fault, too, has not seen it. What no test sees survives, and is printed. Tests whose truth is
-what the program itself printed before do not count.
+the others, by the number of imports that lie between. A test that fails without the fault, too, has not seen it. What
+no test sees survives, and is printed. Tests whose truth is what the program itself printed before do not count.
 
 Every place has the same chance but for those in `SELDOM`: modules that read, write, check and draw. Sentences, errors,
 annotations and docstrings get no fault. mutmut 3.8 leaves decorated functions alone, which all compiled ones are, and
@@ -18,6 +17,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -29,6 +29,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from queue import Queue
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 SCIENCE = ("spectra", "regolith", "images", "twin")
@@ -202,23 +203,28 @@ def arrows(root: Path) -> dict[str, set[str]]:
 
 
 def tests_for(root: Path, path: str) -> list[tuple[int, str]]:
-    """Files of tests by their distance from a module: 0 for its own, 1 where it is imported, and so on."""
+    """Files of tests by their distance from a module: 0 for its own, 1 where it is imported, and so on.
+
+    Those of its part come first, as they compile the least.
+    """
     module, known = path.removesuffix(".py").replace("/", "."), arrows(root)
     distance, front = {module: 0}, {module}
     while front:
         step = {name for name, used in known.items() if used & front and name not in distance}
         distance |= dict.fromkeys(step, 1 + max(distance.values()))
         front = step
-    stem = module.rpartition(".")[2]
-    ranked = [
-        (0 if stem in Path(name).stem else distance.get(name, 99), name)
-        for name in known
-        if name.endswith(".py") and Path(name).stem not in OWN_OUTPUT
-    ]
-    return sorted(ranked)
+    stem, part = module.rpartition(".")[2], f"tests/{path.split('/')[1]}/"
+    ranked = []
+    for name in (name for name in known if name.endswith(".py") and Path(name).stem not in OWN_OUTPUT):
+        own = 0 if Path(name).stem == f"test_{stem}" else 1 if stem in Path(name).stem else 99
+        ranked.append((min(own, distance.get(name, 99)), not name.startswith(part), name))
+    return [(far, name) for far, _, name in sorted(ranked)]
 
 
 # --- a copy, faults in it, and what the tests say ---
+
+NO_TEST = ("", "time")
+"""In the place of the test that sees a fault, where there is none."""
 
 
 def copied(place: Path) -> Path:
@@ -235,22 +241,27 @@ def fails(copy: Path, files: list[str], limit_s: float) -> str:
     """The test that fails first, or "time" where they do not end; "" if all pass."""
     line = [sys.executable, "-m", "pytest", "-x", "-q", "--numprocesses=0", "-p", "no:cacheprovider", "--tb=no", *files]
     environment = os.environ | {"NUMBA_CACHE_DIR": f"{copy}-numba", "PYTHONPATH": str(copy / "tests/checkout")}
-    try:
-        done = subprocess.run(line, cwd=copy, env=environment, capture_output=True, text=True, timeout=limit_s)
-    except subprocess.TimeoutExpired:
-        return "time"
-    named = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.M)
-    return "" if done.returncode in (0, 5) else (named or ["the process ended"])[0]
+    quiet: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    with subprocess.Popen(line, cwd=copy, env=environment, start_new_session=True, **quiet) as process:
+        try:
+            told, _ = process.communicate(timeout=limit_s)
+        except BaseException as ended:  # Ctrl-C too: what the tests started ends with them
+            os.killpg(process.pid, signal.SIGKILL)
+            if isinstance(ended, subprocess.TimeoutExpired):
+                return "time"
+            raise
+    named = re.findall(r"^(?:FAILED|ERROR) (\S+)", told, re.M)
+    return "" if process.returncode in (0, 5) else (named or ["the process ended"])[0]
 
 
 def killer(copy: Path, fault: Fault, options: argparse.Namespace) -> str:
-    """The test that sees the fault, and passes without it; "" if none does in the time there is."""
+    """The test that sees the fault, and passes without it; "" if none does, "time" if tests do not end in time."""
     seen = first_failure(copy, fault, options)
-    return "" if "::" in seen and fails(copy, [seen], options.timeout) else seen
+    return "" if seen.startswith("tests/") and fails(copy, [seen], options.timeout) else seen
 
 
 def first_failure(copy: Path, fault: Fault, options: argparse.Namespace) -> str:
-    """The test that fails first while the fault lies in the copy; "" if none does in the time there is."""
+    """The test that fails first while the fault lies in the copy; "" if all pass, "time" if they do not end in time."""
     target, began = copy / fault.path, time.monotonic()
     sound = target.read_text("utf-8")
     ranked = tests_for(ROOT, fault.path)
@@ -260,7 +271,7 @@ def first_failure(copy: Path, fault: Fault, options: argparse.Namespace) -> str:
         target.write_text(fault.planted(sound), "utf-8")
         for files in (near, [] if options.nearest_only else rest):
             left = options.timeout - (time.monotonic() - began)
-            if files and left > 0 and (seen := fails(copy, files, left)) not in ("", "time"):
+            if files and (seen := fails(copy, files, left) if left > 0 else "time"):
                 return seen
         return ""
     finally:
@@ -271,10 +282,10 @@ def report(results: list[tuple[Fault, str]]) -> str:
     """Kills by kind and by package, and what survived."""
     lines = []
     for title, key in (("kind", lambda f: f.kind), ("package", lambda f: f.path.split("/")[1])):
-        all_, dead = Counter(key(f) for f, _ in results), Counter(key(f) for f, by in results if by)
+        all_, dead = Counter(key(f) for f, _ in results), Counter(key(f) for f, by in results if by not in NO_TEST)
         lines += [f"{title:20s} killed"] + [f"{name:20s} {dead[name]} of {all_[name]}" for name in sorted(all_)]
-    lines += [f"survived: {fault}" for fault, by in results if not by]
-    killed = sum(bool(by) for _, by in results)
+    lines += [f"{'out of time' if by else 'survived'}: {fault}" for fault, by in results if by in NO_TEST]
+    killed = sum(by not in NO_TEST for _, by in results)
     return "\n".join([*lines, f"{killed} of {len(results)} killed ({100 * killed / max(1, len(results)):.0f} %)"])
 
 
@@ -303,7 +314,7 @@ def main() -> None:
             by = killer(place, fault, options)
         finally:
             places.put(place)
-        print(f"{fault}: {by or 'SURVIVED'}", flush=True)
+        print(f"{fault}: {by or 'survived'}", flush=True)
         return fault, by
 
     with ThreadPoolExecutor(options.jobs) as pool:

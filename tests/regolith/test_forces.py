@@ -163,6 +163,16 @@ def test_printed_reading_jumps_at_zero_slip_and_is_not_monotone() -> None:
     assert np.any(np.diff(skid) < 0)
 
 
+@pytest.mark.parametrize("slip", [0.05, 0.3])
+def test_the_slip_branch_has_the_shear_of_as_much_slip_in_skid(slip: float) -> None:
+    """|s| in the place of s in Eqs 12-17; theta_m and the exponent do not follow s where c2 = n1 = 0."""
+    wheel, soil = dataclasses.replace(WHEEL, max_stress_c2=0.0), SOIL.replace(sinkage_exponent_slip=0.0)
+    skid = closed_form_forces(wheel, soil, 0.011, -slip, reading="slip-branch")
+    forward = closed_form_forces(wheel, soil, 0.011, slip, reading="signed")
+    for name in ("normal_force_n", "drawbar_pull_n", "resistance_torque_nm"):
+        assert float(getattr(skid, name)) == pytest.approx(float(getattr(forward, name)), rel=1e-9)
+
+
 def test_readings_agree_in_slip() -> None:
     values = [
         float(closed_form_forces(WHEEL, SOIL, 0.009, 0.2, reading=reading).drawbar_pull_n) for reading in SHEAR_SIGNS

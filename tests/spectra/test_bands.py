@@ -54,16 +54,16 @@ def test_results_do_not_depend_on_brightness() -> None:
         assert bright[key] == pytest.approx(dark[key], rel=1e-9)
 
 
-@pytest.mark.parametrize(("name", "of_area"), [("hull", 1.15), ("conic", 1.0)])
-def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName, of_area: float) -> None:
-    """6000 draws tell a scatter to 0.9 %. The hull touches the noisiest channels, so areas under it scatter less than
-    they say. Errors of a centre are larger: they hold the bias of lopsided bands, of which these have none."""
+@pytest.mark.parametrize(("name", "most"), [("hull", 1.25), ("conic", 1.06)])
+def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName, most: float) -> None:
+    """6000 draws tell a scatter to 0.9 %. The hull touches the noisiest channels, so areas under it may scatter
+    less than they say. Errors of a centre are larger: they hold the bias of lopsided bands, which these are not."""
     rng, noise = np.random.default_rng(5), 0.0012
     values = reflectance() + rng.normal(scale=noise, size=(6000, GRID.size))
     for band in band_arrays(GRID, values, np.full(GRID.size, noise), continuum_name=name).bands.values():
         assert np.median(band.depth_sigma) / np.std(band.depth) == pytest.approx(1.0, abs=0.06)
-        assert np.median(band.area_sigma_nm) / np.std(band.area_nm) == pytest.approx(of_area, abs=0.06)
-        assert 1.1 < np.median(band.center_sigma_nm) / np.std(band.center_nm) < 1.6
+        assert 0.94 < np.median(band.area_sigma_nm) / np.std(band.area_nm) < most
+        assert 0.94 < np.median(band.center_sigma_nm) / np.std(band.center_nm) < 1.6
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -294,14 +294,12 @@ def rocks() -> list[tuple[np.ndarray, np.ndarray, float]]:
     return [made_up(rng) for _ in range(600)]
 
 
-@pytest.mark.parametrize(("noise", "size"), [(0.003, 0.86), (0.01, 0.73)])
-def test_stated_errors_hold_the_true_minima(
-    rocks: list[tuple[np.ndarray, np.ndarray, float]], noise: float, size: float
-) -> None:
+@pytest.mark.parametrize("noise", [0.003, 0.01])
+def test_stated_errors_hold_the_true_minima(rocks: list[tuple[np.ndarray, np.ndarray, float]], noise: float) -> None:
     """Made-up bands of 600 rocks, asymmetric ones included; truth is the minimum of the curve itself, without noise.
 
-    Nearly all are less lopsided than the error supposes, so errors are smaller than stated by what 1500 rocks showed;
-    600 tell that to 3 %.
+    Nearly all are less lopsided than the error supposes: errors are as large as stated at most, and two thirds of that
+    at least. 600 rocks tell their size to 3 %.
     """
     rng = np.random.default_rng(21)
     values, truth = np.array([row for _, row, _ in rocks]), np.array([nm for _, _, nm in rocks])
@@ -310,8 +308,8 @@ def test_stated_errors_hold_the_true_minima(
     found = np.isfinite(band.center_nm)
     assert found.mean() > 0.95
     errors = ((band.center_nm - truth) / band.center_sigma_nm)[found]
-    assert np.sqrt(np.mean(errors**2)) == pytest.approx(size, abs=0.08)
-    assert np.mean(np.abs(errors) < 1) > 0.72
+    assert 0.65 < np.sqrt(np.mean(errors**2)) < 1.0
+    assert 0.68 < np.mean(np.abs(errors) < 1) < 0.88
     assert np.mean(np.abs(errors) < 1.96) > 0.94
 
 
