@@ -6,4 +6,4 @@ import pytest
 
 @pytest.mark.slow
 class TestDrives(former.Answers):
-    commands = former.DRIVES
+    half = "drives"

@@ -6,4 +6,4 @@ import pytest
 
 @pytest.mark.slow
 class TestRocks(former.Answers):
-    commands = former.ROCKS
+    half = "rocks"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lunarsci.constants import LUNAR_GRAVITY, MOON_RADIUS_KM
-from lunarsci.regolith.forces import mobilised
+from lunarsci.regolith.forces import signed_share
 from lunarsci.sun import lunar_axes, sun_in_moon_frame
 
 J2000_JD = 2451545.0
@@ -92,5 +92,5 @@ def test_the_sun_goes_round_in_a_synodic_month_and_stays_near_the_equator() -> N
 @pytest.mark.parametrize(("moduli", "share"), [(1.0, 0.632121), (2.302585, 0.9), (0.01, 0.00995017)])
 def test_shear_strength_is_mobilised_as_by_janosi_and_hanamoto(moduli: float, share: float) -> None:
     """1 - exp(-j / K): 63.2 % at j = K, 90 % at K ln 10 (Wong 2008, Theory of Ground Vehicles, ch. 2), and odd in j."""
-    assert mobilised(moduli * 0.0178, 0.0178) == pytest.approx(share, rel=1e-6)
-    assert mobilised(-moduli * 0.0178, 0.0178) == pytest.approx(-share, rel=1e-6)
+    assert signed_share(moduli * 0.0178, 0.9, 0.0178, 0) == pytest.approx(share, rel=1e-6)
+    assert signed_share(-moduli * 0.0178, 0.9, 0.0178, 0) == pytest.approx(-share, rel=1e-6)

@@ -54,7 +54,7 @@ SETTINGS = {
         "images/labels.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
         "projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST, DEEPEST",
-        "regolith/inference/problem.py: STEP", "regolith/inference/problem.py: ROUGH_SHARE, FINE_SHARE",
+        "regolith/inference/problem.py: STEP",
         "regolith/inference/totals.py: NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER",
         "regolith/inference/totals.py: STEP", "regolith/inversion.py: DEEPEST",
         "regolith/physics_discrepancy.py: GRID, REACH", "spectra/abundance/mixing.py: LEAST, MOST",

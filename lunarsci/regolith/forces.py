@@ -78,13 +78,14 @@ def stress_moments(theta_1: float, theta_2: float, theta_m: float) -> tuple[floa
     return a, b, (theta_1 - theta_2) / 2.0
 
 
-@compiled
-def mobilised(displacement: float, modulus: float) -> float:
-    """Share of the shear strength that a displacement mobilises, with the displacement's sign, -1 to 1. [-]
+@formula
+def signed_share(j: Any, travel: Any, modulus: Any, code: Any) -> Any:
+    """Share of the shear strength that a displacement mobilises, with its sign -1 to 1; code 1 reads it as printed. [-]
 
     Janosi & Hanamoto (1961), as in Eqs 12 and 16.
     """
-    return math.copysign(-math.expm1(-abs(displacement) / modulus), displacement)
+    sign = choose(code == 1, choose(travel <= 1.0, 1.0, -1.0), signed(1.0, j))
+    return -sign * exp_minus_one(choose(code == 1, -j, -abs(j)) / modulus)
 
 
 @compiled
@@ -97,16 +98,7 @@ def longitudinal_mobilisation(
     """
     ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
     j = shearing_radius * ((theta_1e - theta_m) - ratio * (math.sin(theta_1e) - math.sin(theta_m)))
-    return _signed_share(j, travel, modulus, code)
-
-
-@compiled
-def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
-    """Mobilised share of the longitudinal strength in one of the readings. [-]"""
-    if code == 1:
-        direction = 1.0 if travel <= 1.0 else -1.0
-        return -direction * math.expm1(-j / modulus)
-    return float(mobilised(j, modulus))
+    return signed_share(j, travel, modulus, code)
 
 
 @formula
@@ -155,8 +147,7 @@ def contact_forces(
     sigma_m = choose(depth > 0.0, sigma_m, math.nan)
     ratio = choose((code == 2) & (travel > 1.0), 1.0 / travel, travel)
     j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
-    sign_x = choose(code == 1, choose(travel <= 1.0, 1.0, -1.0), signed(1.0, j_x))
-    share_x = -sign_x * exp_minus_one(choose(code == 1, -j_x, -abs(j_x)) / k_x)
+    share_x = signed_share(j_x, travel, k_x, code)
     strength_x, strength_y = cohesion + sigma_m * tan_phi, cohesion + sigma_m * tan_phi_y
     tau_x = strength_x * share_x
     j_before = r_s * ((theta_1e - theta_m) - before * (sin_1e - sin_m))

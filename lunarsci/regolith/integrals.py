@@ -12,9 +12,32 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, in_lanes
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import WheelForces, check_states, closed_form_forces, mobilised, motion_ratios, slip_ratio
+from lunarsci.formulas import LANES, formula
+from lunarsci.lanes import (
+    arcsin,
+    choose,
+    cosine,
+    exp_minus_one,
+    exponential,
+    highest,
+    load,
+    logarithm,
+    lowest,
+    root,
+    sine,
+    spread,
+    store,
+)
+from lunarsci.regolith.forces import (
+    WheelForces,
+    check_states,
+    closed_form_forces,
+    motion_ratios,
+    signed_share,
+    slip_ratio,
+)
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
 
@@ -26,21 +49,7 @@ forward at this one, so that a locked wheel that slides sideways is the limit of
 
 
 @compiled
-def _normal_stress(depth: float, stiffness: float, exponent: float, model: Any) -> float:
-    """Bearing stress at a depth below the wheel's own ground (Eq. 6); in a rut, by reloading up to the old stress."""
-    if depth <= 0.0:
-        return 0.0
-    rut, slope = model[6], model[7] + model[8] * model[6]
-    if rut <= 0.0:
-        return float(stiffness * depth**exponent)
-    old = stiffness * rut**exponent
-    if slope * depth < old:
-        return float(slope * depth)
-    return float(stiffness * (max(rut - old / slope, 0.0) + depth) ** exponent)
-
-
-@compiled
-def _side_pressure(cohesion: float, tan_phi: float, model: Any) -> tuple[float, float]:
+def side_pressure(cohesion: float, tan_phi: float, model: Any) -> tuple[float, float]:
     """Force of the soil per length of a vertical face that moves against it: its factors of depth and depth squared.
     [N m^-2, N m^-3]"""
     if model[2] == 0.0:
@@ -56,91 +65,139 @@ def _side_pressure(cohesion: float, tan_phi: float, model: Any) -> tuple[float, 
     return float(2 * cohesion * cot), float(0.5 * model[3] * cot * cot * (1 + 0.5 * cot * tan_phi))
 
 
-@compiled
-def _shares(j_x: float, j_y: float, sliding: Any, soil: Any, model: Any, slip: float, slip_j: float) -> Any:
-    """Shares of the strengths mobilised along and across the wheel, with their signs. [-]"""
-    k_x, k_y = soil[5], soil[7]
-    if model[1] > 0.0:
-        length = math.hypot(j_x / k_x, j_y / k_y)
-        share = -math.expm1(-length)
-        along, across = j_x / k_x, j_y / k_y
-        if model[1] == 1.0:
-            along, across, length = sliding[0], sliding[1], math.hypot(sliding[0], sliding[1])
-        return (share * along / length, share * across / length) if length > 0.0 else (0.0, 0.0)
-    along = mobilised(j_x, k_x)
-    if model[0] == 1.0:
-        along = -math.expm1(-j_x / k_x) * (1.0 if slip >= 0.0 else -1.0)
-    elif model[0] == 2.0:
-        along = mobilised(slip_j, k_x)
-    return along, mobilised(j_y, k_y)
-
-
-@compiled
-def contact_kernel(sinkage: float, velocity: Any, wheel: Any, soil: Any, model: Any, nodes: Any, weights: Any) -> Any:
-    """F_N, F_DP, F_L, M_R, M_S, M_O of one wheel. [N, N, N, N m, N m, N m]
+@formula
+def contact_place(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any) -> Any:
+    """What a contact is besides its stresses, as `contact_sums` takes it.
 
     Parameters
     ----------
     sinkage : z, 0 < z < r. [m]
     velocity : v_x, v_y, and r_s omega >= 0, of any common unit; not all 0.
     wheel, soil, model : `Wheel.vector()`, `Soil.vector()`, `ContactModel.vector()`.
-    nodes, weights : of the Gauss-Legendre rule on -1 to 1.
     """
-    r, b, h, r_s, c1, c2, c3 = wheel
-    stiffness, n0, n1, cohesion, tan_phi, _, tan_phi_y, _ = soil
+    r, _, h, _, c1, c2, c3 = wheel
     v_x, v_y, rim = velocity
-    speed = math.hypot(v_x, v_y)
-    if rim < SLOWEST * speed:
-        rim, v_x = SLOWEST * speed, max(v_x, FORWARD * speed)
-    travel, lateral = v_x / rim, v_y / rim
-    slip = slip_ratio(travel)
-    exponent = n0 + n1 * slip if slip >= 0.0 or math.isnan(model[4]) else n0 - model[4] * slip
-    theta_1 = math.acos((r - sinkage) / r)
-    theta_1e = math.acos((r - sinkage) / (r + h))
-    theta_2 = c3 * theta_1 if model[5] < 0.0 else -math.acos(1.0 - model[5] * sinkage / r)
-    theta_m = min(max((c1 + c2 * slip) * theta_1, theta_2 + 1e-3 * theta_1), 0.999 * theta_1)
-    slip_travel = 1.0 / travel if travel > 1.0 else travel
-    side = v_y / speed if speed > 0.0 else 0.0
-    by_depth, by_square = _side_pressure(cohesion, tan_phi, model)
-    sums = np.zeros(6)
-    for part in range(2):
-        start, stop = (theta_2, theta_m) if part == 0 else (theta_m, theta_1)
-        half = 0.5 * (stop - start)
-        for k in range(len(nodes)):
-            theta = start + half * (1.0 + nodes[k])
-            mirrored = theta
-            if part == 0:
-                mirrored = theta_1 - (theta - theta_2) / (theta_m - theta_2) * (theta_1 - theta_m)
-            sigma = _normal_stress(r * (math.cos(mirrored) - math.cos(theta_1)), stiffness, exponent, model)
-            ahead, rise = theta_1e - theta, math.sin(theta_1e) - math.sin(theta)
-            sliding = (1.0 - travel * math.cos(theta), lateral)
-            along, across = _shares(
-                r_s * (ahead - travel * rise), r * lateral * ahead, sliding, soil, model, slip,
-                r_s * (ahead - slip_travel * rise),
-            )  # fmt: skip
-            tau_x, tau_y = (cohesion + sigma * tan_phi) * along, (cohesion + sigma * tan_phi_y) * across
-            depth = r * (math.cos(theta) - math.cos(theta_1))
-            cos, sin = math.cos(theta), math.sin(theta)
-            wall = depth * (by_depth + by_square * depth) if depth > 0.0 else 0.0
-            bulldozed = wall * (r - depth * cos) * side
-            step = weights[k] * half
-            sideways = r_s * b * tau_y + bulldozed
-            sums[0] += step * b * (r * sigma * cos + r_s * tau_x * sin)
-            sums[1] += step * b * (r_s * tau_x * cos - r * sigma * sin)
-            sums[2] += step * sideways
-            sums[3] += step * b * r_s * r_s * tau_x
-            sums[4] -= step * r_s * sideways * sin
-            sums[5] -= step * r_s * sideways * cos
+    speed = root(v_x * v_x + v_y * v_y)
+    locked = rim < SLOWEST * speed
+    rim, v_x = choose(locked, SLOWEST * speed, rim), choose(locked, highest(v_x, FORWARD * speed), v_x)
+    travel, lateral, side = v_x / rim, v_y / rim, choose(speed > 0.0, v_y / speed, 0.0)
+    slip, own = slip_ratio(travel), model[4] == model[4]
+    exponent = choose((slip < 0.0) & own, soil[1] - model[4] * slip, soil[1] + soil[2] * slip)
+    # Half-angle forms, as in the closed form.
+    q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
+    theta_1, half_e = 2.0 * arcsin(root(q)), root(q_e)
+    theta_1e, sin_1e = 2.0 * arcsin(half_e), 2.0 * half_e * root(1.0 - q_e)
+    rebound = highest(model[5], 0.0)
+    theta_2 = choose(model[5] < 0.0, c3 * theta_1, -2.0 * arcsin(root(rebound * q)))
+    theta_m = lowest(highest((c1 + c2 * slip) * theta_1, theta_2 + 1e-3 * theta_1), 0.999 * theta_1)
+    # In a rut the ground is loaded again along a line, up to the old stress.
+    rut, rise = model[6], model[7] + model[8] * model[6]
+    old = choose(rut > 0.0, soil[0] * exponential(exponent * logarithm(rut)), 0.0)
+    below = choose(rut > 0.0, highest(rut - old / rise, 0.0), 0.0)
+    return theta_1, theta_1e, sin_1e, theta_2, theta_m, exponent, travel, lateral, side, (old, rise, below)
+
+
+@formula
+def contact_sums(
+    sums: Any, place: Any, node: Any, weight: Any, wheel: Any, soil: Any, model: Any, face: Any, law: Any
+) -> Any:
+    """F_N, F_DP, F_L, M_R, M_S, M_O with what one node adds to them, on both sides of the angle of maximum stress.
+
+    Parameters
+    ----------
+    sums : of the nodes before. [N, N, N, N m, N m, N m]
+    place : `contact_place`.
+    node, weight : of a symmetric Gauss-Legendre rule on -1 to 1.
+    face : `side_pressure`.
+    law : 0 for separate shear along and across, else both share one strength; a plain number.
+    """
+    theta_1, theta_1e, sin_1e, theta_2, theta_m, exponent, travel, lateral, side, (old, rise, below) = place
+    r, b, _, r_s, *_ = wheel
+    stiffness, _, _, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
+    front, back, cos_1 = 0.5 * (theta_1 - theta_m), 0.5 * (theta_m - theta_2), cosine(theta_1)
+    # The stress behind is that of the mirror image ahead, which the same node has.
+    depth = r * (cosine(theta_1 - front * (1.0 - node)) - cos_1)
+    sigma = stiffness * exponential(exponent * logarithm(below + depth))
+    sigma = choose(depth > 0.0, choose(rise * depth < old, rise * depth, sigma), 0.0)
+    for theta, half in ((theta_1 - front * (1.0 - node), front), (theta_2 + back * (1.0 - node), back)):
+        cos, sin = cosine(theta), sine(theta)
+        ahead, risen = theta_1e - theta, sin_1e - sin
+        j_x, j_y = r_s * (ahead - travel * risen), r * lateral * ahead
+        if law == 0:
+            j_slip = choose((model[0] == 2.0) & (travel > 1.0), r_s * (ahead - risen / travel), j_x)
+            along, across = signed_share(j_slip, travel, k_x, model[0]), signed_share(j_y, travel, k_y, 0)
+        else:
+            x, y = j_x / k_x, j_y / k_y
+            share = -exp_minus_one(-root(x * x + y * y))
+            x, y = choose(model[1] == 1.0, 1.0 - travel * cos, x), choose(model[1] == 1.0, lateral, y)
+            length = root(x * x + y * y)
+            along, across = (choose(length > 0.0, share * one / length, 0.0) for one in (x, y))
+        tau_x, tau_y = (cohesion + sigma * tan_phi) * along, (cohesion + sigma * tan_phi_y) * across
+        deep = highest(r * (cos - cos_1), 0.0)
+        sideways = r_s * b * tau_y + deep * (face[0] + face[1] * deep) * (r - deep * cos) * side
+        step = weight * half
+        parts = (
+            b * (r * sigma * cos + r_s * tau_x * sin), b * (r_s * tau_x * cos - r * sigma * sin), sideways,
+            b * r_s * r_s * tau_x, -r_s * sideways * sin, -r_s * sideways * cos,
+        )  # fmt: skip
+        sums = tuple(total + step * part for total, part in zip(sums, parts, strict=True))
     return sums
 
 
-@compiled
-def _each(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any, nodes: Any, weights: Any) -> Any:
-    forces = np.empty((len(sinkage), 6))
-    for i in range(len(sinkage)):
-        moving = (velocity[i, 0], velocity[i, 1], velocity[i, 2])
-        forces[i] = contact_kernel(sinkage[i], moving, wheel, soil, model, nodes, weights)
-    return forces
+@in_lanes
+def _eight_by_eight(sinkage: Any, velocity: Any, soils: Any, contacts: Any, wheel: Any, model: Any, rule: Any) -> Any:
+    """Forces and moments, (d 6 n / 8, 8), at sinkages (d n / 8, 8) and velocities (3 n / 8, 8)."""
+    blocks, (nodes, weights) = len(velocity) // 3, rule
+    found = np.empty((6 * len(sinkage), LANES))
+    r, b, h, r_s = wheel
+    for d in range(len(soils)):
+        s, c = soils[d], contacts[d]
+        soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
+        own = (r, b, h, r_s, c[1], c[2], c[3])
+        choices = (model[0], model[1], model[2], model[3], c[0], model[5], model[6], model[7], model[8])
+        face = side_pressure(s[3], s[4], choices)
+        for i in range(blocks):
+            moving = (load(velocity, i), load(velocity, blocks + i), load(velocity, 2 * blocks + i))
+            place = contact_place(load(sinkage, d * blocks + i), moving, own, soil, choices)
+            none = spread(0.0)
+            sums = (none, none, none, none, none, none)
+            for k in range(len(nodes)):
+                if model[1] == 0.0:
+                    sums = contact_sums(sums, place, nodes[k], weights[k], own, soil, choices, face, 0)
+                else:
+                    sums = contact_sums(sums, place, nodes[k], weights[k], own, soil, choices, face, 1)
+            first = 6 * d * blocks + i
+            for k in range(6):
+                store(found, first + k * blocks, sums[k])
+    return found
+
+
+def forces_on_soils(
+    sinkage: FloatArray,
+    velocity: FloatArray,
+    soils: FloatArray,
+    contacts: FloatArray,
+    wheel: Wheel,
+    model: ContactModel,
+) -> FloatArray:
+    """F_N, F_DP, F_L, M_R, M_S, M_O, (d, 6, n), of n states on each of d soils. [N, N, N, N m, N m, N m]
+
+    Parameters
+    ----------
+    sinkage : (d, n); NaN gives NaN. [m]
+    velocity : (n, 3), see `contact_place`.
+    soils : (d, 8), each as `Soil.vector()`.
+    contacts : (d, 4) n2, c1, c2, c3, which take the place of the model's and the wheel's.
+    """
+    count = sinkage.shape[1]
+    more = -count % LANES
+    deep, moving = (
+        np.ascontiguousarray(np.pad(one, ((0, 0), (0, more)), mode="edge")).reshape(-1, LANES)
+        for one in (sinkage, velocity.T)
+    )
+    geometry, rule = wheel.vector()[:4], (NODES, WEIGHTS)
+    found = _eight_by_eight(deep, moving, soils, contacts, geometry, model.vector(), rule)
+    return np.asarray(found.reshape(len(soils), 6, -1)[:, :, :count])
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +250,7 @@ def integrated_forces(
 
 
 def velocities(slip_ratio: FloatArray, side_slip_deg: FloatArray) -> FloatArray:
-    """v_x, v_y, r_s omega of n states in a common unit, (n, 3), as `contact_kernel` takes them, limits included."""
+    """v_x, v_y, r_s omega of n states in a common unit, (n, 3), as `contact_place` takes them, limits included."""
     travel, lateral = motion_ratios(np.minimum(slip_ratio, 1 - FORWARD), side_slip_deg)
     angle, locked = np.radians(side_slip_deg), np.isinf(travel)
     x = np.where(locked, np.cos(angle), travel)
@@ -245,7 +302,8 @@ def integrated_forces_in_motion(
 def _forces(
     wheel: Wheel, soil: Soil, z: FloatArray, velocity: FloatArray, model: ContactModel, shape: tuple[int, ...]
 ) -> ContactForces:
-    forces = _each(z, velocity, wheel.vector(), soil.vector(), model.vector(), NODES, WEIGHTS)
+    contact = np.array([[model.vector()[4], *wheel.vector()[4:]]])
+    forces = forces_on_soils(z[None], velocity, np.array([soil.vector()]), contact, wheel, model)[0]
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
-    return ContactForces(*(forces[:, k].reshape(shape) for k in range(6)))
+    return ContactForces(*(force.reshape(shape) for force in forces))

@@ -8,15 +8,18 @@ on the libraries.
 
 import argparse
 import contextlib
+import fcntl
 import html
 import io
 import json
 import math
 import os
+import pickle
 import re
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +112,7 @@ DRIVES: dict[str, str] = {
     "history": "twin history belief.json",
     "reproduce": "reproduce --part soil",
 }
+HALVES = {"rocks": ROCKS, "drives": DRIVES}
 COMMANDS = ROCKS | DRIVES
 FILES = {"bands.json": "bands", "soil.json": "identify joint"}
 """Files that hold the document of an earlier command."""
@@ -252,6 +256,28 @@ def answers(folder: Path, commands: dict[str, str]) -> dict[str, dict[str, Any]]
     return found
 
 
+@cache
+def run_once(shared: Path, half: str) -> Path:
+    """The folder in which one of `HALVES` has run: once for all workers of a run, by the first that asks.
+
+    `answers` has the documents as they were printed, `now.pickle` the short answers and the tables for people.
+    """
+    folder = shared / f"former-{half}"
+    with (shared / f"{folder.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "now.pickle").exists():
+            folder.mkdir()
+            made = answers(folder, HALVES[half])
+            (folder / "now.pickle").write_bytes(pickle.dumps((made, TABLES)))
+    return folder
+
+
+def documents(shared: Path) -> dict[str, dict[str, Any]]:
+    """What every command printed with --json, by its name."""
+    files = [file for half in HALVES for file in (run_once(shared, half) / "answers").iterdir()]
+    return {file.stem: json.loads(file.read_text("utf-8")) for file in sorted(files)}
+
+
 def bound_at(place: str) -> float:
     return next((bound for pattern, bound in WIDER.items() if re.match(pattern, place)), BOUND)
 
@@ -291,22 +317,24 @@ VERDICT = re.compile(
 
 
 class Answers:
-    """What is tested of each command in `commands`, by a class for each half: a worker of pytest runs one of them."""
+    """What is tested of each command of a half, by a class for each: a worker of pytest runs one of them."""
 
-    commands: dict[str, str]
+    half: str
 
     @pytest.fixture(scope="class")
     @classmethod
-    def folder(cls, tmp_path_factory: pytest.TempPathFactory) -> Path:
-        return tmp_path_factory.mktemp("former")
+    def folder(cls, shared: Path) -> Path:
+        return run_once(shared, cls.half)
 
     @pytest.fixture(scope="class")
     @classmethod
     def now(cls, folder: Path) -> dict[str, dict[str, Any]]:
-        return answers(folder, cls.commands)
+        made, tables = pickle.loads((folder / "now.pickle").read_bytes())
+        TABLES.update(tables)
+        return dict(made)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        names = [name for name in self.commands if not name.startswith("write")]
+        names = [name for name in HALVES[self.half] if not name.startswith("write")]
         if metafunc.function.__name__.startswith("test_a_notebook"):
             names = [name for name in names if name in NOTEBOOK]
         if "name" in metafunc.fixturenames:
@@ -330,7 +358,7 @@ class Answers:
 
     def test_tables_fit_the_terminal(self, now: dict[str, Any]) -> None:
         """No line is wider than 80, 100 and 160 columns, and wider terminals show no fewer of them."""
-        for name in self.commands:
+        for name in HALVES[self.half]:
             shown = {width: render(TABLES[name], width) for width in (80, 100, 160)}
             for width, text in shown.items():
                 assert [line for line in text.split("\n") if cell_len(line) > width] == [], name

@@ -13,7 +13,7 @@ import numpy as np
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio, wheel_forces_kernel
-from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
+from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_place, contact_sums, side_pressure
 from lunarsci.twin.ground.terrain import Terrain, surface_in
 from lunarsci.twin.plans.schedule import all_commands, make_schedule, start_motion
 from lunarsci.twin.rover import Rover
@@ -209,15 +209,21 @@ def press(ruts, marks, width):  # type: ignore[no-untyped-def]
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):  # type: ignore[no-untyped-def]
     """F_N, F_DP, F_L, M_R, and the moments about the normal and the heading. [N, N m]"""
+    own = (soil[0], soil[1], soil[2], soil[3], soil[4], soil[5], soil[6], soil[7])
     if law.exact:
         # Reloading is never softer than first loading was.
         first = soil[0] * rut ** (soil[1] - 1.0) if rut > 0.0 else 0.0
         model = (
             law.model[0], law.model[1], law.model[2], law.model[3], law.model[4], law.model[5], rut, first, law.rise
         )  # fmt: skip
-        f = contact_kernel(sinkage, (v_x, v_y, rim), tyre, soil, model, nodes, weights)
-        return f[0], f[1], f[2], f[3], f[4], f[5]
-    own = (soil[0], soil[1], soil[2], soil[3], soil[4], soil[5], soil[6], soil[7])
+        place, face = contact_place(sinkage, (v_x, v_y, rim), tyre, own, model), side_pressure(own[3], own[4], model)
+        sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(len(nodes)):
+            if model[1] == 0.0:
+                sums = contact_sums(sums, place, nodes[k], weights[k], tyre, own, model, face, 0)
+            else:
+                sums = contact_sums(sums, place, nodes[k], weights[k], tyre, own, model, face, 1)
+        return sums
     f_n, f_dp, f_l, m_r = wheel_forces_kernel(sinkage, v_x / rim, v_y / rim, tyre, own, 0)
     # The centroid of the stress triangle between theta_2 = c3 theta_1 and theta_1 with its peak at theta_m.
     theta_1 = math.acos(1.0 - sinkage / tyre[0])

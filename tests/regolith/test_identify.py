@@ -10,7 +10,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.forces import closed_form_forces
-from lunarsci.regolith.identify import Assumptions, Identification, identify
+from lunarsci.regolith.identify import Assumptions, Estimate, Identification, _over_corners, identify
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -262,6 +262,11 @@ def test_several_assumed_moduli_give_a_range_and_corners_but_no_value() -> None:
     assert (angle.value, angle.low, angle.high) == (None, low.low, high.high)
     assert low.value < 14 < high.value
     assert found.unsolved == ()
+
+
+def test_a_range_over_corners_is_solved_as_seldom_as_the_worst_of_them() -> None:
+    found = _over_corners([Estimate(30.0, 1.0, 28.0, 32.0, 0.9), Estimate(40.0, 1.0, 38.0, 42.0, 0.6)])
+    assert (found.value, found.sigma, found.low, found.high, found.solved) == (None, None, 28.0, 42.0, 0.6)
 
 
 def test_too_many_states_are_refused() -> None:

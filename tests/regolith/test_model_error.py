@@ -48,8 +48,8 @@ def test_shares_are_those_of_the_likelihood_and_what_the_fit_used_up_enlarges_re
     problem, shares = missed
     used = freedom / shares.size
     each = [likeliest(shares[:, k], used * COUNT) for k in range(3)]
-    assert shares_of(problem, CENTER, freedom, 1e-8) == pytest.approx(each, rel=1e-5)
-    assert common_share(problem, CENTER, freedom) == pytest.approx(likeliest(shares.ravel(), freedom), rel=2e-3)
+    assert shares_of(problem, CENTER, freedom) == pytest.approx(each, rel=1e-5)
+    assert common_share(problem, CENTER, freedom) == pytest.approx(likeliest(shares.ravel(), freedom), rel=1e-5)
 
 
 def test_residuals_of_a_fit_with_many_parameters_count_at_most_four_fold(
@@ -57,4 +57,4 @@ def test_residuals_of_a_fit_with_many_parameters_count_at_most_four_fold(
 ) -> None:
     problem, shares = missed
     most = likeliest(shares.ravel(), 0.75 * shares.size)
-    assert common_share(problem, CENTER, float(shares.size)) == pytest.approx(most, rel=2e-3)
+    assert common_share(problem, CENTER, float(shares.size)) == pytest.approx(most, rel=1e-5)

@@ -1,6 +1,7 @@
 """The page in a real browser: complete, quiet, legible, reachable without a mouse, and deaf to hostile names."""
 
 import base64
+import copy
 import inspect
 import json
 import re
@@ -16,8 +17,6 @@ from lunarsci.figure import picture_bytes
 from lunarsci.pages.job import report
 from lunarsci.pages.relief import MOST_NODES
 
-from .conftest import documents
-
 HOSTILE = "$\\frac{<script>window.hurt=1</script><img src=x onerror='window.hurt=1'>\u202eevil\"'&amp;"
 WIDTHS = (360, 1440)
 ROWS = "member,distance_m,x_m,y_m\n" + "".join(
@@ -26,10 +25,10 @@ ROWS = "member,distance_m,x_m,y_m\n" + "".join(
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, printed: dict[str, dict[str, Any]]) -> Path:
     """Results of every kind; a predicted drive with its paths and the ground below them; a hostile spectrum."""
     made = tmp_path_factory.mktemp("results")
-    known = documents()
+    known = copy.deepcopy(printed)
     for name, document in known.items():
         (made / f"{name}.json").write_text(json.dumps(document))
     (made / "drive").mkdir()

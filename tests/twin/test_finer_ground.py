@@ -12,11 +12,14 @@ import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.written_names import ground_name
-from lunarsci.twin.ground.finer_ground import driven_ground
+from lunarsci.rovers import read_rover
+from lunarsci.twin.ground.finer_ground import driven_ground, patch
 from lunarsci.twin.ground.footprint import rover_footprint
+from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales, read_mobility
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.ground.terrain_files import write_terrain
 from lunarsci.twin.plans.path import planned_pose
+from lunarsci.twin.rover import build_rover
 
 COARSE_M, FINE_M = 2.0, 0.1
 ROCK, RADIUS_M = (50.9, 20.9), 0.5
@@ -109,6 +112,22 @@ def test_near_targets_and_starts_are_looked_at_on_the_finer_ground(files: tuple[
     for wrong in (WAY | {"target": rim}, near | {"target": rim}):
         with pytest.raises(ParameterError, match=r"cannot be at the target: .* at x 5"):
             lunarsci.plan(files[0], local=(files[1],), **wrong)
+
+
+def test_a_patch_is_the_box_about_its_points_on_the_finer_nodes() -> None:
+    """Points far apart in x and near in y; the finer ground begins beside the nodes of the coarse one."""
+    rover = build_rover("yutu2")
+    coarse, fine = (
+        assess(ground, ground_maps(ground, *map_scales(rover)), read_mobility(read_rover("yutu2"), rover))
+        for ground in (
+            build_terrain("orbit", 0.0, 0.0, 2.0, np.zeros((21, 51)), read_soil("longji")),
+            build_terrain("mast", 30.05, 1.05, 0.5, np.full((70, 110), 0.1), read_soil("longji")),
+        )
+    )
+    box = patch(coarse, [fine], np.array([[45.0, 15.0], [75.0, 18.0]]), 4.0).terrain
+    assert (box.spacing_m, box.x_m[[0, -1]], box.y_m[[0, -1]]) == (
+        0.5, pytest.approx([41.05, 78.55]), pytest.approx([11.05, 21.55])
+    )  # fmt: skip
 
 
 def test_local_ground_that_does_not_fit_is_refused(files: tuple[str, str], tmp_path: Path) -> None:

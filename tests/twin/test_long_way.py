@@ -14,7 +14,7 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import check_plan
-from lunarsci.twin.routes.long_way import Strip, long_way, way_over_nodes
+from lunarsci.twin.routes.long_way import Strip, _strip, long_way, way_over_nodes
 from lunarsci.twin.routes.planner import PlannedPath
 from lunarsci.twin.routes.search_ground import search_ground
 from lunarsci.twin.rover import build_rover
@@ -67,6 +67,18 @@ def check(surface: Traversability, path: PlannedPath, heading_deg: float | None 
         assert (
             not Polygon(np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])).contains_points(points).any()
         )
+
+
+def test_discs_keep_a_hazard_at_its_distance_from_the_whole_rectangle() -> None:
+    """On fine nodes, of which nothing is added for what lies between them."""
+    terrain = build_terrain("fine", 0.0, 0.0, 0.1, np.zeros((81, 121)), read_soil("longji"))
+    surface = assess(terrain, ground_maps(terrain, *map_scales(YUTU2)), MOBILITY)
+    strip, shape = _strip(surface, YUTU2, np.array([[4.0, 4.0], [8.0, 4.0]])), rover_footprint(YUTU2)
+    turn = np.radians(np.arange(0.0, 90.5, 0.5))
+    beside = MOBILITY.hazard_distance_m * np.column_stack([np.cos(turn), np.sin(turn)])
+    front = np.array([shape.front_m, shape.half_width_m]) + beside
+    nearest = np.hypot(front[:, :1] - strip.discs, front[:, 1:]).min(axis=1)
+    assert strip.need_m - 0.05 < nearest.max() <= strip.need_m
 
 
 def test_over_flat_nodes_cost_is_that_of_steps_to_eight_neighbours() -> None:

@@ -14,7 +14,6 @@ from scipy.special import chdtri, ndtri
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.inference.problem import (
-    FINE_SHARE,
     STEP,
     JointProblem,
     common_share,
@@ -89,7 +88,7 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
     part = part_of(fitted, kept)
     point, covariance = find_mode(part, point, tolerance=FINE)
     freedom = float(np.sum(1 - np.diag(covariance) / problem.width**2))
-    own = replace(problem, model_error=shares_of(part, point, freedom, FINE_SHARE))
+    own = replace(problem, model_error=shares_of(part, point, freedom))
     alike, law = states_alike(part_of(own, kept), point), np.diag(problem.width**-2)
     wide = np.linalg.inv(law + (np.linalg.inv(covariance) - law) / alike)
     return Mode(kept, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), own, replace(fitted, alike=alike))

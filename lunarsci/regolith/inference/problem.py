@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.compiled import compiled, each_in_threads, in_lanes
+from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.regolith.forces import motion_ratios, wheel_forces_kernel
-from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel, velocities
+from lunarsci.regolith.integrals import forces_on_soils, velocities
 from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import ContactModel, Wheel
@@ -36,24 +36,6 @@ def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> 
         for i in range(len(travel)):
             f_n, f_dp, f_l, _ = wheel_forces_kernel(sinkage[d, i], travel[i], lateral[i], wheel, soil, 0)
             forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = f_n, f_dp, f_l
-    return forces
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _integrated(soils: Any, contacts: Any, sinkage: Any, velocity: Any, wheel: Any, model: Any, rule: Any) -> Any:
-    forces = np.full((len(soils), 3, len(velocity)), np.nan)
-    nodes, weights = rule
-    r, b, h, r_s = wheel
-    for d in range(len(soils)):
-        s, c = soils[d], contacts[d]
-        soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
-        own = (r, b, h, r_s, c[1], c[2], c[3])
-        choices = (model[0], model[1], model[2], model[3], c[0], model[5], model[6], model[7], model[8])
-        for i in range(len(velocity)):
-            if math.isfinite(sinkage[d, i]):
-                moving = (velocity[i, 0], velocity[i, 1], velocity[i, 2])
-                found = contact_kernel(sinkage[d, i], moving, own, soil, choices, nodes, weights)
-                forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = found[0], found[1], found[2]
     return forces
 
 
@@ -85,8 +67,7 @@ def forces_of_many(
         return np.asarray(_closed(soils, z, *motion_ratios(slip, side), wheel.vector()))
     own = np.array([model.vector()[4], *wheel.vector()[4:]])
     contacts = np.ascontiguousarray(values[:, 8:]) if values.shape[1] > 8 else np.tile(own, (len(values), 1))
-    geometry, rule = wheel.vector()[:4], (NODES, WEIGHTS)
-    return np.asarray(_integrated(soils, contacts, z, velocities(slip, side), geometry, model.vector(), rule))
+    return forces_on_soils(z, velocities(slip, side), soils, contacts, wheel, model)[:, :3]
 
 
 def forces_at(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
@@ -250,9 +231,9 @@ TYPICAL, WIDTH = 0.03, 1.0
 any residual has been looked at; assumed."""
 LEAST_SHARE, GROUPS = 1e-3, 8
 """Of the load that a model misses, at least, and into how many parts states are split at most; assumed."""
-ROUGH_SHARE, FINE_SHARE = 1e-3, 1e-7
-"""To what the logarithm of a share is found while the soil is not, and at last: coarser, and last digits, which differ
-between processors, move what is told by per cents."""
+GRADIENT = 1e-7
+"""Slope of the logarithm of the posterior at which shares are found; last digits, which differ between processors,
+would else move what is told by per cents."""
 TAILS = (3.0, 4.0, 6.0, 10.0, 30.0)
 """Degrees of freedom of the Student law that residuals are compared with; assumed."""
 
@@ -272,29 +253,30 @@ def error_covariance(problem: JointProblem, slopes: FloatArray, shares: FloatArr
     return covariance
 
 
-def _ln_likelihood(problem: JointProblem, residual: FloatArray, slopes: FloatArray, shares: FloatArray) -> float:
-    root = np.linalg.cholesky(error_covariance(problem, slopes, shares))
-    white = np.linalg.solve(root, residual[:, :, None])[:, :, 0]
-    return float(-0.5 * (white**2).sum() - np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
-
-
-def _fitted(
-    problem: JointProblem, point: FloatArray, freedom: float, common: bool, tolerance: float = ROUGH_SHARE
-) -> FloatArray:
+def _fitted(problem: JointProblem, point: FloatArray, freedom: float, count: int) -> FloatArray:
+    """Likeliest shares of F_N, F_DP, F_L, (3,), of `count` unknowns: 3, or 1 for one share of all."""
     found, slopes = problem.residuals_and_slopes(point[None])
     measured = np.isfinite(problem.forces)
-    count = int(measured.sum())
+    number = int(measured.sum())
     # What a fit of so many free parameters has taken off the residuals.
-    residual = np.where(measured, found[0].T, 0.0) * np.sqrt(count / max(count - freedom, 0.25 * count))
+    residual = np.where(measured, found[0].T, 0.0) * np.sqrt(number / max(number - freedom, 0.25 * number))
+    others = error_covariance(problem, slopes[0], np.zeros(3))
+    load = np.where(measured, problem.forces[:, :1], 0.0)
 
-    def cost(ln_share: FloatArray) -> float:
-        shares = np.maximum(np.exp(np.broadcast_to(ln_share, (3,))), LEAST_SHARE)
-        law = 0.5 * float(np.sum((ln_share - np.log(TYPICAL)) ** 2)) / WIDTH**2
-        return law - _ln_likelihood(problem, residual, slopes[0], shares)
+    def cost(ln_share: FloatArray) -> tuple[float, FloatArray]:
+        """- ln posterior, and its slope."""
+        own = (np.exp(ln_share) * load) ** 2
+        covariance = others + own[:, :, None] * np.eye(3)
+        weight = np.linalg.inv(covariance)
+        away = np.einsum("nab,nb->na", weight, residual)
+        slope = (own * (np.diagonal(weight, axis1=1, axis2=2) - away**2)).sum(axis=0)
+        before = (ln_share - np.log(TYPICAL)) / WIDTH
+        value = 0.5 * (float(before @ before) + float((residual * away).sum()) + np.linalg.slogdet(covariance)[1].sum())
+        return value, before / WIDTH + slope.reshape(count, -1).sum(axis=1)
 
-    start = np.log(np.full(1 if common else 3, 0.05))
-    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": tolerance, "fatol": tolerance}).x
-    return np.asarray(np.maximum(np.exp(np.broadcast_to(best, (3,))), LEAST_SHARE), dtype=np.float64)
+    start, bounds = np.log(np.full(count, 0.05)), [(math.log(LEAST_SHARE), None)] * count
+    best = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 0.0, "gtol": GRADIENT}).x
+    return np.asarray(np.exp(np.broadcast_to(best, (3,))), dtype=np.float64)
 
 
 def common_share(problem: JointProblem, point: FloatArray, freedom: float) -> float:
@@ -302,14 +284,12 @@ def common_share(problem: JointProblem, point: FloatArray, freedom: float) -> fl
 
     The likeliest one under a wide law around 0.03; `freedom` is the number of parameters that the fit has used up.
     """
-    return float(_fitted(problem, point, freedom, True)[0])
+    return float(_fitted(problem, point, freedom, 1)[0])
 
 
-def shares_of(
-    problem: JointProblem, point: FloatArray, freedom: float, tolerance: float = ROUGH_SHARE
-) -> tuple[float, float, float]:
-    """A share for each of F_N, F_DP, F_L, their logarithms to a tolerance; otherwise as `common_share`."""
-    found = _fitted(problem, point, freedom, False, tolerance)
+def shares_of(problem: JointProblem, point: FloatArray, freedom: float) -> tuple[float, float, float]:
+    """A share for each of F_N, F_DP, F_L; otherwise as `common_share`."""
+    found = _fitted(problem, point, freedom, 3)
     return (float(found[0]), float(found[1]), float(found[2]))
 
 
