@@ -25,8 +25,8 @@ demo: $(VENV)/.installed ## the whole chain on embedded data, with pictures in l
 test: $(VENV)/.tested ## the whole suite
 	$(BIN)/python -m pytest $(PYTESTFLAGS)
 
-quick: $(VENV)/.tested ## the quick part of the suite
-	$(BIN)/python -m pytest -m quick $(PYTESTFLAGS)
+quick: $(VENV)/.tested ## truths by hand of every part, in plain Python: a minute
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m quick $(PYTESTFLAGS)
 
 check: $(VENV)/.developed ## linter, formatter, types
 	$(BIN)/ruff check .

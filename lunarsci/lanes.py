@@ -40,7 +40,7 @@ ROUNDING = 1.5 * 2.0**MANTISSA_BITS
 def load(array: Any, row: Any) -> Any:
     """Row `row` of an array of eight columns."""
     if isinstance(array, np.ndarray):
-        return array[row]
+        return array[row].copy()
     return TracedNumber(array.builder, array.builder.load(array.row(row), align=8))
 
 

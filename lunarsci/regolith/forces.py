@@ -141,7 +141,7 @@ def contact_forces(
     c_moment = (theta_1 - theta_2) / 2.0
     depth = r * (cos_m - cos_1)
     pressed, left = rut
-    again = choose(pressed > left, lowest(1.0, depth / (pressed - left)), 1.0)
+    again = choose(pressed > left, lowest(1.0, depth / choose(pressed > left, pressed - left, 1.0)), 1.0)
     below = highest(pressed, left + depth)
     sigma_m = again * stiffness * exponential((n0 + n1 * slip) * logarithm(below))
     sigma_m = choose(depth > 0.0, sigma_m, math.nan)

@@ -93,7 +93,7 @@ def contact_place(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any
     # In a rut the ground is loaded again along a line, up to the old stress.
     rut, rise = model[6], model[7] + model[8] * model[6]
     old = choose(rut > 0.0, soil[0] * exponential(exponent * logarithm(rut)), 0.0)
-    below = choose(rut > 0.0, highest(rut - old / rise, 0.0), 0.0)
+    below = choose(rut > 0.0, highest(rut - old / choose(rise > 0.0, rise, 1.0), 0.0), 0.0)
     return theta_1, theta_1e, sin_1e, theta_2, theta_m, exponent, travel, lateral, side, (old, rise, below)
 
 
@@ -124,7 +124,8 @@ def contact_sums(
         ahead, risen = theta_1e - theta, sin_1e - sin
         j_x, j_y = r_s * (ahead - travel * risen), r * lateral * ahead
         if law == 0:
-            j_slip = choose((model[0] == 2.0) & (travel > 1.0), r_s * (ahead - risen / travel), j_x)
+            by_slip = choose((model[0] == 2.0) & (travel > 1.0), 1.0 / highest(travel, 1.0), travel)
+            j_slip = r_s * (ahead - by_slip * risen)
             along, across = signed_share(j_slip, travel, k_x, model[0]), signed_share(j_y, travel, k_y, 0)
         else:
             x, y = j_x / k_x, j_y / k_y

@@ -13,6 +13,7 @@ Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,8 +53,14 @@ class Emulator:
 
 def monomials(scaled: FloatArray) -> FloatArray:
     """Of order 0, 1 and 2. (points, 1 + p + p (p + 1) / 2)"""
-    row, column = np.triu_indices(scaled.shape[1])
+    row, column = _pairs(scaled.shape[1])
     return np.hstack([np.ones((len(scaled), 1)), scaled, scaled[:, row] * scaled[:, column]])
+
+
+@cache
+def _pairs(count: int) -> tuple[IntArray, IntArray]:
+    """Both of each pair of so many, also of one with itself."""
+    return np.triu_indices(count)
 
 
 def fit_emulator(
@@ -91,6 +98,8 @@ DIFFERENT = 0.25
 """Effective number of drives that chains begin at, as a share of the chains or the drives; assumed."""
 PROPOSALS = Moves(3, 12, 0.1)
 """Proposals to the population."""
+TOGETHER = 512
+"""Chains that walk side by side, so that few particles cost no more steps than many; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,11 +218,16 @@ class _Proposed:
         random: np.random.Generator,
     ) -> None:
         self._posterior, self._emulated, self._drives, self._random = posterior, emulated, drives, random
+        self._ready: list[FloatArray] = []
         self.points, self.excess = self._drawn(particles)
 
     def _drawn(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Points of the emulator's chains, and by how much the truth has them denser."""
-        points = self._emulated.chain(self._drives, count, self._random)
+        if not self._ready:
+            times = min(max(TOGETHER // count, 1), PROPOSALS.most + 1)
+            ends = self._emulated.chain(self._drives, times * count, self._random)
+            self._ready = list(self._random.permutation(ends).reshape(times, count, -1))
+        points = self._ready.pop()
         return points, self._posterior.with_density(points)[1] - self._emulated.ln_density(points)
 
     def move(self, beta: float) -> None:
