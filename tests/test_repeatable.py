@@ -65,17 +65,20 @@ times as far as they did. Of the second, whose machine code is made anew, only w
 
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="settings are those of x86-64")
-@pytest.mark.parametrize("setting", MOVED)
+@pytest.mark.parametrize(
+    ("setting", "names"),
+    [("both", [*MOVED["both"]]), ("all", ["forces"]), pytest.param("all", [*MOVED["all"]], marks=pytest.mark.study)],
+)
 def test_on_other_processors_only_last_digits_move(
-    setting: str, load_benchmark: Callable[[str], ModuleType], tmp_path: Path
+    setting: str, names: list[str], load_benchmark: Callable[[str], ModuleType], tmp_path: Path
 ) -> None:
     """numpy without vector instructions, BLAS of an old processor, machine code for any x86-64."""
     processors = load_benchmark("processors")
     bounds, cache = MOVED[setting], Path(os.environ["NUMBA_CACHE_DIR"])
-    here = processors.answers_in("here", list(bounds), tmp_path, cache)
+    here = processors.answers_in("here", names, tmp_path, cache)
     other = cache if setting == "both" else cache.with_name(f"{cache.name}-generic")
-    there = processors.answers_in(setting, list(bounds), tmp_path, other)
-    moved = {name: sorted(processors.moves(here[name], there[name]), reverse=True)[:1] for name in bounds}
+    there = processors.answers_in(setting, names, tmp_path, other)
+    moved = {name: sorted(processors.moves(here[name], there[name]), reverse=True)[:1] for name in names}
     assert {name: most for name, most in moved.items() if most and most[0][0] > bounds[name]} == {}
     assert any(moved.values()), "not a digit moved: is the setting taken?"
 

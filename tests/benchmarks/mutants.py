@@ -6,7 +6,7 @@ the others, by the number of imports that lie between. A test that fails without
 no test sees survives, and is printed. Tests whose truth is what the program itself printed before do not count.
 
 Every place has the same chance but for those in `SELDOM`: modules that read, write, check and draw. Sentences, errors,
-annotations and docstrings get no fault. mutmut 3.8 leaves decorated functions alone, which all compiled ones are, and
+annotations, docstrings and functions that give pictures get no fault. mutmut 3.8 leaves decorated functions alone, which all compiled ones are, and
 cosmic-ray 8.7 runs one command for every fault; so this is a script.
 """
 
@@ -97,11 +97,16 @@ def formulas(node: ast.AST) -> Iterator[tuple[ast.expr, ast.AST]]:
                 continue
             if isinstance(child, ast.If) and any(isinstance(one, ast.Raise) for one in child.body):
                 continue
-            if isinstance(child, ast.FunctionDef) and child.name == "__post_init__":
+            if isinstance(child, ast.FunctionDef) and (child.name == "__post_init__" or draws(child)):
                 continue
             if isinstance(child, ast.expr) and child.lineno == child.end_lineno:
                 yield child, node
             yield from formulas(child)
+
+
+def draws(function: ast.FunctionDef) -> bool:
+    """Whether it gives pictures: where things stand on these is looked at, not calculated."""
+    return function.returns is not None and "Figure" in ast.unparse(function.returns)
 
 
 Change = tuple[int, int, str, str]

@@ -17,7 +17,7 @@ from lunarsci.cli import main
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Camera, Pose
 from lunarsci.images.elevation import ElevationModel, read_elevation
-from lunarsci.images.gridding import _common_errors, grid_of
+from lunarsci.images.gridding import _common_errors, _lay, grid_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.landscape import Landscape, landscape_on
 from lunarsci.images.matching import MATCHED, SHADOW, Rectified, StereoMatches, _islands, match, rectify
@@ -130,6 +130,17 @@ def files(pair: RenderedPair, tmp_path_factory: pytest.TempPathFactory) -> dict[
 @pytest.fixture(scope="module")
 def found(files: dict[str, str]) -> StereoTerrain:
     return dem(files["left"], files["right"], rig=files["rig"], pose=files["pose"])
+
+
+@pytest.mark.parametrize("near", [(0,), (1,), (2,), (3,), (0, 1), (2, 3), (0, 2), (1, 3), (0, 3), (1, 2)])
+def test_no_triangle_lies_across_an_edge(near: tuple[int, ...]) -> None:
+    """Four neighbours of 12 and 10 px: 0.17 of the nearer one apart, wherever the edge runs."""
+    numbers, place = np.array([[0, 1], [2, 3]]), np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [2.0, 2.0]])
+    disparity = np.where(np.isin(np.arange(4), near), 12.0, 10.0)
+    for jump, laid in ((0.15, False), (0.18, True)):
+        total, weight = np.zeros((3, 3, 1)), np.zeros((3, 3))
+        _lay(numbers, place, np.ones((4, 1)), disparity, jump, total, weight)
+        assert (weight.all(), weight.any()) == (laid, laid)
 
 
 def test_rectified_rows_are_in_line() -> None:

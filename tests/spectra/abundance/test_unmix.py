@@ -137,6 +137,18 @@ def test_slopes_and_curvature_are_those_of_the_objective(law: MixingLaw, iron: b
             assert -2 * equations.own_slope[j, k] == pytest.approx(slope, rel=0.02, abs=0.3), (j, k)
 
 
+def test_smooth_shapes_stand_beside_all_of_the_end_members() -> None:
+    """And are those of the covariance 0.05^2 exp(-d^2 / 2) of places d times 150 nm apart, but for 0.1 % of it."""
+    found = population("clinopyroxene", embedded_end_members(GRID), GRID, LAWS[0])
+    count, more = len(found.shapes), loosened(found, GRID).shapes
+    assert count > 2
+    assert more[: count - 1] == pytest.approx(found.shapes[:-1]) and more[-1] == pytest.approx(found.shapes[-1])
+    smooth = more[count - 1 : -1]
+    wanted = 0.05**2 * np.exp(-0.5 * ((GRID[:, None] - GRID) / 150.0) ** 2)
+    left = np.trace(wanted - smooth.T @ smooth) / np.trace(wanted)
+    assert 0.0 < left < 1e-3 and np.linalg.eigvalsh(wanted - smooth.T @ smooth).min() > -1e-9
+
+
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 def test_the_minimum_is_that_of_scipy(law: MixingLaw) -> None:
     one = suite(law, 2)

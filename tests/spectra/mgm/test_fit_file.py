@@ -333,6 +333,7 @@ def test_a_result_file_says_what_the_fit_says() -> None:
     file = fit_file_of(fit)
     assert (file.folder, file.spectrum, file.continuum) == ("", "made by hand", "T")
     assert file.wavelength_axis[:2] == (450.0, 2395.0)
+    assert (file.rms_limit, file.improvement_limit) == (2e-3, 1e-6)
     assert raw_polynomial("T", file.coefficients, GRID) == pytest.approx(fit.continuum_reflectance, rel=1e-9)
     assert file.coefficients == pytest.approx((0.5, -1e-5, 0, 0), rel=0.05)
     assert all(file.coefficients)

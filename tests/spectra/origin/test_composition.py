@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.composition import Composition, closed
+from lunarsci.spectra.origin.composition import Composition, _scaled, closed
 
 MODES = {"olivine": (0.14, 0.02), "orthopyroxene": (0.38, 0.02), "plagioclase": (0.48, 0.03)}
 
@@ -73,3 +73,10 @@ def test_impossible_correlations_are_refused(matrix: np.ndarray) -> None:
 def test_nothing_cannot_be_shared() -> None:
     with pytest.raises(ParameterError, match="nothing to compare"):
         closed(np.zeros(3), np.eye(3))
+
+
+def test_modes_are_scaled_only_where_they_add_up_to_too_much() -> None:
+    few = {"olivine": (0.3, 0.1), "plagioclase": (0.4, 0.1)}
+    assert _scaled(few) == few
+    many = {"olivine": (0.9, 0.1), "plagioclase": (0.6, 0.1)}
+    assert _scaled(many) == {"olivine": pytest.approx((0.6, 0.1)), "plagioclase": pytest.approx((0.4, 0.1))}
