@@ -13,7 +13,7 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import leg_end, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, check_plan
-from lunarsci.twin.routes.candidates import candidate_plans
+from lunarsci.twin.routes.candidates import candidate_plans, manners
 from lunarsci.twin.routes.corridors import sides
 from lunarsci.twin.rover import Rover, build_rover
 
@@ -104,6 +104,18 @@ def test_crab_is_small_where_wheels_would_be_dragged_and_wide_where_all_steer() 
     assert most["yutu2"] == 5.0
     steered = build_rover("small-four").steered_mask.all()
     assert most["small-four"] == pytest.approx(math.degrees(math.atan2(3.0, 4.0)), abs=0.1) if steered else 5.0
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_manners_on_the_left_are_those_on_the_right(side: float) -> None:
+    """A target 40 deg to the side, from a rover that heads 20 deg: crab and turn go to it, or to its opposite."""
+    rover = build_rover("small-four")
+    assert rover.steered_mask.all()
+    heading = math.radians(20.0)
+    at = heading + side * math.radians(40.0)
+    goal = np.array([1.0 + 5.0 * math.cos(at), 2.0 + 5.0 * math.sin(at), 0.0])
+    found = [(one.turn_deg, one.crab_deg) for one in manners(rover, np.array([1.0, 2.0, heading]), goal)]
+    assert found == [(0.0, 0.0), (0.0, 180.0), (0.0, 40.0 * side), (40.0 * side, 0.0), (-140.0 * side, 180.0)]
 
 
 def test_localisation_updates_cut_the_way_into_shorter_legs_of_the_same_course() -> None:
