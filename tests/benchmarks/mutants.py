@@ -242,9 +242,10 @@ def copied(place: Path) -> Path:
     return place
 
 
-def fails(copy: Path, files: list[str], limit_s: float) -> str:
-    """The test that fails first, or "time" where they do not end; "" if all pass."""
+def fails(copy: Path, files: list[str], limit_s: float, without: list[str]) -> str:
+    """The test that fails first, or "time" where they do not end; "" if all pass. Some are left out."""
     line = [sys.executable, "-m", "pytest", "-x", "-q", "--numprocesses=0", "-p", "no:cacheprovider", "--tb=no", *files]
+    line += [f"--deselect={name}" for name in without]
     environment = os.environ | {"NUMBA_CACHE_DIR": f"{copy}-numba", "PYTHONPATH": str(copy / "tests/checkout")}
     quiet: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
     with subprocess.Popen(line, cwd=copy, env=environment, start_new_session=True, **quiet) as process:
@@ -261,12 +262,19 @@ def fails(copy: Path, files: list[str], limit_s: float) -> str:
 
 def killer(copy: Path, fault: Fault, options: argparse.Namespace) -> str:
     """The test that sees the fault, and passes without it; "" if none does, "time" if tests do not end in time."""
-    seen = first_failure(copy, fault, options)
-    return "" if seen.startswith("tests/") and fails(copy, [seen], options.timeout) else seen
+    broken: list[str] = []
+    while (seen := first_failure(copy, fault, options, broken)).startswith("tests/"):
+        if not fails(copy, [seen], options.timeout, []):
+            break
+        broken.append(seen)
+    return seen
 
 
-def first_failure(copy: Path, fault: Fault, options: argparse.Namespace) -> str:
-    """The test that fails first while the fault lies in the copy; "" if all pass, "time" if they do not end in time."""
+def first_failure(copy: Path, fault: Fault, options: argparse.Namespace, broken: list[str]) -> str:
+    """The test that fails first while the fault lies in the copy; "" if all pass, "time" if they do not end in time.
+
+    Those that are broken without it are left out.
+    """
     target, began = copy / fault.path, time.monotonic()
     sound = target.read_text("utf-8")
     ranked = tests_for(ROOT, fault.path)
@@ -276,7 +284,7 @@ def first_failure(copy: Path, fault: Fault, options: argparse.Namespace) -> str:
         target.write_text(fault.planted(sound), "utf-8")
         for files in (near, [] if options.nearest_only else rest):
             left = options.timeout - (time.monotonic() - began)
-            if files and (seen := fails(copy, files, left) if left > 0 else "time"):
+            if files and (seen := fails(copy, files, left, broken) if left > 0 else "time"):
                 return seen
         return ""
     finally:

@@ -11,7 +11,7 @@ from lunarsci.cli import main
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import Camera, Pose
 from lunarsci.images.landscape import Landscape, landscape_on, read_track, with_track
-from lunarsci.images.rays import World, seen_by
+from lunarsci.images.rays import World, _scattered, seen_by
 from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import read_pose, read_rig
@@ -195,3 +195,15 @@ def test_a_track_lowers_the_ground_below_it_by_the_deepest_wheel(tmp_path: Path)
     table.write_text("x_m,y_m\n0,0\n")
     with pytest.raises(DataError, match="rut_m or sinkage_m"):
         read_track(str(table))
+
+
+@pytest.mark.parametrize("phase_deg", [3.0, 60.0])
+def test_ground_scatters_as_the_formulas_say(phase_deg: float) -> None:
+    """Hapke (1981) with the phase function and surge of `_scattered`, written out; without, Lommel and Seeliger."""
+    mu0, mu, w, g = math.cos(0.6), math.cos(0.3), 0.33 * 1.2, math.radians(phase_deg)
+    h0, h = ((1 + 2 * x) / (1 + 2 * x * math.sqrt(1 - w)) for x in (mu0, mu))
+    law = 0.91 * (1.09 + 0.6 * math.cos(g)) ** -1.5
+    surge = 1.5 * 0.06 / (0.06 + math.tan(g / 2))
+    whole = w / 4 * mu0 / (mu0 + mu) * (law * (1 + surge) + h0 * h - 1)
+    assert _scattered(mu0, mu, math.cos(g), 1.2, True) == pytest.approx(whole, rel=1e-12)
+    assert _scattered(mu0, mu, math.cos(g), 1.2, False) == pytest.approx(w / 2 * mu0 / (mu0 + mu), rel=1e-12)

@@ -15,6 +15,7 @@ from lunarsci.regolith.inference.prediction import (
     candidates,
     compare_laws,
     disputed,
+    predict_forces,
     predict_states,
 )
 from lunarsci.regolith.inference.verdict import least_chi_square
@@ -179,6 +180,10 @@ def test_forces_are_predicted_with_the_error_of_the_model(right: SoilPosterior) 
     held = [found["held90"] for found in compared.values() if found]
     assert 0.82 <= np.mean(held) <= 0.99
     assert compared["drawbar_pull_n"]["rms_of_load"] < 0.06  # type: ignore[index]
+    drawn = predict_forces(right, WHEEL, 0.2, 0.0, [36.0], [0.01])
+    alone = predict_states(right, WHEEL, InputFile("s.csv", b"slip_ratio,normal_force_n,sinkage_m\n0.2,36,0.01\n"))
+    ends = np.quantile(drawn.draws[:, 0], [0.05, 0.95, 0.16, 0.84], axis=0)
+    assert alone.quantiles[:, 0] == pytest.approx(np.vstack([drawn.value, ends]))
     under = predict_states(right, WHEEL, InputFile("s.csv", b"slip_ratio,normal_force_n\n0.2,36\n"))
     assert under.records[0]["normal_force_n"]["value"] == pytest.approx(36)
     assert 0.005 < under.sinkage_m[0] < 0.03

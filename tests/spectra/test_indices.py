@@ -11,7 +11,7 @@ import pytest
 
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.spectra.indices import INDICES, STATUSES, index_arrays
+from lunarsci.spectra.indices import INDICES, STATUSES, index_arrays, integrated_depth
 from lunarsci.spectra.spectrum import Spectrum
 
 FINE = np.arange(400.0, 2701.0, 5.0)
@@ -70,6 +70,18 @@ def test_definitions(wavelength: np.ndarray) -> None:
     for name in set(NAMES) - set(reached):
         assert np.isnan(found[name].value).all()
         assert STATUSES[found[name].status[0]] == "no_channels"
+
+
+def test_derivatives_of_an_integrated_depth_are_its_differences() -> None:
+    """Of two spectra, by the reflectances at both ends and at three wavelengths between."""
+    evaluate = integrated_depth(700.0, 1600.0, (900.0, 1000.0, 1200.0))
+    r = np.random.default_rng(0).uniform(0.1, 0.3, (2, 5))
+    value, slopes = evaluate(r)
+    assert slopes.shape == (2, 5)
+    for k, step in enumerate(1e-6 * np.eye(5)):
+        assert slopes[:, k] == pytest.approx((evaluate(r + step)[0] - evaluate(r - step)[0]) / 2e-6, rel=1e-6)
+    line = r[1, 0] + (r[1, 1] - r[1, 0]) * np.array([200.0, 300.0, 500.0]) / 900.0
+    assert value[1] == pytest.approx(3.0 - (r[1, 2:] / line).sum(), rel=1e-12)
 
 
 def test_straight_spectra_have_no_depth() -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.comparison.checks import ALL, check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast, forecast_of
 from lunarsci.twin.comparison.matched import MatchedObservations, match_observations
-from lunarsci.twin.comparison.verdict import DriveComparison, compare
+from lunarsci.twin.comparison.verdict import DriveComparison, _shares, compare
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
@@ -262,3 +263,12 @@ def test_the_picture_is_drawn_with_what_there_is(
     figure = comparison_figure(matched, compare(matched), "a drive")
     assert len(picture_bytes([figure], tmp_path / "drive.png")) > 30_000
     assert len(figure.axes) == (4 if what == "no states" else 7)
+
+
+@pytest.mark.parametrize("members", [4, 12])
+def test_of_drives_of_one_law_90_percent_lie_in_the_bands_of_the_others(members: int) -> None:
+    """Drives scatter by 1, their measurement by 0.1: bands are those of Student's law of so few."""
+    drawn = np.random.default_rng(0).standard_normal((members, 20_000, len(OBSERVED)))
+    known, sigma = np.ones(drawn.shape[1:], dtype=bool), np.full(drawn.shape[1:], 0.1)
+    matched = SimpleNamespace(known=known, predicted=drawn, sigma=sigma)
+    assert _shares(matched, OBSERVED[0], [1]).mean() == pytest.approx(0.9, abs=0.01)  # type: ignore[arg-type]

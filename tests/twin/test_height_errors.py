@@ -147,6 +147,10 @@ def test_what_the_terrain_makes_of_the_spread_is_said(uncertain: Terrain) -> Non
     one = predict(build_rover("yutu2"), uncertain, PLAN, samples={"friction_angle_deg": np.full(12, 37.0)})
     shares = terrain_shares(one)
     assert shares is not None and shares.pairs == 12 and shares.end_m > 0.001
+    exact = dataclasses.replace(uncertain, errors=None)
+    likely = predict(build_rover("yutu2"), exact, PLAN, samples={"friction_angle_deg": np.array([37.0])})
+    away = one.paths[:, -1, :2] - likely.paths[0, -1, :2]
+    assert shares.end_m == pytest.approx(np.sqrt((away**2).sum(axis=1).mean()), rel=1e-6)
     assert shares.end == pytest.approx(1.0) and shares.tilt_deg == pytest.approx(1.0)
     assert terrain_shares(drives(dataclasses.replace(uncertain, errors=None), 4)) is None
 

@@ -13,7 +13,14 @@ from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, chann
 from lunarsci.spectra.mgm.model import continuum_basis
 from lunarsci.spectra.mgm.moments import evaluate, update
 from lunarsci.spectra.mgm.multistart import coarsened, correct
-from lunarsci.spectra.mgm.normal_equations import back_substitute, factorise, invert, matrix_side, padded_matrix
+from lunarsci.spectra.mgm.normal_equations import (
+    back_substitute,
+    clip_to_bounds,
+    factorise,
+    invert,
+    matrix_side,
+    padded_matrix,
+)
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)
 BANDS = np.array([[0.3, 0.25, -0.5], [0.92, 0.19, -0.35], [1.02, 0.05, -0.20], [1.86, 0.52, -0.25]])
@@ -139,3 +146,21 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
         covariance = np.linalg.inv(curvature + problem.precision)
         was, now = (slope(spectra, row)[0] - wanted for spectra in (before, after))
         assert now @ covariance @ now < 1e-2 * (was @ covariance @ was)
+
+
+@compiled
+def _clip(point: Any, lower: Any, upper: Any, step: Any, free: Any, crossed: Any) -> None:
+    store(crossed, 0, clip_to_bounds(point, lower, upper, step, free))
+
+
+def test_steps_end_at_bounds_and_free_no_longer_what_would_cross_them() -> None:
+    """Parameter 0 lies between -1 and 2, parameter 1 has no bounds, parameter 2 is held already."""
+    lower, upper = np.array([-1.0, -np.inf, -1.0]), np.array([2.0, np.inf, 2.0])
+    point, step, free = np.full((3, LANES), 0.5), aligned(3), aligned(3)
+    step[:], free[:2] = [1.0, 1.5, 1.6, -1.5, -1.6, -9.0, 9.0, 0.0], 1.0
+    wanted, crossed = step.copy(), aligned(1)
+    _clip(point, lower, upper, step, free, crossed)
+    assert step[0].tolist() == [1.0, 1.5, 1.5, -1.5, -1.5, -1.5, 1.5, 0.0]
+    assert free[0].tolist() == [1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    assert (step[1:] == wanted[1:]).all() and (free[1] == 1.0).all() and (free[2] == 0.0).all()
+    assert (crossed[0] > 0).tolist() == (free[0] == 0.0).tolist()

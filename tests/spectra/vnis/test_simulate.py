@@ -16,6 +16,7 @@ from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation, draw, scene_radiance, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
+from lunarsci.spectra.vnis.simulation.template import HALF_IMAGE, _views
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
 
 EXACT = Instrument(noise=0)
@@ -505,3 +506,15 @@ def test_the_truth_is_complete(mixed: Simulation) -> None:
     assert (truth["scene_seed"], truth["noise_seed"]) == (3, 3)
     assert truth["vnir_distance_au"] == pytest.approx(DISTANCE_AU, abs=5e-6)
     assert "assumed" in truth["note"]
+
+
+def test_the_corners_of_an_image_lie_about_its_centre_as_they_are_called() -> None:
+    """Seen from above with north ahead: what is right of the view is clockwise of it, and what is up is farther away."""
+    views = _views(Geometry(incidence_deg=40.0, emission_deg=45.0, phase_deg=60.0))
+    centre = views["center"]
+    flat = {name: one / (one @ centre) - centre for name, one in views.items()}
+    assert sum(flat.values()) == pytest.approx(np.zeros(3), abs=1e-12)
+    for name, corner in flat.items():
+        ahead, clockwise = (corner[:2] @ centre[:2]), corner[0] * centre[1] - corner[1] * centre[0]
+        assert name == "center" or (clockwise > 0, ahead > 0) == ("right" in name, "up" in name), name
+        assert np.linalg.norm(corner) == pytest.approx(0.0 if name == "center" else math.sqrt(2) * HALF_IMAGE)
