@@ -6,8 +6,8 @@ the others, by the number of imports that lie between. A test that fails without
 no test sees survives, and is printed. Tests whose truth is what the program itself printed before do not count.
 
 Every place has the same chance but for those in `SELDOM`: modules that read, write, check and draw. Sentences, errors,
-annotations, docstrings and functions that give pictures get no fault. mutmut 3.8 leaves decorated functions alone, which all compiled ones are, and
-cosmic-ray 8.7 runs one command for every fault; so this is a script.
+annotations, docstrings and functions that give pictures get no fault. mutmut 3.8 leaves decorated functions alone,
+which all compiled ones are, and cosmic-ray 8.7 runs one command for every fault; so this is a script.
 """
 
 import argparse

@@ -10,6 +10,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
 from lunarsci.images.lines import places_on, read_line
 from lunarsci.images.tracks import TrackProfile, track_depths
+from lunarsci.images.undisturbed_ground import BIWEIGHT, robust_fit
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain_files import read_terrain
 
@@ -130,3 +131,17 @@ def test_heights_between_nodes() -> None:
     assert np.isnan(model.at("height_m", [0.9], [0.0])).all()
     assert len(model.near((2.0, 0.0), 0.5).x) == 9
     assert FINE < 0.01
+
+
+def test_weights_of_a_robust_fit_follow_the_scatter_not_the_stated_error() -> None:
+    """A plane whose heights scatter by 3 mm, with 1 mm stated; each twentieth lies 10 cm off. Tukey's weights."""
+    random = np.random.default_rng(0)
+    design = np.column_stack([np.ones(400), random.uniform(-1, 1, (400, 2))])
+    height = design @ [0.5, 0.1, -0.2] + random.normal(0.0, 0.003, 400)
+    height[::20] += 0.1
+    found, weight = robust_fit(design, height, np.full(400, 0.001))
+    assert found == pytest.approx([0.5, 0.1, -0.2], abs=0.001)
+    off = height - design @ found
+    spread = 1.4826 * np.median(np.abs(off - np.median(off)))
+    assert weight == pytest.approx(np.clip(1 - (off / (BIWEIGHT * spread)) ** 2, 0, None) ** 2, abs=0.02)
+    assert (weight[::20] == 0).all() and weight.mean() > 0.8

@@ -12,7 +12,7 @@ from lunarsci.twin.figures.prediction import path_fan
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import covering_circle
-from lunarsci.twin.judgement.keeping import extremes
+from lunarsci.twin.judgement.keeping import extremes, least_of_95
 from lunarsci.twin.judgement.quantities import tilt_deg
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
@@ -198,3 +198,8 @@ def test_the_picture_has_units_on_every_axis_and_says_synthetic(prediction: Pred
     labels = [axes.get_ylabel() or axes.get_xlabel() for axes in figure.axes]  # of a colour bar below
     assert len(labels) == 6 and all("[" in label for label in labels)
     assert figure.get_suptitle().startswith("SYNTHETIC: ")
+
+
+def test_the_least_that_95_of_100_drives_reach() -> None:
+    assert least_of_95(np.random.default_rng(0).permutation(np.arange(1.0, 101.0))) == 6.0
+    assert least_of_95(np.array([0.3, 0.1, 0.2])) == 0.1

@@ -16,8 +16,8 @@ from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation, draw, scene_radiance, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.template import HALF_IMAGE, _views
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
+from lunarsci.spectra.vnis.simulation.template import HALF_IMAGE, _views
 
 EXACT = Instrument(noise=0)
 PLAIN = Scene(texture=0, disk=None)
@@ -509,7 +509,7 @@ def test_the_truth_is_complete(mixed: Simulation) -> None:
 
 
 def test_the_corners_of_an_image_lie_about_its_centre_as_they_are_called() -> None:
-    """Seen from above with north ahead: what is right of the view is clockwise of it, and what is up is farther away."""
+    """Seen from above with north ahead: what is right of the view is clockwise of it, what is up is farther away."""
     views = _views(Geometry(incidence_deg=40.0, emission_deg=45.0, phase_deg=60.0))
     centre = views["center"]
     flat = {name: one / (one @ centre) - centre for name, one in views.items()}
