@@ -278,13 +278,13 @@ def first_failure(copy: Path, fault: Fault, options: argparse.Namespace, broken:
     target, began = copy / fault.path, time.monotonic()
     sound = target.read_text("utf-8")
     ranked = tests_for(ROOT, fault.path)
-    near = [name for distance, name in ranked if distance <= 1][: options.near]
-    rest = [name for distance, name in ranked if name not in near and distance < 99]
+    files = [name for distance, name in ranked if distance < 99]
+    near, rest = files[: options.near], files[options.near :]
     try:
         target.write_text(fault.planted(sound), "utf-8")
-        for files in (near, [] if options.nearest_only else rest):
+        for some in (near, [] if options.nearest_only else rest):
             left = options.timeout - (time.monotonic() - began)
-            if files and (seen := fails(copy, files, left, broken) if left > 0 else "time"):
+            if some and (seen := fails(copy, some, left, broken) if left > 0 else "time"):
                 return seen
         return ""
     finally:
