@@ -32,6 +32,14 @@ def test_iron_darkens_and_reddens() -> None:
     assert (np.diff(old / fresh) > 0).all()
 
 
+@pytest.mark.parametrize("amount", [0.0, 1.0])
+def test_iron_of_a_usual_soil_absorbs_by_the_law_before_any_spectrum(amount: float) -> None:
+    """(1 - w) / w grows at 1000 nm by a logarithm of -1 with a deviation of 1.5."""
+    weathering = Weathering(iron_absorption(np.array([1000.0])))
+    darker = weathering.darken(np.array([[0.9]]), np.array([amount]))[0]
+    assert 1 / darker[0, 0] - 1 / 0.9 == pytest.approx(np.exp(-1.0 + 1.5 * amount))
+
+
 def test_derivatives_are_differences() -> None:
     weathering = Weathering(iron_absorption(GRID))
     albedo, amount = np.linspace(0.3, 0.99, GRID.size)[None], np.array([0.4])
