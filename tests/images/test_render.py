@@ -207,3 +207,13 @@ def test_ground_scatters_as_the_formulas_say(phase_deg: float) -> None:
     whole = w / 4 * mu0 / (mu0 + mu) * (law * (1 + surge) + h0 * h - 1)
     assert _scattered(mu0, mu, math.cos(g), 1.2, True) == pytest.approx(whole, rel=1e-12)
     assert _scattered(mu0, mu, math.cos(g), 1.2, False) == pytest.approx(w / 2 * mu0 / (mu0 + mu), rel=1e-12)
+
+
+def test_light_is_scattered_by_the_angle_between_the_sun_and_the_camera() -> None:
+    """Level ground without mottling, and the light of what lies about it; the Sun stands aside of the ray."""
+    world = World.of(flat_ground())
+    for way in np.array([[1.0, 0.5, -1.0], [-1.0, 0.5, -1.0], [0.2, -1.0, -0.7]]):
+        way /= np.linalg.norm(way)
+        seen = seen_by(world, np.array([5.0, 0.0, 1.5]), way[None], world.sun[None], True)
+        wanted = 0.0015 + _scattered(world.sun[2], -way[2], -way @ world.sun, 1.0, True)
+        assert seen.light[0] == pytest.approx(wanted, rel=1e-9)
