@@ -13,7 +13,15 @@ from lunarsci.twin.ground.terrain import Grid, build_terrain, lay_soil, read_gro
 from lunarsci.twin.lanes import BODY, FELL, FINISHED, GROUP, SYSTEM, WHEEL, Work, new_work
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.contact import DRIVEN, MASS_ON_WHEEL, NORMAL_DAMPING, add_rows, meet_ground
-from lunarsci.twin.simulation.dynamics import advance, assemble, begin_system, eliminate, orient, place_wheel
+from lunarsci.twin.simulation.dynamics import (
+    advance,
+    assemble,
+    begin_system,
+    check_sense,
+    eliminate,
+    orient,
+    place_wheel,
+)
 
 ROLLING = 0.05
 ABYSS = build_terrain("far below", -50.0, -50.0, 10.0, np.full((11, 11), -100.0), read_soil("longji")).grid()
@@ -181,6 +189,20 @@ def test_free_flight_conserves_momentum_angular_momentum_and_energy(rover: Rover
     after = invariants(weightless, pose, u)
     assert np.abs(after - before).max() < 3e-4 * np.abs(before).max()
     assert np.abs(u).max() > 0.1
+
+
+def test_the_energy_that_is_watched_is_that_of_the_masses(rover: Rover) -> None:
+    """Of their motion, and of their height; no wheel has pressed any ground."""
+    pose, u = random_state(5)
+    if rover.bogie == "none":
+        u[7:] = 0.0
+    work = ready(ABYSS, rover)
+    put_state(work, pose, u)
+    assemble(rover.vector(), rover.wheel.vector(), ABYSS, OWN_SOIL, 1.0, DRIVEN, work)
+    check_sense(work, rover.vector(), rover.wheel.vector(), 1.0, True)
+    masses, points = mass_points(rover, pose)
+    whole = invariants(rover, pose, u)[-1] + rover.gravity_m_s2 * masses @ points[:, 2]
+    assert BODY.view(work.body, "energy") == pytest.approx(whole, rel=1e-6)
 
 
 def test_accelerations_follow_from_conservation_laws_at_every_state(rover: Rover) -> None:
