@@ -55,7 +55,7 @@ def test_a_table_of_many_spectra_takes_little_more_memory_than_its_numbers() -> 
         return np.array(found)
 
     taken(600)  # imports
-    kept, most = (taken(4_000) - taken(2_000)) / 2_000
+    kept, most = (taken(10_000) - taken(5_000)) / 5_000
     assert kept < 1000
     assert most < 2000
 
