@@ -7,9 +7,10 @@ PYTESTFLAGS ?=
 # What is installed and compiled here is read again, also where Python's own compiled files are switched off.
 unexport PYTHONDONTWRITEBYTECODE
 
-# uv installs some five times as fast as pip; where it cannot be had, or does not know the index, pip does the same.
+# uv installs some five times as fast as pip; where it cannot be had, or does not know the index, pip does the same. Like
+# pip it trusts the certificates that this machine trusts.
 define install
-	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python --editable '.[$(1)]' 2>$(VENV)/.uv-errors \
+	@UV_SYSTEM_CERTS=1 $(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python --editable '.[$(1)]' 2>$(VENV)/.uv-errors \
 		|| $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(1)]'
 	@touch $@
 endef
@@ -25,7 +26,7 @@ demo: $(VENV)/.installed ## the whole chain on embedded data, with pictures in l
 test: $(VENV)/.tested ## the whole suite
 	$(BIN)/python -m pytest $(PYTESTFLAGS)
 
-quick: $(VENV)/.tested ## truths by hand of every part, in plain Python: a minute
+quick: $(VENV)/.quick ## truths by hand of every part, in plain Python: a minute
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m quick $(PYTESTFLAGS)
 
 check: $(VENV)/.developed ## linter, formatter, types
@@ -49,6 +50,9 @@ $(VENV)/.made: FORCE
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.made
 	$(call install,report)
+
+$(VENV)/.quick: pyproject.toml $(VENV)/.made
+	$(call install,quick)
 
 $(VENV)/.tested: $(VENV)/.installed
 	$(call install,test)

@@ -57,7 +57,7 @@ QUICK = {
     "origin": "catalogue composition ejecta exposure likelihood match mineral_map prior rock sphere",
     "photometry": "correction disk experiment geometry phase",
     "readers": "assemble dispatch ecsv envi fits likely reference relab splib text units",
-    "twin": "compare_parts drive_record ellipse illumination likely_terrain loop mission plan smoother state_tables "
+    "twin": "compare_parts drive_record ellipse illumination likely_terrain mission plan smoother state_tables "
     "synthetic teaching terrain terrain_files",
     "images": "cameras",
 }

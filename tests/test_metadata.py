@@ -14,7 +14,7 @@ CITATION = (ROOT / "CITATION.cff").read_text("utf-8")
 ROW = re.compile(r"^\| ([\w-]+) \| ([\w.-]+) \| (.*lunarsci.*) \|$", re.MULTILINE)
 LICENCES = ROW.findall((ROOT / "SECURITY.md").read_text("utf-8"))
 """Package, licence, and what it comes with."""
-FOR_DEVELOPERS = {"test", "docs", "dev"}
+FOR_DEVELOPERS = {"quick", "test", "docs", "dev"}
 
 
 def listed(section: str) -> list[str]:

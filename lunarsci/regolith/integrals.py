@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import compiled, in_lanes
+from lunarsci.compiled import compiled, in_lanes, joined
 from lunarsci.errors import ParameterError
 from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import (
@@ -27,7 +27,6 @@ from lunarsci.lanes import (
     lowest,
     root,
     sine,
-    spread,
     store,
 )
 from lunarsci.regolith.forces import (
@@ -81,8 +80,8 @@ def contact_place(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any
     locked = rim < SLOWEST * speed
     rim, v_x = choose(locked, SLOWEST * speed, rim), choose(locked, highest(v_x, FORWARD * speed), v_x)
     travel, lateral, side = v_x / rim, v_y / rim, choose(speed > 0.0, v_y / speed, 0.0)
-    slip, own = slip_ratio(travel), model[4] == model[4]
-    exponent = choose((slip < 0.0) & own, soil[1] - model[4] * slip, soil[1] + soil[2] * slip)
+    slip, given = slip_ratio(travel), model[4] == model[4]
+    exponent = choose((slip < 0.0) & given, soil[1] - model[4] * slip, soil[1] + soil[2] * slip)
     # Half-angle forms, as in the closed form.
     q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
     theta_1, half_e = 2.0 * arcsin(root(q)), root(q_e)
@@ -145,10 +144,27 @@ def contact_sums(
     return sums
 
 
+@joined
+def contact_kernel(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any, rule: Any) -> Any:
+    """F_N, F_DP, F_L, M_R, M_S, M_O of one wheel, or of eight. [N, N, N, N m, N m, N m]
+
+    Arguments as of `contact_place`; nodes and weights of the rule as of `contact_sums`.
+    """
+    place, face = contact_place(sinkage, velocity, wheel, soil, model), side_pressure(soil[3], soil[4], model)
+    (nodes, weights), none = rule, 0.0 * sinkage
+    sums = (none, none, none, none, none, none)
+    for k in range(len(nodes)):
+        if model[1] == 0.0:
+            sums = contact_sums(sums, place, nodes[k], weights[k], wheel, soil, model, face, 0)
+        else:
+            sums = contact_sums(sums, place, nodes[k], weights[k], wheel, soil, model, face, 1)
+    return sums
+
+
 @in_lanes
 def _eight_by_eight(sinkage: Any, velocity: Any, soils: Any, contacts: Any, wheel: Any, model: Any, rule: Any) -> Any:
     """Forces and moments, (d 6 n / 8, 8), at sinkages (d n / 8, 8) and velocities (3 n / 8, 8)."""
-    blocks, (nodes, weights) = len(velocity) // 3, rule
+    blocks = len(velocity) // 3
     found = np.empty((6 * len(sinkage), LANES))
     r, b, h, r_s = wheel
     for d in range(len(soils)):
@@ -156,20 +172,11 @@ def _eight_by_eight(sinkage: Any, velocity: Any, soils: Any, contacts: Any, whee
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
         own = (r, b, h, r_s, c[1], c[2], c[3])
         choices = (model[0], model[1], model[2], model[3], c[0], model[5], model[6], model[7], model[8])
-        face = side_pressure(s[3], s[4], choices)
         for i in range(blocks):
             moving = (load(velocity, i), load(velocity, blocks + i), load(velocity, 2 * blocks + i))
-            place = contact_place(load(sinkage, d * blocks + i), moving, own, soil, choices)
-            none = spread(0.0)
-            sums = (none, none, none, none, none, none)
-            for k in range(len(nodes)):
-                if model[1] == 0.0:
-                    sums = contact_sums(sums, place, nodes[k], weights[k], own, soil, choices, face, 0)
-                else:
-                    sums = contact_sums(sums, place, nodes[k], weights[k], own, soil, choices, face, 1)
-            first = 6 * d * blocks + i
+            sums = contact_kernel(load(sinkage, d * blocks + i), moving, own, soil, choices, rule)
             for k in range(6):
-                store(found, first + k * blocks, sums[k])
+                store(found, (6 * d + k) * blocks + i, sums[k])
     return found
 
 
@@ -177,9 +184,9 @@ def forces_on_soils(
     sinkage: FloatArray,
     velocity: FloatArray,
     soils: FloatArray,
-    contacts: FloatArray,
     wheel: Wheel,
     model: ContactModel,
+    contacts: FloatArray | None = None,
 ) -> FloatArray:
     """F_N, F_DP, F_L, M_R, M_S, M_O, (d, 6, n), of n states on each of d soils. [N, N, N, N m, N m, N m]
 
@@ -190,6 +197,8 @@ def forces_on_soils(
     soils : (d, 8), each as `Soil.vector()`.
     contacts : (d, 4) n2, c1, c2, c3, which take the place of the model's and the wheel's.
     """
+    if contacts is None:
+        contacts = np.tile([model.vector()[4], *wheel.vector()[4:]], (len(soils), 1))
     count = sinkage.shape[1]
     more = -count % LANES
     deep, moving = (
@@ -197,7 +206,7 @@ def forces_on_soils(
         for one in (sinkage, velocity.T)
     )
     geometry, rule = wheel.vector()[:4], (NODES, WEIGHTS)
-    found = _eight_by_eight(deep, moving, soils, contacts, geometry, model.vector(), rule)
+    found = _eight_by_eight(deep, moving, soils, np.ascontiguousarray(contacts), geometry, model.vector(), rule)
     return np.asarray(found.reshape(len(soils), 6, -1)[:, :, :count])
 
 
@@ -303,8 +312,7 @@ def integrated_forces_in_motion(
 def _forces(
     wheel: Wheel, soil: Soil, z: FloatArray, velocity: FloatArray, model: ContactModel, shape: tuple[int, ...]
 ) -> ContactForces:
-    contact = np.array([[model.vector()[4], *wheel.vector()[4:]]])
-    forces = forces_on_soils(z[None], velocity, np.array([soil.vector()]), contact, wheel, model)[0]
+    forces = forces_on_soils(z[None], velocity, np.array([soil.vector()]), wheel, model)[0]
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
     return ContactForces(*(force.reshape(shape) for force in forces))

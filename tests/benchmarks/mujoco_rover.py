@@ -13,7 +13,7 @@ import numpy as np
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio, wheel_forces_kernel
-from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_place, contact_sums, side_pressure
+from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
 from lunarsci.twin.ground.terrain import Terrain, surface_in
 from lunarsci.twin.plans.schedule import all_commands, make_schedule, start_motion
 from lunarsci.twin.rover import Rover
@@ -216,14 +216,7 @@ def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):  # ty
         model = (
             law.model[0], law.model[1], law.model[2], law.model[3], law.model[4], law.model[5], rut, first, law.rise
         )  # fmt: skip
-        place, face = contact_place(sinkage, (v_x, v_y, rim), tyre, own, model), side_pressure(own[3], own[4], model)
-        sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        for k in range(len(nodes)):
-            if model[1] == 0.0:
-                sums = contact_sums(sums, place, nodes[k], weights[k], tyre, own, model, face, 0)
-            else:
-                sums = contact_sums(sums, place, nodes[k], weights[k], tyre, own, model, face, 1)
-        return sums
+        return contact_kernel(sinkage, (v_x, v_y, rim), tyre, own, model, (nodes, weights))
     f_n, f_dp, f_l, m_r = wheel_forces_kernel(sinkage, v_x / rim, v_y / rim, tyre, own, 0)
     # The centroid of the stress triangle between theta_2 = c3 theta_1 and theta_1 with its peak at theta_m.
     theta_1 = math.acos(1.0 - sinkage / tyre[0])

@@ -65,9 +65,8 @@ def forces_of_many(
     z = np.where((z > 0) & (z < wheel.radius_m), z, np.nan)
     if model is None:
         return np.asarray(_closed(soils, z, *motion_ratios(slip, side), wheel.vector()))
-    own = np.array([model.vector()[4], *wheel.vector()[4:]])
-    contacts = np.ascontiguousarray(values[:, 8:]) if values.shape[1] > 8 else np.tile(own, (len(values), 1))
-    return forces_on_soils(z, velocities(slip, side), soils, contacts, wheel, model)[:, :3]
+    contacts = values[:, 8:] if values.shape[1] > 8 else None
+    return forces_on_soils(z, velocities(slip, side), soils, wheel, model, contacts)[:, :3]
 
 
 def forces_at(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
