@@ -49,7 +49,8 @@ BEFORE = option(
 )
 EXACT_TERRAIN = option(
     "Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an elevation "
-    "model of `images dem` or `images merge` says of its errors.",
+    "model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes lie wider "
+    "apart than a wheel is large.",
     panel=GROUND,
 )
 KEEP_OUT = option(

@@ -45,16 +45,23 @@ def predict(
         Path | None, typer.Option(metavar="FILE", help="The drive as a film: .gif, or .mp4 where ffmpeg is installed.")
     ] = None,
 ) -> Report:
-    """Drive a plan over many soils and say whether it stays within the limits: go, or no-go with exit code 3.
+    """Drive a plan over many soils and say whether it stays within the limits: go; no-go or not determined, exit 3.
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
     drive that follows. A plan of `twin plan` is driven by the rover that it was made for, where this comes with
     lunarsci; a rover of your own is given with --rover.
 
-    The rule is that 95 % of the drives keep each limit, all end, and none enters ground to keep out of or empties the
-    battery. A plan of `twin plan --risk` carries the risk that was accepted; it is go where the chance to break any
-    limit or not to end is at most that.
+    The rule is that 95 % of the drives keep each limit, all end, and none enters ground to keep out of, empties the
+    battery or has ground of unknown height below its body. Limits that a plan leaves out are the rover's own. Where
+    neither plan, terrain nor --soil says anything of the soil, it is drawn from the priors.
+
+    A plan of `twin plan --risk` carries the risk that was accepted; it is go where the chance to break any limit or not
+    to end is at most that.
+
+    A terrain whose nodes lie wider apart than a wheel is large does not show what the wheels meet: every drive then has
+    a draw of the Moon's roughness by scale between them. Where that decides, the verdict is not-determined, with the
+    spacing of heights that would decide.
 
     On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
     slip, sinkage and forces; the result says how much of the ends' variance that is.
@@ -111,11 +118,12 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
     from lunarsci.regolith.written_names import short_name
     from lunarsci.twin.judgement.load_check import check_loads, load_notes
+    from lunarsci.twin.judgement.safety import headword
 
     verdict, prediction = found.verdict, found.prediction
     rows = [_limit_row(limit) for limit in verdict.limits]
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
-    said = f"{verdict.verdict.upper()}{', doubtful' if found.soils.doubt else ''}"
+    said = f"{headword(verdict)}{', doubtful' if found.soils.doubt else ''}"
     title = (
         f"{said}: {prediction.plan.name}; {drives} of {short_name(prediction.rover.name)} on {prediction.terrain.name}"
     )
@@ -127,7 +135,7 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
         *_terrain_notes(found),
         *_keep_out_notes(verdict),
         *verdict.reasons,
-        *([NEXT] if verdict.verdict == "no-go" else []),
+        *([] if verdict.verdict == "go" else [NEXT]),
         *verdict.notes,
         *load_notes(check_loads(prediction)),
         *_energy_notes(found),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lunarsci.pages.sentences import GO, MOST, PLAIN, STOP, Result, ResultAnswer, sentence
+from lunarsci.pages.sentences import DOUBT, GO, MOST, PLAIN, STOP, Result, ResultAnswer, sentence
 from lunarsci.pages.words import counted, number, percent, quantity, unit, words
 from lunarsci.result import UNMOVED
 
@@ -12,6 +12,8 @@ def predicted(result: Result) -> ResultAnswer:
     go = result["verdict"] == "go"
     members, length = result["members"], number(result.get("path_length_m"), 3)
     drive = f"the drive \u201c{result.get('plan', '')}\u201d of {length} m"
+    if result["verdict"] == "not-determined":
+        return ResultAnswer(f"Not determined for {drive}: {result['reasons'][0]}.", DOUBT)
     if not go:
         return ResultAnswer(f"No-go for {drive}: {'; '.join(_broken(result)) or 'a limit is broken'}.", STOP)
     broken = max((int(one.get("exceeding") or 0) for one in result["limits"]), default=0)

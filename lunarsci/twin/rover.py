@@ -21,6 +21,8 @@ PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
 HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
 """Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
+FALLBACK_SLOPE_DEG = 15.0
+"""Steepest slope of a rover whose file has none: assumed, cautious for a rocker-bogie. [deg]"""
 Vector3 = tuple[float, float, float]
 
 
@@ -91,6 +93,7 @@ class Rover:
     max_speed_m_s : highest commanded speed. [m/s]
     gravity_m_s2 : acceleration of gravity. [m/s2]
     body : underside of the chassis, None where unknown.
+    max_slope_deg : the steepest slope that it may stand on, above 0, at most 90. [deg]
     motors, power : of the wheels, and battery and panels; None where unknown. No force of a drive depends on them.
 
     The left rocker turns by +rho about the chassis' y axis, the right one by -rho: a differential does that whether it
@@ -119,6 +122,7 @@ class Rover:
     body: Body | None = None
     motors: Motors | None = None
     power: PowerSupply | None = None
+    max_slope_deg: float = FALLBACK_SLOPE_DEG
 
     def __post_init__(self) -> None:
         for name in ("body_kg", "wheel_kg", "rocker_pivot_y_m", "max_speed_m_s", "gravity_m_s2"):
@@ -127,6 +131,8 @@ class Rover:
         for name in ("joint_damping_n_m_s", "steering_offset_m"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ParameterError(f"rover {name} is {getattr(self, name)}; give 0 or more")
+        if not 0 < self.max_slope_deg <= 90.0:
+            raise ParameterError(f"rover max_slope_deg is {self.max_slope_deg}; give a number above 0, at most 90 deg")
         self._check_bogie()
         for name in ("body_center_m", "front_wheel_m", "rear_wheel_m", "middle_wheel_m", "bogie_pivot_m"):
             value = getattr(self, name)
@@ -243,6 +249,7 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
             body=_body(description.tables.get("body")),
             motors=read_part(description, "motors", Motors),
             power=read_part(description, "power", PowerSupply),
+            max_slope_deg=float(description.tables.get("limits", {}).get("max_slope_deg", FALLBACK_SLOPE_DEG)),
         )
         if not varied:
             check_speed(built)

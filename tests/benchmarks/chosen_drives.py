@@ -32,7 +32,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.choice import choose
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.choice.improvement import Improvement
-from lunarsci.twin.plans.plan import Leg, Limit, Plan
+from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.planner import RouteSearch, plan_path
 from lunarsci.twin.simulation.discrepancy import with_discrepancy

@@ -20,8 +20,9 @@ from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
 from lunarsci.twin.ground.synthetic import synthetic_terrain
 from lunarsci.twin.judgement.keeping import extremes
+from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.made_for_check import limits_of_rover
-from lunarsci.twin.plans.plan import Limit, Plan, read_plan
+from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -67,7 +68,7 @@ def errand(number: int, seed: int = 22) -> Errand:
     )
     surface = assess(terrain, ground_maps(terrain, *map_scales(rover)), read_mobility(description, rover))
     start, target = _ends(surface, rover, random)
-    limits = limits_of_rover(read_plan().limits, description, rover)
+    limits = limits_of_rover(read_plan().limits, rover)
     return Errand(
         number=number,
         rover=rover,

@@ -66,7 +66,8 @@ def test_a_kilometre_is_planned_and_driven(share: float, run: Run, dtm: Path, tm
     drive = ("--soil", "lunar-typical", "--fixes", "0.1,0.5", "--sample", "0.5", "--json", "-q")
     driven = run("twin", "predict", site / "plan.toml", "--terrain", site / "terrain.npz", *drive)
     said = json.loads(driven.out)["result"]
-    assert said["outcomes"] == {"finished": 1}, driven.err
+    assert said["unresolved"]["spacing_m"] == SPACING and said["members"] == 64
+    assert said["outcomes"] == {"finished": 64}, driven.err
     # Localised to 0.1 m and 0.5 deg every 20 m, by physics that the planner does not know.
     assert math.dist((said["endpoint"]["x_m"], said["endpoint"]["y_m"]), target) < 3.0
 

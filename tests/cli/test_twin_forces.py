@@ -42,7 +42,7 @@ def test_forces_of_several_soils_count_alike(run: Run, plan: Path) -> None:
 
 def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
-    assert run("twin", "predict", plan, "-o", folder).code == 0
+    assert run("twin", "predict", plan, "--soil", "longji", "-o", folder).code == 0
     motion = ("twin", "loads", plan, "--motion", folder / "paths.csv")
     done = run(*motion, "--json")
     assert done.code == 0, done.err
@@ -100,7 +100,9 @@ def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:
 def test_fixes_and_interpolation_are_options(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(PLAN + "[[leg]]\nturn_deg = 30\n[[leg]]\nlength_m = 0.5\n")
-    done = run("twin", "predict", path, "--fixes", "0.05,0.5", "--interpolation", "triangles", "--json")
+    done = run(
+        "twin", "predict", path, "--soil", "longji", "--fixes", "0.05,0.5", "--interpolation", "triangles", "--json"
+    )
     assert done.code == 0, done.err
     assert json.loads(done.out)["result"]["path_length_m"] == 2.0
     for wrong, code in ((("--fixes", "0.05"), 2), (("--fixes", "-1,1"), 2), (("--interpolation", "cubic"), 1)):

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import read_rover
-from lunarsci.twin.judgement.quantities import belly_points, clearance, clearance_of_poses
+from lunarsci.twin.judgement.quantities import clearance, clearance_of_poses, with_middles
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.plan import Limit
+from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.rover import Body, Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
@@ -69,17 +69,39 @@ def test_unknown_ground_is_said(driven: Prediction, slope) -> None:  # type: ign
     assert found[:2] == pytest.approx([0.35, 0.35]) and np.isnan(found[2])
     assert unknown[0] == 0.0 and unknown[1] == pytest.approx(0.5, abs=0.15) and unknown[2] == 1.0
     paths = np.tile(poses[1], (20, 11, 1))
-    notes = judge(limited(dataclasses.replace(over, paths=paths))).notes
-    assert "at 100.0 % of the samples part of the chassis is over unknown ground, left out" in notes
+    verdict = judge(limited(dataclasses.replace(over, paths=paths)))
+    assert verdict.verdict == "no-go" and verdict.failed == 20
+    assert any("ground below the body is not known in 20 of 20 drives" in reason for reason in verdict.reasons)
 
 
-def test_points_are_as_close_as_the_terrain_and_reach_the_edges() -> None:
-    for spacing in (0.05, 0.3, 5.0):
-        points = belly_points(BODY, spacing)
-        assert {tuple(c) for c in CORNERS.round(9)} <= {tuple(p) for p in points.round(9)}
-        assert max(np.diff(np.unique(points[:, k].round(9))).max() for k in (0, 1)) <= max(spacing, 1.2) + 1e-9
-        assert spacing != 0.05 or np.diff(np.unique(points[:, 0].round(9))).max() <= 0.05 + 1e-9
-    assert len(belly_points(BODY, 1e-6)) < 1100
+@pytest.mark.parametrize("interpolation", ["smooth", "triangles"])
+def test_the_highest_stone_below_the_belly_counts(driven: Prediction, slope, interpolation: str) -> None:  # type: ignore[no-untyped-def]
+    """A stone narrower than any grid on the belly, at any node; the belly is level, so that its height alone counts."""
+    random = np.random.default_rng(8)
+    flat = dataclasses.replace(
+        slope(), x0_m=-1.0, y0_m=-1.0, spacing_m=0.02, height_m=np.zeros((101, 151)), interpolation=interpolation
+    )
+    for row, column in random.integers((30, 20), (70, 75), (20, 2)):
+        height = flat.height_m.copy()
+        height[row, column] = 0.28
+        over = dataclasses.replace(driven, terrain=dataclasses.replace(flat, height_m=height))
+        pose = np.array([[0.0, 0.0, 0.3, 0.0, 0.0, 0.0]])
+
+        assert abs(flat.x_m[column] - 0.1) <= 0.6 and abs(flat.y_m[row]) <= 0.4
+        assert clearance_of_poses(over, BODY, pose)[0] == pytest.approx(0.35 - 0.28, abs=1e-12)
+
+
+def test_a_smooth_ground_is_higher_between_two_high_nodes() -> None:
+    """Cubic convolution of 0, 1, 1, 0 is 9/8 half-way; two planes a cell are 1 there."""
+    height = np.zeros((4, 6))
+    height[:, 2:4] = 1.0
+    assert with_middles(height, "smooth")[3, 5] == pytest.approx(9 / 8)
+    assert with_middles(height, "triangles")[3, 5] == 1.0
+    plane = np.add.outer(0.2 * np.arange(5.0), 0.3 * np.arange(4.0))
+    for kind in ("smooth", "triangles"):
+        assert with_middles(plane, kind) == pytest.approx(
+            np.add.outer(0.1 * np.arange(9.0), 0.15 * np.arange(7.0)), abs=1e-12
+        )
 
 
 def test_a_rover_without_a_body_is_not_judged_by_it(driven: Prediction) -> None:

@@ -10,7 +10,8 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
 from lunarsci.twin.judgement.quantities import exclusion_distance
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.plan import ExclusionZone, Limit, read_plan
+from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import ExclusionZone, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -87,14 +88,14 @@ def test_a_single_drive_that_enters_is_a_no_go(driven: Prediction) -> None:
     paths[7, 5, 1] = 0.3
     posed = dataclasses.replace(driven, paths=paths)
     touched = judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.2, 0.5)))
-    limit, *_ = touched.limits
+    limit = next(one for one in touched.limits if one.quantity == "keep_out_m")
     assert (limit.quantity, limit.sense, limit.limit, limit.exceeding, limit.worst_member) == (
         *("keep_out_m", "at least", 0.0, 1, 7),
     )
     assert limit.min == limit.judged == pytest.approx(1.2 - 0.5 - 0.525 - 0.3) and limit.p05 == pytest.approx(0.175)
     assert touched.verdict == "no-go" and "keep_out_m" in touched.reasons[0] and touched.worst.member == 7
     clear = judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.4, 0.5)))
-    assert clear.verdict == "go" and clear.limits[0].margin == pytest.approx(0.075)
+    assert clear.verdict == "go" and clear.keep_outs[0].margin_m == pytest.approx(0.075)
     wide = Limit("keep_out_m", "m", 0.1, "test", True)
     assert judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.4, 0.5), limits=(wide,))).verdict == "no-go"
 

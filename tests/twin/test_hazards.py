@@ -204,9 +204,10 @@ def test_the_limits_of_yutu_2_are_the_published_ones() -> None:
 
 
 def test_a_rover_without_limits_gets_assumed_ones_and_a_wrong_one_is_refused() -> None:
-    description, rover = read_rover("yutu2"), build_rover("yutu2")
+    description = read_rover("yutu2")
     tables = {name: table for name, table in description.tables.items() if name != "limits"}
     bare = dataclasses.replace(description, tables=tables, assumed=())
+    rover = build_rover(bare)
     mobility = read_mobility(bare, rover)
     assert mobility.assumed == ("hazard_distance_m", "max_slope_deg", "max_step_m", "min_turning_radius_m")
     assert (mobility.max_slope_deg, mobility.max_step_m) == (15.0, rover.wheel.radius_m)

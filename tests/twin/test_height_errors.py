@@ -14,7 +14,7 @@ from lunarsci.twin.ground.height_errors import GRAIN_NODES, likely_ground, relie
 from lunarsci.twin.ground.terrain import Terrain, build_terrain, height_of
 from lunarsci.twin.ground.terrain_files import read_terrain_file, terrain_bytes
 from lunarsci.twin.jobs.terrain import terrain
-from lunarsci.twin.judgement.terrain_share import terrain_shares
+from lunarsci.twin.judgement.terrain_share import likely_drives, terrain_shares
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -145,14 +145,14 @@ def test_drives_on_drawn_grounds_are_the_same_whoever_drives_them(uncertain: Ter
 def test_what_the_terrain_makes_of_the_spread_is_said(uncertain: Terrain) -> None:
     """All of it where the soil is one; none where heights are exact."""
     one = predict(build_rover("yutu2"), uncertain, PLAN, samples={"friction_angle_deg": np.full(12, 37.0)})
-    shares = terrain_shares(one)
+    shares = terrain_shares(one, likely_drives(one))
     assert shares is not None and shares.pairs == 12 and shares.end_m > 0.001
     exact = dataclasses.replace(uncertain, errors=None)
     likely = predict(build_rover("yutu2"), exact, PLAN, samples={"friction_angle_deg": np.array([37.0])})
     away = one.paths[:, -1, :2] - likely.paths[0, -1, :2]
     assert shares.end_m == pytest.approx(np.sqrt((away**2).sum(axis=1).mean()), rel=1e-6)
     assert shares.end == pytest.approx(1.0) and shares.tilt_deg == pytest.approx(1.0)
-    assert terrain_shares(drives(dataclasses.replace(uncertain, errors=None), 4)) is None
+    assert likely_drives(drives(dataclasses.replace(uncertain, errors=None), 4)) is None
 
 
 def test_the_command_draws_unless_told_not_to(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from lunarsci.twin.choice.choice import choose
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.choice.improvement import Improvement, mean_drift
 from lunarsci.twin.ground.terrain import build_terrain
+from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.path import planned_pose
-from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan, parse_plan
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.aiming import bent_plan, halting_at
 from lunarsci.twin.rover import Rover

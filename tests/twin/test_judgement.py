@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.judgement.load_check import check_loads, load_notes
-from lunarsci.twin.judgement.safety import judge, validity
+from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.judgement.validity import validity
 from lunarsci.twin.lanes import HOLE, LEFT
-from lunarsci.twin.plans.plan import Limit
+from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 SINKAGE, SLIP, LOAD, VALID = map(STATE_COLUMNS.index, ("sinkage_m", "slip_ratio", "normal_force_n", "valid"))
@@ -62,8 +63,6 @@ def test_the_worst_member_uses_most_of_a_limit(driven: Prediction) -> None:
     outcome[11] = LEFT
     stopped = judge(dataclasses.replace(posed, outcome=outcome)).worst
     assert (stopped.member, stopped.parameters) == (11, {"friction_angle_deg": 41.0}) and "left" in stopped.why
-    missed = judge(limited(driven)).worst
-    assert missed.member == driven.miss_m.argmax() and "misses" in missed.why
 
 
 @pytest.mark.parametrize(("least_m", "tightest", "member"), [(0.08, "sinkage_m", 7), (0.09, "clearance_m", 0)])

@@ -48,8 +48,9 @@ class Slides:
         start = planned[0, :2]
         paths[..., :2] = start + (1.0 - self.short)[:, None, None] * (planned[:, :2] - start)
         paths[..., 5] = np.degrees(planned[:, 2])
+        rover = dataclasses.replace(self.rover, body=None)
         return Prediction(
-            rover=self.rover, terrain=None, plan=plan, seed=0, time_step_s=0.1, parameters={}, time_s=times,  # type: ignore[arg-type]
+            rover=rover, terrain=None, plan=plan, seed=0, time_step_s=0.1, parameters={}, time_s=times,  # type: ignore[arg-type]
             distance_m=schedule.distance_at(times), planned=planned, paths=paths,
             states=np.zeros((count, len(times), 6, 10)), halted=np.zeros(len(times), dtype=bool),
             recorded=np.full(count, len(times)), outcome=np.zeros(count, dtype=np.int64),

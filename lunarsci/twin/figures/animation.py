@@ -26,7 +26,7 @@ from lunarsci.twin.figures.panels import (
 )
 from lunarsci.twin.ground.footprint import RoverFootprint, rover_outline
 from lunarsci.twin.judgement.quantities import abscissa, along
-from lunarsci.twin.judgement.safety import Verdict
+from lunarsci.twin.judgement.safety import Verdict, headword
 from lunarsci.twin.judgement.tables import spread
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, Prediction
 
@@ -231,7 +231,7 @@ def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, memb
     draw_planned(ground, prediction)
     ground.plot(*prediction.destination_m, "*", color=GOLD, markeredgecolor=INK, markersize=12, zorder=6)
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
-    title = f"{verdict.verdict.upper()}: {drives} on {as_label(terrain.name)}"
+    title = f"{headword(verdict)}: {drives} on {as_label(terrain.name)}"
     ground.set_title(synthetic_title(title, terrain.synthetic), fontsize=10)
     for row, name in enumerate(INSETS):
         _draw_inset(figure.add_axes((0.765, 0.57 - 0.47 * row, 0.215, 0.33)), prediction, name, member)

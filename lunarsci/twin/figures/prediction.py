@@ -26,7 +26,7 @@ from lunarsci.twin.figures.panels import (
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import Endpoint, ErrorEllipse, scale_of
 from lunarsci.twin.judgement.quantities import abscissa, along
-from lunarsci.twin.judgement.safety import Verdict
+from lunarsci.twin.judgement.safety import Verdict, headword
 from lunarsci.twin.judgement.tables import available
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -64,9 +64,9 @@ def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None =
     length = f"{prediction.plan.length_m:.2f} m"
     headline(
         figure,
-        f"{verdict.verdict.upper()} for the drive of {length}, {members}, on {as_label(terrain.name)}",
+        f"{headword(verdict)} for the drive of {length}, {members}, on {as_label(terrain.name)}",
         synthetic=terrain.synthetic,
-        color=LIMIT if verdict.verdict == "no-go" else INK,
+        color=INK if verdict.verdict == "go" else LIMIT,
     )
     return figure
 

@@ -19,7 +19,6 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
 # Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
-FALLBACK_SLOPE_DEG = 15.0
 FALLBACK_STEP_IN_RADII = 1.0
 FALLBACK_TURN_IN_TRACKS = 1.5
 FALLBACK_DISTANCE_IN_TRACKS = 0.2
@@ -77,7 +76,7 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
         raise DataError(f"{description.origin}: [limits] has no '{min(unknown)}'; {one_of(min(unknown), names)}")
     track = 2.0 * rover.rocker_pivot_y_m
     values: dict[str, float | None] = {
-        "max_slope_deg": FALLBACK_SLOPE_DEG,
+        "max_slope_deg": rover.max_slope_deg,
         "max_step_m": FALLBACK_STEP_IN_RADII * rover.wheel.radius_m,
         "min_turning_radius_m": FALLBACK_TURN_IN_TRACKS * track,
         "hazard_distance_m": FALLBACK_DISTANCE_IN_TRACKS * track,

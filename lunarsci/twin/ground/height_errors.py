@@ -203,14 +203,25 @@ def _spectra(
     shape: tuple[int, ...], spacing: float, relief: Relief, size: float, width: float
 ) -> tuple[FloatArray, FloatArray]:
     """Power of the ground and of the errors at each wave of a torus; their means over the waves are variances. [m2]"""
-    k = np.hypot(np.fft.fftfreq(shape[0], spacing)[:, None], np.fft.fftfreq(shape[1], spacing))
-    shortest = 1.0 / (spacing * max(shape))
-    ground = np.maximum(k, 0.5 * shortest) ** (-2.0 * relief.hurst - 2.0) * _power(relief, spacing)
+    k = _waves(shape, spacing)
+    ground = fractal_power(shape, spacing, relief)
     near = WINDOW_SIGMA * width
     smooth = np.exp(-2.0 * (math.pi * near * k) ** 2)
     white = 1.0 if near < 0.5 * spacing else WHITE_SHARE
     error = size**2 * (white + (1.0 - white) * smooth / smooth.mean())
     return ground, error
+
+
+def _waves(shape: tuple[int, ...], spacing: float) -> FloatArray:
+    """Waves of a torus. [1/m]"""
+    return np.asarray(np.hypot(np.fft.fftfreq(shape[0], spacing)[:, None], np.fft.fftfreq(shape[1], spacing)))
+
+
+def fractal_power(shape: tuple[int, ...], spacing: float, relief: Relief) -> FloatArray:
+    """Power of ground of this relief at each wave of a torus; its mean over the waves is the variance. [m2]"""
+    shortest = 1.0 / (spacing * max(shape))
+    waves = np.maximum(_waves(shape, spacing), 0.5 * shortest)
+    return np.asarray(waves ** (-2.0 * relief.hurst - 2.0) * _power(relief, spacing))
 
 
 def _power(relief: Relief, spacing: float) -> float:

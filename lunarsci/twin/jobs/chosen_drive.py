@@ -19,13 +19,15 @@ from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
-from lunarsci.twin.jobs.drive_inputs import DriveInputs, GivenSoil, parsed_fixes
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, parsed_fixes
+from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
 from lunarsci.twin.jobs.plan import PlanRequest, check_start, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import least_drives
-from lunarsci.twin.plans.plan import Limit, Plan, read_plan
+from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.candidates import MOST, candidate_plans, with_tests
 from lunarsci.twin.routes.long_way import LONG_M

@@ -88,7 +88,7 @@ class ComparedDrive(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.twin.jobs.drive_inputs import doubt_of
+        from lunarsci.twin.jobs.given_soil import doubt_of
 
         reasons, predicted = self.found.reasons, str(self.matched.forecast.soil.get("doubt") or "")
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt

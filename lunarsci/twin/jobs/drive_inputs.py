@@ -1,27 +1,25 @@
 """What drives where: plan, rover, terrain and soil of a drive, read and checked against each other."""
 
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from lunarsci.documents import json_document, toml_document
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.inputs import Source, read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, other_law, read_belief, read_verdict
-from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, prior_hash, read_prior
+from lunarsci.regolith.belief import SoilBelief, other_law
+from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
-from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
-from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, PRIORS, GivenSoil, caution_of, doubt_of
 from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover
@@ -31,133 +29,6 @@ SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
     "Janosi & Hanamoto (1961), Proc. 1st Int. Conf. Mechanics of Soil-Vehicle Systems, Turin, 707",
 ]
-PRIORS = "priors"
-"""Name of what is believed of the soil before any drive."""
-DEFAULT_SOIL = "longji"
-"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
-
-
-@dataclass(frozen=True, slots=True)
-class GivenSoil:
-    """What was given as the soil: a soil that lies everywhere, and a file that has one for each drive.
-
-    Attributes
-    ----------
-    named : a soil's name, or its TOML file; None where none was given.
-    file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
-    belief, soil_map : what it holds.
-    """
-
-    named: str | None = None
-    file: InputFile | None = None
-    of: Literal["none", "belief", "map", "samples"] = "none"
-    belief: SoilBelief | None = None
-    soil_map: SoilMap | None = None
-
-    @classmethod
-    def read(cls, soil: str | Sequence[str] | None) -> "GivenSoil":
-        """Read names and files, each taken for what is in it.
-
-        Raises RequestError where one of them leaves no room for another, DataError for a file that is no soil.
-        """
-        found = cls()
-        for name in (soil,) if isinstance(soil, str) else soil or ():
-            found = found._with(name)
-        if found.named is not None and found.of in ("belief", "map"):
-            raise RequestError(no_use(found.named, found.name))
-        return found
-
-    def _of_laws(self, file: InputFile, laws: Mapping[str, Law]) -> "GivenSoil":
-        """With the belief before any drive by these laws."""
-        if self.file is not None:
-            raise RequestError(f"{self.name} and {file.name} as `soil` are two ways to name the soils; give one")
-        return replace(self, file=file, of="belief", belief=first_belief(laws))
-
-    @property
-    def name(self) -> str:
-        """Of the file with soils for the drives; '' where there is none."""
-        return "" if self.file is None else self.file.name
-
-    @property
-    def verdict(self) -> FitVerdict | None:
-        """Of the fit that the soils come from, None where they come from none. Raises DataError."""
-        if self.belief is not None:
-            return self.belief.verdict
-        return read_verdict(self.file) if self.file is not None and self.of == "samples" else None
-
-    @property
-    def one_soil(self) -> bool:
-        """Whether all drives have one soil."""
-        return self.file is None
-
-    def _with(self, name: str) -> "GivenSoil":
-        if name == PRIORS:
-            name_only = InputFile(PRIORS, first_belief().to_json().encode())
-            return self._of_laws(name_only, default_prior())
-        file = None if _is_name(name) else read_input(name)
-        if file is not None and _is_prior(file):
-            return self._of_laws(file, read_prior(file))
-        is_json = file is not None and (file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"))
-        if file is None or (not is_json and _is_toml(file)):
-            if self.named is not None:
-                raise RequestError(f"{self.named} and {name} as `soil` are two ways to name the soil; give one")
-            return replace(self, named=name)
-        if self.file is not None:
-            raise RequestError(f"{self.name} and {name} as `soil` are two ways to name the soils; give one")
-        if not is_json:
-            return replace(self, file=file, of="samples")
-        if MAP_SCHEMA.encode() in file.data:
-            return replace(self, file=file, of="map", soil_map=read_soil_map(file))
-        return replace(self, file=file, of="belief", belief=read_belief(file))
-
-    def to_dict(self) -> dict[str, Any]:
-        """For the result: the drives that a belief rests on, and those of them that taught it something."""
-        if self.belief is None:
-            return {}
-        return {"belief": self.name, "drives": len(self.belief.history), "learned_from": self.learned}
-
-    @property
-    def learned(self) -> int:
-        """Drives that the belief rests on, without those from which nothing was learned."""
-        return sum(not entry.get("refused") for entry in self.belief.history) if self.belief else 0
-
-
-def doubt_of(name: str, belief: SoilBelief | None) -> str:
-    """Why predictions from a belief of that name are doubtful; empty where they are not."""
-    return f"the belief {name} is doubtful: {belief.doubt}" if belief is not None and belief.doubt else ""
-
-
-def caution_of(name: str, belief: SoilBelief | None) -> str:
-    """What to know of a belief of that name that is no doubt; empty where there is nothing."""
-    return f"the belief {name} was learned with a warning: {belief.caution}" if belief and belief.caution else ""
-
-
-def _is_name(name: str) -> bool:
-    """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
-    return name in known_soils() or not (
-        name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
-    )
-
-
-def _is_prior(file: InputFile) -> bool:
-    """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
-    try:
-        found = toml_document(file.data.decode("utf-8")) if _is_toml(file) else {}
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
-        return False
-    return any(isinstance(found.get(name), dict) for name in PARAMETERS)
-
-
-def _is_toml(file: InputFile) -> bool:
-    """By the first line that is no comment: a key and its value, or a table's header."""
-    lines = (line.strip() for line in file.data.decode("utf-8", "replace").splitlines())
-    first = next((line for line in lines if line and not line.startswith("#")), "")
-    return "=" in first or first.startswith("[")
-
-
-def no_use(soil: str, other: str) -> str:
-    """Why a soil that no drive meets is refused."""
-    return f"`soil` {soil} has no use beside {other}, which has every parameter of the soil; leave it out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +37,7 @@ class DriveInputs:
 
     `driven` says where the soil of the terrain comes from, `given` which soils were asked for, `options` what was taken
     for options that were left out, and `check` what was found of files that were made for another rover or ground.
+    `rough` says that the terrain has roughness that its file does not show.
     """
 
     rover: Rover
@@ -180,6 +52,7 @@ class DriveInputs:
     options: dict[str, Any] = field(default_factory=dict)
     ruts: bool = False
     before: Plan | None = None
+    rough: bool = False
 
     @property
     def made_for(self) -> dict[str, Any]:
@@ -259,16 +132,18 @@ def read_drive_inputs(
     before: "Source | Plan | None" = None,
     terrain_errors: bool = False,
     keep_out: Sequence[str] = (),
+    priors: bool = False,
 ) -> DriveInputs:
     """Read plan, rover, terrain and soil, which may be a belief, a soil map or samples; `fixes` replaces the plan's.
 
     A rover that is None is Yutu-2; `named` is the terrain, if None the synthetic stand-in for that one's site.
-    A soil that is given lies everywhere, whatever the terrain's file carries; without
-    one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
+    A soil that is given lies everywhere, whatever the terrain's file carries; without one this is driven on, and where
+    it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
     was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
     the belief's last drive met them. Heights of a file that states their errors are as they are likely to be; with
-    `terrain_errors` what is not known of them comes with them. `keep_out` are files of ground to keep out of.
+    `terrain_errors` what is not known of them comes with them. `keep_out` are files of ground to keep out of. With
+    `priors` soils are drawn from the priors where neither an option, the terrain nor the plan says anything of them.
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
@@ -281,9 +156,13 @@ def read_drive_inputs(
     file, surface, driven = _read_ground(terrain, given)
     surface = file.likely(surface, built.wheel.width_m)
     surface = surface if terrain_errors else replace(surface, errors=None)
-    inputs, tables = _soil_hashes(given, driven if soil_counts else None)
+    inputs: dict[str, str] = {}
     drive, earlier = (_read_plan(one, inputs) for one in (plan, before))
     drive = _kept_out(drive or read_plan(), built, keep_out, inputs, surface.crs)
+    if priors and driven.of == "default" and given.file is None and not drive.sweep:
+        soil, given, driven = PRIORS, GivenSoil.read(PRIORS), DrivenSoil(PRIORS, "belief")
+    of_soil, tables = _soil_hashes(given, driven if soil_counts else None)
+    inputs = of_soil | inputs
     if terrain != SYNTHETIC:
         inputs[terrain] = read_input(terrain).sha256
     if fixes is not None and len(drive.legs) < 2:

@@ -70,7 +70,7 @@ class BeliefHistory(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.twin.jobs.drive_inputs import doubt_of
+        from lunarsci.twin.jobs.given_soil import doubt_of
 
         both = ((self.source, self.belief), (self.other_source, self.other))
         return "; ".join(text for file, belief in both if file and (text := doubt_of(file.name, belief)))

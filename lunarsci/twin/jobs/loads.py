@@ -292,7 +292,7 @@ def _uncertain(
     progress: Callable[[int, int], None] | None,
 ) -> UncertainLoads:
     from lunarsci.regolith.belief import first_belief, read_belief
-    from lunarsci.twin.jobs.drive_inputs import doubt_of
+    from lunarsci.twin.jobs.given_soil import doubt_of
     from lunarsci.twin.loads.alternating import alternate
     from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
     from lunarsci.twin.loads.prescribed_motion import correlation_length, read_pose_states

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from lunarsci.rovers import MadeFor
     from lunarsci.twin.ground.hazards import Traversability
     from lunarsci.twin.ground.terrain import Terrain
-    from lunarsci.twin.plans.plan import Limit
+    from lunarsci.twin.plans.limits import Limit
     from lunarsci.twin.routes.planner import PlannedPath
     from lunarsci.twin.simulation.ensemble import PowerState
 
@@ -216,7 +216,7 @@ def plan(
         from lunarsci.twin.jobs.chosen_drive import chosen_drive
 
         return chosen_drive(terrain, asked, progress)
-    from lunarsci.twin.jobs.drive_inputs import GivenSoil
+    from lunarsci.twin.jobs.given_soil import GivenSoil
 
     if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
         raise RequestError(
@@ -267,7 +267,7 @@ def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple["Limit", ...]:
     from lunarsci.twin.plans.plan import read_plan
     from lunarsci.twin.plans.plan_files import read_limits
 
-    assumed = limits_of_rover(read_plan().limits, site.description, site.rover)
+    assumed = limits_of_rover(read_plan().limits, site.rover)
     if asked.limits is None:
         return assumed
     given = {limit.quantity: limit for limit in read_limits(asked.limits)}

@@ -19,7 +19,7 @@ from lunarsci.twin.ground.keep_out import ExclusionZone, near_way
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditions
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
-from lunarsci.twin.jobs.drive_inputs import GivenSoil
+from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround
 from lunarsci.twin.jobs.plan import PlanRequest, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils

@@ -14,6 +14,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.twin.ground.unresolved import Unresolved
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
     from lunarsci.twin.jobs.soils import Soils
     from lunarsci.twin.judgement.endpoint import EndpointSensitivity
@@ -102,7 +103,7 @@ class PredictRequest(PoweredRequest):
     ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
     before : a plan that was driven on the same ground before.
     exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
-        may be off.
+        may be off, or where its nodes lie wider apart than a wheel is large.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
     risk : chance of failing that is accepted, in place of the plan's; None for the plan's, or for the rule of `judge`.
     """
@@ -127,12 +128,13 @@ class PredictedDrives(Result):
     ----------
     soils : what drove where, on which soils.
     prediction : paths, wheel states and forces of all drives.
-    verdict : go or no-go, and why.
+    verdict : go, no-go or not determined, and why.
     sensitivity : what the end owes to each uncertain parameter; None where parameters go together.
     step_error_m : how far the time step puts ends off; None where that is not known. [m]
     terrain_shares : part of the variance of ends, slip, tilt and sinkage that errors of the terrain make, by quantity;
         None where its heights are exact. [-]
     power : electrical power and battery; None where neither Sun nor charge was given.
+    unresolved : what the terrain's nodes are too far apart to show, of which every drive has a draw; None for nothing.
     """
 
     schema: ClassVar[str] = "twin-predict/1"
@@ -143,6 +145,7 @@ class PredictedDrives(Result):
     step_error_m: float | None = None
     terrain_shares: "TerrainShares | None" = None
     power: "PowerUse | None" = None
+    unresolved: "Unresolved | None" = None
 
     @property
     def inputs(self) -> "DriveInputs":
@@ -160,7 +163,8 @@ class PredictedDrives(Result):
 
     @property
     def untrusted(self) -> str:
-        parts = [] if self.verdict.verdict == "go" else [f"no-go: {'; '.join(self.verdict.reasons)}"]
+        found = self.verdict
+        parts = [] if found.verdict == "go" else [f"{found.verdict}: {'; '.join(found.reasons)}"]
         return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
     def to_dict(self) -> dict[str, Any]:
@@ -185,6 +189,7 @@ class PredictedDrives(Result):
             "energy": energy_record(prediction),
             "power": None if self.power is None else power_record(prediction, self.power),
             "physics": self._physics(),
+            "unresolved": None if self.unresolved is None else asdict(self.unresolved),
             "terrain_errors": None if self.terrain_shares is None else asdict(self.terrain_shares),
             "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},
             "soil": self.soils.record(),
@@ -267,13 +272,29 @@ def predict(
         before=asked.before,
         terrain_errors=not asked.exact_terrain,
         keep_out=asked.keep_out,
+        priors=not asked.sweep,
     )
+    inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
         inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
-    return _judged(soils, prediction, asked)
+    return _judged(soils, prediction, asked, unresolved)
+
+
+def _rough(inputs: "DriveInputs", seed: int) -> "tuple[DriveInputs, Unresolved | None]":
+    """With ground drawn between the nodes of a terrain that is too coarse for the rover's wheels."""
+    from lunarsci.twin.assimilation.change_point import planned_places
+    from lunarsci.twin.ground.hazards import read_mobility
+    from lunarsci.twin.ground.unresolved import with_unresolved
+
+    if inputs.terrain.errors is not None:
+        return inputs, None
+    rover, step = inputs.rover, read_mobility(inputs.description, inputs.rover).max_step_m
+    places = planned_places(inputs.plan, rover)
+    terrain, unresolved = with_unresolved(inputs.terrain, places, rover.wheel.radius_m, step, seed)
+    return replace(inputs, terrain=terrain, rough=unresolved is not None), unresolved
 
 
 def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress: Progress | None) -> "Prediction":
@@ -283,25 +304,35 @@ def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress
     return predict(**soils.of_members(), time_step_s=time_step_s, sample_m=sample_m, progress=progress)
 
 
-def _judged(soils: "Soils", prediction: "Prediction", asked: PredictRequest) -> PredictedDrives:
+def _judged(
+    soils: "Soils", prediction: "Prediction", asked: PredictRequest, unresolved: "Unresolved | None"
+) -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
     from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
     from lunarsci.twin.judgement.energy import power_use
-    from lunarsci.twin.judgement.safety import judge
-    from lunarsci.twin.judgement.terrain_share import terrain_shares
+    from lunarsci.twin.judgement.safety import judge, undecided
+    from lunarsci.twin.judgement.terrain_share import likely_drives, terrain_shares
     from lunarsci.twin.simulation.discrepancy import with_discrepancy
 
-    shares = terrain_shares(prediction)
-    if soils.discrepancy is not None:
-        prediction = with_discrepancy(prediction, soils.discrepancy, soils.seed)
-    prediction = replace(prediction, power=asked.power())
+    def whole(drives: "Prediction") -> "Prediction":
+        law = soils.discrepancy
+        drives = drives if law is None else with_discrepancy(drives, law, soils.seed)
+        return replace(drives, power=asked.power())
+
+    plain = likely_drives(prediction)
+    shares = terrain_shares(prediction, plain)
+    prediction = whole(prediction)
     soils.warn_of_fit()
+    verdict = judge(prediction, soils.inputs.plan)
+    if unresolved is not None and plain is not None and verdict.verdict == "no-go":
+        verdict = undecided(verdict, judge(whole(plain), soils.inputs.plan), unresolved)
     return PredictedDrives(
         soils=soils,
         prediction=prediction,
-        verdict=judge(prediction, soils.inputs.plan),
+        verdict=verdict,
         sensitivity=None if soils.kind in CORRELATED else endpoint_sensitivity(prediction),
         step_error_m=step_error_m(prediction),
         terrain_shares=shares,
         power=None if prediction.power is None else power_use(prediction),
+        unresolved=unresolved,
     )

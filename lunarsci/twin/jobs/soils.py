@@ -13,12 +13,13 @@ from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, read_soil_samples
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
-from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, DriveInputs, named_option, no_use
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, named_option
+from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, no_use
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 
 SOIL_TABLE = "soils.toml"
 OF_A_BELIEF = 64
-"""Drives on soils of a belief, where their number is not given."""
+"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +143,8 @@ class Soils:
             return found | {"grounds": grounds}
         if self.samples is not None:
             return found | {"samples": self.samples}
+        if self.kind == "one" and self.members is None and known.rough and known.terrain.errors is not None:
+            found |= {"draws": known.terrain.errors.draws(OF_A_BELIEF, self.seed)}
         return found | {"sweep": self.sweep, "members": self.members}
 
 

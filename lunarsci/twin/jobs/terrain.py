@@ -359,7 +359,8 @@ def read_site(
     from lunarsci.twin.ground.hazards import read_mobility
     from lunarsci.twin.ground.keep_out import read_keep_outs
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
-    from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, SYNTHETIC
+    from lunarsci.twin.jobs.drive_inputs import SYNTHETIC
+    from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
     from lunarsci.twin.plans.made_for_check import MadeForCheck
     from lunarsci.twin.rover import build_rover
     from lunarsci.twin.rover_limits import check_turning

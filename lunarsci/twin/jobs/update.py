@@ -86,7 +86,7 @@ class Before:
         from lunarsci.regolith.belief import first_belief, read_belief
         from lunarsci.twin.assimilation.change_point import planned_places
         from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, read_soil_map
-        from lunarsci.twin.jobs.drive_inputs import PRIORS, doubt_of
+        from lunarsci.twin.jobs.given_soil import PRIORS, doubt_of
 
         file = None if asked.soil in (None, PRIORS) else read_input(asked.soil)
         of_map = file is not None and SCHEMA.encode() in file.data

@@ -5,19 +5,21 @@ being written there: circles to keep out of, what the motors give for long, and 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.energy import power_use, wheel_turns_rad
-from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit
+from lunarsci.twin.judgement.quantities import along, clearance
+from lunarsci.twin.plans.limits import AT_LEAST, QUANTITIES, Limit, own_limits
 from lunarsci.twin.simulation.ensemble import Prediction
 
 NEVER_BROKEN = ("keep_out_m", "battery_charge")
 """Limits that no drive of an ensemble may break, where of others 95 % keep them: it would be lost."""
+OWN = "the rover's own, as the plan has none"
+"""Begins the source of a limit that a plan leaves out."""
 CONFIDENCE = 0.95
 """Of each of the two bounds of a chance; assumed."""
 
@@ -80,7 +82,8 @@ def least_drives(risk: float) -> int:
 def limits_judged(prediction: Prediction) -> tuple[Limit, ...]:
     """The limits by which a drive is judged, in their order: those of the plan, then those that go without saying.
 
-    Without those that cannot be judged, see `not_judged`.
+    The rover's own limits stand for those that a plan leaves out. Without those that cannot be judged, see
+    `not_judged`.
     """
     given = {limit.quantity for limit in prediction.plan.limits}
     implied = tuple(limit for limit in _implied(prediction) if limit.quantity not in given)
@@ -90,13 +93,14 @@ def limits_judged(prediction: Prediction) -> tuple[Limit, ...]:
 
 def _implied(prediction: Prediction) -> tuple[Limit, ...]:
     rover, found = prediction.rover, []
+    own = [replace(limit, source=f"{OWN}: {limit.source}", assumed=True) for limit in own_limits(rover)]
     if prediction.plan.exclusion_zones:
         found.append(("keep_out_m", 0.0, "circles of the plan"))
     if rover.motors is not None:
         found.append(("motor_load", 1.0, "what the motors give for long"))
     if prediction.power is not None and rover.power is not None:
         found.append(("battery_charge", rover.power.least_charge, "the rover's battery"))
-    return tuple(Limit(name, QUANTITIES[name], value, source, False) for name, value, source in found)
+    return (*own, *(Limit(name, QUANTITIES[name], value, source, False) for name, value, source in found))
 
 
 def not_judged(prediction: Prediction) -> dict[str, str]:
@@ -149,15 +153,20 @@ def _motor_load(prediction: Prediction) -> FloatArray:
 def extremes(prediction: Prediction, quantity: str) -> FloatArray:
     """Worst value of a quantity over wheels and distance, as far as each member came. (members,)
 
-    The largest magnitude, or the smallest value of a quantity in `AT_LEAST`; NaN where a member has none. Raises
+    The largest magnitude, or the smallest value of a quantity in `AT_LEAST`; NaN where a member has none. Where the
+    ground below some of the body is unknown, so is the clearance, and it is minus infinite: no limit is kept. Raises
     ParameterError as `limited` does.
     """
     if quantity == "endpoint_miss_m":
         return prediction.miss_m
-    values = limited(prediction, quantity)
+    if quantity == "clearance_m":
+        values, unknown = clearance(prediction)
+        values = np.where(unknown > 0, -np.inf, values)
+    else:
+        values = limited(prediction, quantity)
     if quantity in AT_LEAST:
         least = np.where(prediction.reached & ~np.isnan(values), values, np.inf).min(axis=1)
-        return np.asarray(np.where(np.isinf(least), np.nan, least))
+        return np.asarray(np.where(least == np.inf, np.nan, least))
     return np.asarray(np.where(prediction.reached, values, 0.0).max(axis=1))
 
 

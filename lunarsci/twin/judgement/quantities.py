@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import each_in_threads, in_lanes
+from lunarsci.compiled import compiled, each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
 from lunarsci.twin.ground.keep_out import ExclusionZone
@@ -16,45 +16,36 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
-MOST_POINTS = 1000
-"""Of the grid on the belly; a finer terrain is met at wider points."""
 BLOCK = 4096
 BELLY_REACH_M = 3.0
 """No point of a rover is farther from its origin; assumed. [m]"""
 
 
-def belly_points(body: Body, spacing_m: float) -> FloatArray:
-    """Grid of points on the underside, edges included, at most `spacing_m` apart while 1000 points do. (n, 3) [m]"""
-    spacing = max(spacing_m, math.sqrt(body.length_m * body.width_m / MOST_POINTS))
-    along, across = (
-        np.linspace(-0.5 * side, 0.5 * side, max(2, math.ceil(side / spacing - 1e-9) + 1))
-        for side in (body.length_m, body.width_m)
-    )
-    x, y = np.meshgrid(body.center_x_m + along, across, indexing="ij")
-    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, body.belly_z_m)])
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def belly_plane(pose: Any, belly: float, x0: float, y0: float, spacing: float) -> Any:
+    """Column, row [nodes] and height [m] of a point of the belly plane: each c + a x + b y, as a, b, c."""
+    cr, sr, cp, sp = math.cos(pose[3]), math.sin(pose[3]), math.cos(pose[4]), math.sin(pose[4])
+    cy, sy = math.cos(pose[5]) / spacing, math.sin(pose[5]) / spacing
+    # Turned by roll about x, then by pitch about y, then by yaw about z.
+    column = (cy * cp, cy * sp * sr - sy * cr, (pose[0] - x0) / spacing + (cy * sp * cr + sy * sr) * belly)
+    row = (sy * cp, sy * sp * sr + cy * cr, (pose[1] - y0) / spacing + (sy * sp * cr - cy * sr) * belly)
+    return column, row, (-sp, cp * sr, pose[2] + cp * cr * belly)
 
 
-@in_lanes
-def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, poses: Any, out: Any) -> None:
-    """Least height of the points above the ground for each pose (n, 6: x, y, z, roll, pitch, yaw [rad]), into `out`.
-
-    `out` (n, 2) takes that height, NaN where no ground is known below, and the share of points without known ground.
-    """
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
+    """Least height of the belly's edges above the ground, places without known ground, and places."""
+    (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up) = plane
     ny, nx = height.shape
-    for k in range(len(poses)):
-        cr, sr = math.cos(poses[k, 3]), math.sin(poses[k, 3])
-        cp, sp = math.cos(poses[k, 4]), math.sin(poses[k, 4])
-        cy, sy = math.cos(poses[k, 5]) / spacing, math.sin(poses[k, 5]) / spacing
-        least, unknown = np.inf, 0
-        # Turned by roll about x, then by pitch about y, then by yaw about z: columns of that rotation.
-        column_x, column_y, column_z = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-        row_x, row_y, row_z = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-        up_x, up_y, up_z = -sp, cp * sr, cp * cr
-        column_0, row_0 = (poses[k, 0] - x0) / spacing, (poses[k, 1] - y0) / spacing
-        for n in range(len(points)):
-            x, y, z = points[n, 0], points[n, 1], points[n, 2]
-            column = column_0 + column_x * x + column_y * y + column_z * z
-            row = row_0 + row_x * x + row_y * y + row_z * z
+    least, unknown = np.inf, 0
+    for side in range(4):
+        count = parts[side % 2]
+        for n in range(count):
+            share = n / count if side < 2 else 1.0 - n / count
+            x, y = body[0] + share * (body[1] - body[0]), body[2] if side == 0 else body[3]
+            if side % 2:
+                x, y = body[1] if side == 1 else body[0], body[2] + share * (body[3] - body[2])
+            column, row = column_0 + column_x * x + column_y * y, row_0 + row_x * x + row_y * y
             if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
                 unknown += 1
                 continue
@@ -62,13 +53,81 @@ def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, 
             a, b = column - j, row - i
             low = height[i, j] + a * (height[i, j + 1] - height[i, j])
             high = height[i + 1, j] + a * (height[i + 1, j + 1] - height[i + 1, j])
-            above = poses[k, 2] + up_x * x + up_y * y + up_z * z - (low + b * (high - low))
+            above = up + up_x * x + up_y * y - (low + b * (high - low))
             if np.isnan(above):
                 unknown += 1
             elif above < least:
                 least = above
+    return least, unknown, 2 * (parts[0] + parts[1])
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def above_nodes(height: Any, body: Any, plane: Any) -> Any:
+    """Least height of the belly above the nodes below it, nodes without known height, and nodes."""
+    (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up) = plane
+    ny, nx = height.shape
+    x, y = 0.5 * (body[0] + body[1]), 0.5 * (body[2] + body[3])
+    half_x, half_y = 0.5 * (body[1] - body[0]), 0.5 * (body[3] - body[2])
+    row, column = row_0 + row_x * x + row_y * y, column_0 + column_x * x + column_y * y
+    high, wide = abs(row_x) * half_x + abs(row_y) * half_y, abs(column_x) * half_x + abs(column_y) * half_y
+    turned = column_x * row_y - column_y * row_x
+    least, unknown, places = np.inf, 0, 0
+    for i in range(max(0, math.ceil(row - high)), min(ny - 1, math.floor(row + high)) + 1):
+        for j in range(max(0, math.ceil(column - wide)), min(nx - 1, math.floor(column + wide)) + 1):
+            x = (row_y * (j - column_0) - column_y * (i - row_0)) / turned
+            y = (column_x * (i - row_0) - row_x * (j - column_0)) / turned
+            if x < body[0] or x > body[1] or y < body[2] or y > body[3]:
+                continue
+            places += 1
+            above = up + up_x * x + up_y * y - height[i, j]
+            if np.isnan(above):
+                unknown += 1
+            elif above < least:
+                least = above
+    return least, unknown, places
+
+
+@in_lanes
+def least_above(height: Any, x0: float, y0: float, spacing: float, body: Any, poses: Any, out: Any) -> None:
+    """Least height of a belly above the ground for each pose (n, 6: x, y, z, roll, pitch, yaw [rad]), into `out`.
+
+    `body` is its rear, front, right and left edge and its height in the rover's frame. The ground is bilinear, so that
+    what is highest below the belly is a node, or lies below an edge. `out` (n, 2) takes that height, NaN where no
+    ground is known below, and the share of these places without known ground.
+    """
+    parts = (4 + math.ceil((body[1] - body[0]) / spacing), 4 + math.ceil((body[3] - body[2]) / spacing))
+    for k in range(len(poses)):
+        plane = belly_plane(poses[k], body[4], x0, y0, spacing)
+        edge, unknown, places = above_edges(height, body, plane, parts)
+        node, unknown_nodes, nodes = above_nodes(height, body, plane)
+        least = min(edge, node)
         out[k, 0] = least if least < np.inf else np.nan
-        out[k, 1] = unknown / len(points)
+        out[k, 1] = (unknown + unknown_nodes) / (places + nodes)
+
+
+def with_middles(height_m: FloatArray, interpolation: str) -> FloatArray:
+    """Heights of nodes and of the places half-way between them, as the wheels meet them. (2 ny - 1, 2 nx - 1) [m]
+
+    A smooth ground is highest at a node or near one of these places. On triangles the middle of a cell lies on the
+    edge between the two.
+    """
+    if interpolation == "triangles":
+        height = np.empty([2 * n - 1 for n in height_m.shape])
+        height[::2, ::2] = height_m
+        height[::2, 1::2] = 0.5 * (height_m[:, :-1] + height_m[:, 1:])
+        height[1::2, ::2] = 0.5 * (height_m[:-1] + height_m[1:])
+        height[1::2, 1::2] = 0.5 * (height_m[:-1, :-1] + height_m[1:, 1:])
+        return height
+    return _smooth_middles(_smooth_middles(height_m).T).T
+
+
+def _smooth_middles(height: FloatArray) -> FloatArray:
+    """Rows between the rows, by cubic convolution at a half (Keys 1981), in line with the last two beyond an edge."""
+    whole = np.concatenate([2 * height[:1] - height[1:2], height, 2 * height[-1:] - height[-2:-1]])
+    result = np.empty((2 * len(height) - 1, height.shape[1]))
+    result[::2] = height
+    result[1::2] = (9 * (whole[1:-2] + whole[2:-1]) - whole[:-3] - whole[3:]) / 16
+    return result
 
 
 def clearance_of_poses(prediction: Prediction, body: Body, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -76,34 +135,34 @@ def clearance_of_poses(prediction: Prediction, body: Body, poses: FloatArray) ->
 
     Poses are (members, ..., 6), the results (members, ...). Every member is over its own ground.
     """
-    terrain = prediction.terrain
-    points = belly_points(body, terrain.spacing_m)
-    shape, draws = poses.shape[:-1], prediction.draws
+    terrain, shape, draws = prediction.terrain, poses.shape[:-1], prediction.draws
     flat = np.ascontiguousarray(poses.reshape(-1, 6))
     flat = np.concatenate([flat[:, :3], np.radians(flat[:, 3:])], axis=1)
+    half_x, half_y = 0.5 * body.length_m, 0.5 * body.width_m
+    belly = np.array([body.center_x_m - half_x, body.center_x_m + half_x, -half_y, half_y, body.belly_z_m])
     out = np.empty((len(flat), 2))
+    common = None if draws is not None else _ground_below(terrain, flat, None)
     size = BLOCK if draws is None else len(flat) // len(draws)
 
     def block(number: int) -> None:
         own = slice(number * size, (number + 1) * size)
-        ground = _ground_below(terrain, flat[own], None if draws is None else draws[number])
-        least_above(*ground, float(terrain.spacing_m), points, flat[own], out[own])
+        ground = common or _ground_below(terrain, flat[own], None if draws is None else draws[number])
+        least_above(*ground, 0.5 * terrain.spacing_m, belly, flat[own], out[own])
 
     each_in_threads(block, math.ceil(len(flat) / size))
     return out[:, 0].reshape(shape), out[:, 1].reshape(shape)
 
 
 def _ground_below(terrain: Terrain, poses: FloatArray, draw: FloatArray | None) -> tuple[FloatArray, float, float]:
-    """Heights that poses may be over, and x and y of their first node: all of them, or those drawn about the poses."""
-    if draw is None:
-        return np.ascontiguousarray(terrain.height_m, dtype=float), float(terrain.x0_m), float(terrain.y0_m)
-    parts = []
+    """Heights about poses with those half-way between the nodes, and x and y of their first node. [m]"""
+    parts, reach = [], BELLY_REACH_M + 3.0 * terrain.spacing_m
     for axis, places in ((terrain.y_m, poses[:, 1]), (terrain.x_m, poses[:, 0])):
-        first, last = np.searchsorted(axis, (places.min() - BELLY_REACH_M, places.max() + BELLY_REACH_M))
+        first, last = np.searchsorted(axis, (places.min() - reach, places.max() + reach))
         parts.append(slice(min(first, len(axis) - 2), max(last, 2)))
     rows, columns = parts
-    heights = terrain.drawn_heights(draw, rows, columns)
-    return heights, float(terrain.x_m[columns.start]), float(terrain.y_m[rows.start])
+    heights = terrain.height_m[rows, columns] if draw is None else terrain.drawn_heights(draw, rows, columns)
+    ground = with_middles(np.asarray(heights, dtype=float), terrain.interpolation)
+    return ground, float(terrain.x_m[columns.start]), float(terrain.y_m[rows.start])
 
 
 def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
@@ -111,9 +170,8 @@ def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
 
     Returns it [m] and the share of the underside that is over ground of unknown height [-], (members, samples) both.
     The distance counts the known ground only, is NaN where none is known, and negative where the chassis would be in
-    the ground; the drive itself goes on as if nothing had touched. Wheel tracks do not lower the ground. Heights are
-    bilinear between the nodes, six times faster than the ground that the wheels meet and 0.1 mm from it on the embedded
-    terrain, below points no wider apart than the nodes.
+    the ground; the drive itself goes on as if nothing had touched. Wheel tracks do not lower the ground. The highest
+    ground below the whole underside counts: every node, the places half-way between nodes, and below the edges.
 
     Raises ParameterError for a rover without a body.
     """

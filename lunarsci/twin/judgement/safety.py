@@ -1,7 +1,4 @@
-"""Is the next drive safe: each limited quantity over the ensemble, and a verdict.
-
-Where the wheel model was used outside of what is known about it.
-"""
+"""Is the next drive safe: each limited quantity over the ensemble, and a verdict."""
 
 import dataclasses
 import math
@@ -10,9 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from lunarsci.twin.ground.unresolved import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
     NEVER_BROKEN,
+    OWN,
     Chance,
     broken,
     extremes,
@@ -22,83 +21,14 @@ from lunarsci.twin.judgement.keeping import (
     not_judged,
 )
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters
-from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
-from lunarsci.twin.plans.plan import Limit, Plan
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.judgement.validity import MOST_BEYOND, Validity, percent, validity, validity_notes
+from lunarsci.twin.lanes import OUTCOMES
+from lunarsci.twin.plans.limits import Limit, check_limits
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.ensemble import Prediction
 
-CALIBRATED_SINKAGE_M = (0.005, 0.015)
-"""Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
 MOST = 0.95
 """Of the drives that keep each limit, where no other risk is accepted; assumed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Validity:
-    """Shares of the wheel states (every member, sample and wheel that was driven) by what is wrong with them.
-
-    Attributes
-    ----------
-    wheel_states : how many there are.
-    slip_share : |s| above 0.6, up to which the source states the wheel model.
-    unloaded_share : wheels in the air.
-    too_deep_share : sinkage beyond 0.9 radii, where the force no longer grows.
-    invalid_share : any of these.
-    uncalibrated_share : loaded, but sinkage outside of 5 to 15 mm, which the source's calibration covers; still valid.
-    members_off_map, members_in_hole : drives that ended at the edge of the map, or at ground of unknown height.
-    """
-
-    wheel_states: int
-    slip_share: float
-    unloaded_share: float
-    too_deep_share: float
-    invalid_share: float
-    uncalibrated_share: float
-    members_off_map: int
-    members_in_hole: int
-
-
-def validity(prediction: Prediction) -> Validity:
-    """Count what lies outside of the model; all shares are 0 but `invalid_share`, 1, where nothing was driven."""
-    driven = prediction.states[prediction.reached]
-    sinkage, slip, valid = (driven[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio", "valid"))
-    low, high = CALIBRATED_SINKAGE_M
-    loaded = sinkage > SHALLOWEST
-
-    def share(where: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]") -> float:
-        return float(where.mean()) if where.size else 0.0
-
-    return Validity(
-        wheel_states=int(valid.size),
-        slip_share=share(loaded & (np.abs(slip) > VALID_SLIP)),
-        unloaded_share=share(~loaded),
-        too_deep_share=share(sinkage > DEEPEST * prediction.rover.wheel.radius_m),
-        invalid_share=float(1.0 - valid.mean()) if valid.size else 1.0,
-        uncalibrated_share=share(loaded & ((sinkage < low) | (sinkage > high))),
-        members_off_map=int((prediction.outcome == LEFT).sum()),
-        members_in_hole=int((prediction.outcome == HOLE).sum()),
-    )
-
-
-def validity_notes(found: Validity) -> list[str]:
-    """One sentence for each kind that occurs."""
-    low, high = (1e3 * limit for limit in CALIBRATED_SINKAGE_M)
-    kinds = (
-        (found.slip_share, f"slip more than the wheel model holds for (|s| > {VALID_SLIP})"),
-        (found.unloaded_share, "are in the air"),
-        (found.too_deep_share, f"sink deeper than the wheel model holds for ({DEEPEST} of the radius)"),
-        (
-            found.uncalibrated_share,
-            f"sink less than {low:g} mm or more than {high:g} mm, the range of Yutu-2's calibration "
-            "(Ding et al. 2024): forces there were not tried on the Moon",
-        ),
-    )
-    return [f"{percent(share)} of the wheel states {what}" for share, what in kinds if share > 0]
-
-
-def percent(share: float) -> str:
-    """A share in words, never rounded to nothing."""
-    return "less than 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +106,7 @@ class Verdict:
 
     Attributes
     ----------
-    verdict : `go` or `no-go`.
+    verdict : `go`, `no-go`, or `not-determined` where that hangs on what is not known of the ground.
     reasons : why not, one sentence each; empty for `go`.
     notes : what a reader should know all the same.
     limits : one entry for each limit of the plan that can be judged; empty when no member finished.
@@ -191,7 +121,7 @@ class Verdict:
     keep_outs : circles to keep out of that drives come nearest to, the worst first.
     """
 
-    verdict: Literal["go", "no-go"]
+    verdict: Literal["go", "no-go", "not-determined"]
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     limits: tuple[Judgement, ...]
@@ -211,20 +141,30 @@ class Verdict:
         return Chance(self.failed, self.members)
 
 
+def headword(verdict: Verdict) -> str:
+    """The verdict as a title has it.
+
+    `not-determined` is NOT DETERMINED.
+    """
+    return verdict.verdict.upper() if verdict.verdict == "no-go" else verdict.verdict.upper().replace("-", " ")
+
+
 def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     """Hold a prediction against the limits of its plan.
 
     It is `go` when every member finished, at least 95 % of them keep each limit, and none enters a circle that the plan
-    keeps out of or draws more than the battery may give. Members count alike: on a grid of soils that is a share of the
-    grid, not a probability. Per member the worst value over wheels and distance counts, at the recorded samples.
-    Percentiles are over the members that finished. `plan` replaces the plan that was driven, to try other limits and
-    circles.
+    keeps out of, draws more than the battery may give, or has unknown ground below its body; and when at most 5 % of
+    the wheel states are beyond the wheel model. Limits that the plan leaves out are the rover's own. Members count
+    alike: on a grid of soils that is a share of the grid, not a probability. Per member the worst value over wheels and
+    distance counts, at the recorded samples. Percentiles are over the members that finished. `plan` replaces the plan
+    that was driven, to try other limits and circles. Raises ParameterError for limits that this rover cannot have.
 
     With an `accepted_risk` of the plan it is `go` when the chance to break any limit or not to end, the mean of
     Jeffreys' law as `twin plan` counts it, is at most that, and no circle is entered and no battery empty. Fewer
     members than can promise the risk are held against the first rule.
     """
     prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
+    check_limits(prediction.plan.limits, prediction.rover, prediction.plan.origin)
     finished = prediction.finished
     limits = limits_judged(prediction) if finished.any() else ()
     risk = prediction.plan.accepted_risk
@@ -242,6 +182,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     found = validity(prediction)
+    reasons += _over_unknown(prediction, judged) + _beyond_model(found)
     return Verdict(
         verdict="no-go" if reasons else "go",
         reasons=tuple(reasons),
@@ -257,6 +198,47 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
         accepted_risk=risk,
         keep_outs=near,
     )
+
+
+def undecided(verdict: Verdict, plain: Verdict, unresolved: Unresolved) -> Verdict:
+    """A no-go of drives on drawn ground, beside the verdict of drives on what the terrain's nodes show.
+
+    It stays where these are no-go, too, or where 95 % of the draws fail. Between, the ground that nobody has seen
+    decides, and the verdict is `not-determined`.
+    """
+    share = verdict.failed / verdict.members
+    if plain.verdict == "no-go" or share >= MOST:
+        return verdict
+    why = (
+        f"it hangs on ground that nodes {unresolved.spacing_m:g} m apart do not show: {percent(share)} of the drives "
+        "fail on draws of the Moon's roughness, and the plan keeps its limits where it is smooth between the nodes; "
+        f"heights every {unresolved.deciding_m:.2g} m would decide"
+    )
+    return dataclasses.replace(verdict, verdict="not-determined", reasons=(why, *verdict.reasons))
+
+
+def _over_unknown(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
+    """Where the body is over ground whose height nobody knows."""
+    if not any(one.quantity == "clearance_m" for one in judged):
+        return []
+    unknown = (clearance(prediction)[1] > 0) & prediction.reached
+    if not unknown.any():
+        return []
+    member, sample = np.unravel_index(int(unknown.argmax()), unknown.shape)
+    x, y = prediction.places_m[member, sample]
+    return [
+        f"the height of the ground below the body is not known in {int(unknown.any(axis=1).sum())} of "
+        f"{prediction.members} drives, first at x {x:.2f} m, y {y:.2f} m"
+    ]
+
+
+def _beyond_model(found: Validity) -> list[str]:
+    if found.beyond_share <= MOST_BEYOND:
+        return []
+    return [
+        f"{percent(found.beyond_share)} of the wheel states are beyond the wheel model, at most "
+        f"{percent(MOST_BEYOND)} may be"
+    ]
 
 
 def _beyond(risk: float, chance: Chance) -> list[str]:
@@ -311,6 +293,8 @@ def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgemen
 def _reason(judgement: Judgement, members: int) -> str:
     up = judgement.sense == "at most"
     name = f"p{100.0 * (judgement.share if up else 1.0 - judgement.share):02.3g}"
+    if judgement.judged == -math.inf:
+        return f"{judgement.quantity}: unknown in {judgement.exceeding} of {members} drives"
     if judgement.quantity == "keep_out_m":
         return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
     if judgement.quantity == "battery_charge":
@@ -336,16 +320,11 @@ def _crossed(one: Encounter, members: int) -> str:
 
 def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:
     stopped = np.flatnonzero(~prediction.finished)
-    if not prediction.plan.limits:
-        judged = tuple(one for one in judged if not one.ok)
     if stopped.size:
         member, why = int(stopped[0]), prediction.outcome_text(int(stopped[0]))
-    elif judged:
+    else:
         tightest = max(judged, key=lambda j: j.used)
         member, why = tightest.worst_member, _nearness(tightest)
-    else:
-        member = int(prediction.miss_m.argmax())
-        why = f"it misses the destination by {prediction.miss_m[member]:.3g} m, the most of all"
     return Worst(member, {name: float(values[member]) for name, values in prediction.parameters.items()}, why)
 
 
@@ -361,24 +340,19 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], found: Validit
         notes.append("the terrain is synthetic; the verdict says nothing about a real site")
     if assumed := [j.quantity for j in judged if j.assumed]:
         notes.append(f"assumed limits: {', '.join(assumed)}")
-    if not prediction.plan.limits and prediction.finished.any():
-        notes.append("the plan has no limits, so only the outcomes were judged, and what goes without saying")
+    if own := [f"{j.quantity} {j.limit:.3g}" for j in judged if j.source.startswith(OWN)]:
+        notes.append(f"limits that the plan leaves out are the rover's own: {', '.join(own)}")
     given, lacking = [limit.quantity for limit in prediction.plan.limits], not_judged(prediction)
     notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
     return (*notes, *_clearance_notes(prediction, judged), *validity_notes(found), *_broken(prediction, judged))
 
 
 def _clearance_notes(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
-    """What the clearance leaves open, where it is limited."""
+    """That the chassis touches, where the clearance is limited."""
     if not any(one.quantity == "clearance_m" for one in judged):
         return []
-    least, unknown = (values[prediction.reached] for values in clearance(prediction))
-    notes = []
-    if (share := float((unknown > 0).mean())) > 0:
-        notes.append(f"at {percent(share)} of the samples part of the chassis is over unknown ground, left out")
-    if (least < 0).any():
-        notes.append("the chassis would touch the ground; the drives go on as if it did not")
-    return notes
+    touches = (clearance(prediction)[0][prediction.reached] < 0).any()
+    return ["the chassis would touch the ground; the drives go on as if it did not"] if touches else []
 
 
 def _broken(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:

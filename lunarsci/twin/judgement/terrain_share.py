@@ -8,7 +8,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.twin.judgement.keeping import extremes
-from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
 MOST_PAIRS = 64
 """Drives that are driven again, evenly from all; of so many pairs a share is known within a fifth of itself."""
@@ -37,14 +37,23 @@ class TerrainShares:
     sinkage_m: float | None
 
 
-def terrain_shares(prediction: Prediction) -> TerrainShares | None:
-    """By at most 64 pairs; None where heights are exact, or fewer than two pairs finished."""
-    if prediction.draws is None:
+def likely_drives(prediction: Prediction) -> Prediction | None:
+    """Some of the drives again, at most 64, on ground as it is likely to be; None where heights are exact."""
+    return None if prediction.draws is None else _again(prediction, _chosen(prediction))
+
+
+def _chosen(prediction: Prediction) -> IntArray:
+    count = prediction.members if prediction.grounds is not None else min(MOST_PAIRS, prediction.members)
+    return np.unique(np.linspace(0, prediction.members - 1, count).astype(int))
+
+
+def terrain_shares(prediction: Prediction, plain: Prediction | None) -> TerrainShares | None:
+    """By pairs with `likely_drives`; None without them, or where fewer than two pairs finished."""
+    if plain is None:
         return None
-    every = prediction.grounds is not None
-    count = prediction.members if every else min(MOST_PAIRS, prediction.members)
-    chosen = np.unique(np.linspace(0, prediction.members - 1, count).astype(int))
-    plain = _again(prediction, chosen)
+    chosen = _chosen(prediction)
+    if plain.members == 1:
+        plain = _alike(plain, len(chosen))
     done = plain.finished & prediction.finished[chosen]
     if done.sum() < 2:
         return None
@@ -57,16 +66,29 @@ def terrain_shares(prediction: Prediction) -> TerrainShares | None:
     return TerrainShares(pairs=int(done.sum()), end_m=off, end=_share(*ends), **worst)
 
 
+def _alike(plain: Prediction, count: int) -> Prediction:
+    """One drive, as many times as there are grounds on which its soil was driven."""
+    return dataclasses.replace(
+        plain,
+        paths=np.repeat(plain.paths, count, axis=0),
+        states=np.repeat(plain.states, count, axis=0),
+        recorded=np.repeat(plain.recorded, count),
+        outcome=np.repeat(plain.outcome, count),
+        finer=None,
+    )
+
+
 def _again(prediction: Prediction, chosen: IntArray) -> Prediction:
     """Some members on the likely ground."""
     samples = {name: values[chosen] for name, values in prediction.parameters.items()}
     known: dict[str, Any] = {"samples": samples} if samples else {"sweep": ()}
+    sample_m = float(prediction.time_s[1]) * prediction.plan.speed_m_s
     return predict(
         prediction.rover,
         dataclasses.replace(prediction.terrain, errors=None),
         prediction.plan,
-        time_step_s=prediction.time_step_s * (1 + 1e-9),
-        sample_m=float(prediction.time_s[1]) * prediction.plan.speed_m_s * (1 + 1e-9),
+        time_step_s=min(prediction.time_step_s * (1 + 1e-9), LONGEST_STEP_S),
+        sample_m=min(sample_m * (1 + 1e-9), LONGEST_SAMPLE_M),
         seed=prediction.seed,
         ruts=prediction.ruts,
         before=prediction.before,

@@ -19,53 +19,35 @@ from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.synthetic import STAND_IN
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
-from lunarsci.twin.plans.plan import Limit, Plan
+from lunarsci.twin.plans.limits import Limit, own_limits
+from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SINKAGE_IN_RADII = 1.0 / 3.0
-"""Assumed, as in the embedded plan."""
 LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
 """What a plan without [limits] is judged by."""
 
 
-def limits_of_rover(limits: Iterable[Limit], description: RoverDescription, rover: Rover) -> tuple[Limit, ...]:
-    """Limits with those of the rover in place: sinkage a third of the wheel radius, tilt its steepest slope.
-
-    A limit that has this value already stays as it is. Both are assumed of the twin: no rover file has them.
-    """
-    own = _own(description, rover)
-    return tuple(_replaced(limit, *own[limit.quantity]) if limit.quantity in own else limit for limit in limits)
+def limits_of_rover(limits: Iterable[Limit], rover: Rover) -> tuple[Limit, ...]:
+    """Limits with those of the rover in place: sinkage a third of the wheel radius, tilt its steepest slope."""
+    own = {limit.quantity: limit for limit in own_limits(rover) if limit.quantity in OF_THE_ROVER}
+    return tuple(own.get(limit.quantity, limit) for limit in limits)
 
 
-def laxer(limits: Iterable[Limit], description: RoverDescription, rover: Rover) -> list[str]:
+def laxer(limits: Iterable[Limit], rover: Rover) -> list[str]:
     """Where limits allow more than those of the rover do: `sinkage_m 0.05 > 0.025`."""
-    own = _own(description, rover)
+    own = {limit.quantity: limit.limit for limit in own_limits(rover) if limit.quantity in OF_THE_ROVER}
     return [
-        f"{limit.quantity} {limit.limit:g} > {own[limit.quantity][0]:g}"
+        f"{limit.quantity} {limit.limit:g} > {own[limit.quantity]:g}"
         for limit in limits
-        if limit.quantity in own and limit.limit > own[limit.quantity][0] * (1 + 1e-9)
+        if limit.quantity in own and limit.limit > own[limit.quantity] * (1 + 1e-9)
     ]
 
 
-def _own(description: RoverDescription, rover: Rover) -> dict[str, tuple[float, str]]:
-    return {
-        "sinkage_m": (SINKAGE_IN_RADII * rover.wheel.radius_m, "a third of the wheel radius"),
-        "tilt_deg": (
-            read_mobility(description, rover).max_slope_deg,
-            "the steepest slope of the rover's limits, taken as a limit of the tilt",
-        ),
-    }
-
-
-def _replaced(limit: Limit, value: float, source: str) -> Limit:
-    if math.isclose(limit.limit, value, rel_tol=1e-9):
-        return limit
-    return replace(limit, limit=value, source=source, assumed=True)
-
-
+OF_THE_ROVER = ("sinkage_m", "tilt_deg")
+"""Limits that follow from the rover's size and file."""
 EMBEDDED = "the embedded plan"
 
 
@@ -153,7 +135,7 @@ class MadeForCheck:
                 f"{path} was made for {made.name}; give `rover` {made.rover}, or `rover` {own} to drive it with that "
                 "all the same"
             )
-        beyond = laxer(plan.limits, self.description, self.rover) if judged else []
+        beyond = laxer(plan.limits, self.rover) if judged else []
         if beyond:
             raise RequestError(
                 f"{path} was made for {made.name}, and its limits are laxer than those of {self.rover.name} "
@@ -206,7 +188,7 @@ class MadeForCheck:
             self.say(f"this is on the {STAND_IN}, as no terrain is named; give `terrain` for the ground of your rover")
 
     def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
-        limits = limits_of_rover(plan.limits, self.description, self.rover)
+        limits = limits_of_rover(plan.limits, self.rover)
         if limits == plan.limits:
             return plan
         changed = [f"{limit.quantity} {limit.limit:.3g}" for limit in limits if limit not in plan.limits]

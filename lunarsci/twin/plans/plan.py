@@ -1,37 +1,21 @@
 """The planned drive: legs, speed, limits of safety, and which soil parameters are uncertain."""
 
 import math
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import Any, Literal
+from typing import Any
 
 from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
-from lunarsci.names import one_of
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
+from lunarsci.twin.plans.limits import Limit, check_keys, check_limits, default_limits, number_of, parse_limit
 from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.rover import Rover
 
-# Quantities that can be limited, and their units.
-QUANTITIES = {
-    "slip_ratio": "-",
-    "side_slip_deg": "deg",
-    "sinkage_m": "m",
-    "tilt_deg": "deg",
-    "endpoint_miss_m": "m",
-    "clearance_m": "m",
-    "keep_out_m": "m",
-    "motor_torque_nm": "N m",
-    "motor_load": "-",
-    "battery_charge": "-",
-}
-AT_LEAST = ("clearance_m", "keep_out_m", "battery_charge")
-"""Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
 _KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out", "target")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
 SLOWEST_M_S = 0.001
@@ -102,25 +86,6 @@ class Fixes:
                 raise ParameterError(f"fixes {name} is {getattr(self, name)}; give 0 or more")
         if self.halt_s > LONGEST_STOP_S:
             raise ParameterError(f"fixes halt_s is {self.halt_s:g}; give at most {LONGEST_STOP_S:g} s")
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """What counts as safe of a quantity, its unit, where the number comes from, whether it is a guess.
-
-    It is the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which.
-    """
-
-    quantity: str
-    unit: str
-    limit: float
-    source: str
-    assumed: bool
-
-    @property
-    def sense(self) -> Literal["at most", "at least"]:
-        """Whether values up to the limit are safe, or values from it on."""
-        return "at least" if self.quantity in AT_LEAST else "at most"
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +178,8 @@ class Plan:
 
 
 def check_plan(plan: Plan, rover: Rover) -> None:
-    """Raises ParameterError for a plan that the rover cannot follow."""
+    """Raises ParameterError for a plan that the rover cannot follow, or with limits that no rover of its size has."""
+    check_limits(plan.limits, rover, plan.origin)
     where = f"{plan.origin}: " if plan.origin else ""
     if plan.speed_m_s > rover.max_speed_m_s:
         raise ParameterError(
@@ -278,13 +244,13 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
     try:
         document = toml_of(origin, text)
-        _check_keys(document, _KEYS, "the plan")
+        check_keys(document, _KEYS, "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
-        _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
-        _check_keys(drive, ("speed_m_s", "blend_m", "accepted_risk"), "[drive]")
+        check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
+        check_keys(drive, ("speed_m_s", "blend_m", "accepted_risk"), "[drive]")
         if "speed_m_s" not in drive:
             raise ParameterError("[drive] has no speed_m_s")
-        limits = _table(document, "limits") if "limits" in document else _default_limits()
+        limits = _table(document, "limits") if "limits" in document else default_limits()
         return Plan(
             name=str(document.get("name", origin)),
             legs=_legs(_list(document, "leg")),
@@ -297,14 +263,10 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
             own_limits="limits" in document,
             crs=str(document.get("crs", "")),
             target_m=_target(document),
-            **{key: _number(value, key) for key, value in (start | drive).items()},
+            **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
     except ParameterError as error:
         raise DataError(f"{origin}: {error}") from error
-
-
-def _default_limits() -> dict[str, Any]:
-    return dict(tomllib.loads((files(__package__) / "plan.toml").read_text("utf-8"))["limits"])
 
 
 def _list(document: dict[str, Any], name: str) -> list[Any]:
@@ -325,14 +287,14 @@ def _legs(tables: list[Any]) -> tuple[Leg, ...]:
 
 
 def _leg(table: Any) -> Leg:
-    _check_keys(table, Leg.__slots__, "[[leg]]")
-    numbers = {name: _number(value, name) for name, value in table.items() if name != "wheel_test"}
+    check_keys(table, Leg.__slots__, "[[leg]]")
+    numbers = {name: number_of(value, name) for name, value in table.items() if name != "wheel_test"}
     return Leg(**numbers, wheel_test=_wheel_test(table["wheel_test"]) if "wheel_test" in table else None)
 
 
 def _wheel_test(table: Any) -> WheelTest:
     _check_complete(table, WheelTest.__slots__, 'wheel_test, as { wheel = "FL", rate_ratio = 0.6 },')
-    return WheelTest(str(table["wheel"]), _number(table["rate_ratio"], "rate_ratio"))
+    return WheelTest(str(table["wheel"]), number_of(table["rate_ratio"], "rate_ratio"))
 
 
 def _fixes(document: dict[str, Any]) -> Fixes | None:
@@ -340,7 +302,7 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
         return None
     table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
     _check_complete(table, known, "[fixes]", "halt_s")
-    return Fixes(*(_number(table[name], name) for name in (*known, "halt_s") if name in table))
+    return Fixes(*(number_of(table[name], name) for name in (*known, "halt_s") if name in table))
 
 
 def _target(document: dict[str, Any]) -> tuple[float, float] | None:
@@ -348,23 +310,12 @@ def _target(document: dict[str, Any]) -> tuple[float, float] | None:
         return None
     table = _table(document, "target")
     _check_complete(table, ("x_m", "y_m"), "[target]")
-    return _number(table["x_m"], "x_m"), _number(table["y_m"], "y_m")
+    return number_of(table["x_m"], "x_m"), number_of(table["y_m"], "y_m")
 
 
 def _exclusion_zone(table: Any) -> ExclusionZone:
     _check_complete(table, ("name", "x_m", "y_m", "radius_m"), "[[keep_out]]")
-    return ExclusionZone(str(table["name"]), *(_number(table[name], name) for name in ("x_m", "y_m", "radius_m")))
-
-
-def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
-    _check_keys({quantity: entry}, QUANTITIES, "[limits]")
-    table = entry if isinstance(entry, dict) else {"value": entry, "source": source}
-    _check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
-    value = _number(table.get("value"), quantity)
-    lowest_fits = quantity in AT_LEAST and value == 0
-    if not (0 < value < math.inf or lowest_fits):
-        raise ParameterError(f"limit {quantity} is {value}; give a number above 0")
-    return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
+    return ExclusionZone(str(table["name"]), *(number_of(table[name], name) for name in ("x_m", "y_m", "radius_m")))
 
 
 def _table(document: dict[str, Any], name: str) -> dict[str, Any]:
@@ -374,22 +325,8 @@ def _table(document: dict[str, Any], name: str) -> dict[str, Any]:
     return table
 
 
-def _check_keys(table: Any, known: Iterable[str], where: str) -> None:
-    if not isinstance(table, dict):
-        raise ParameterError(f"{where} must be a table")
-    for key in table:
-        if key not in known:
-            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
-
-
 def _check_complete(table: Any, needed: Iterable[str], where: str, *optional: str) -> None:
-    _check_keys(table, (*needed, *optional), where)
+    check_keys(table, (*needed, *optional), where)
     for name in needed:
         if name not in table:
             raise ParameterError(f"{where} has no {name}")
-
-
-def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ParameterError(f"{name} is {value!r}; give a number")
-    return float(value)

@@ -6,7 +6,8 @@ from pathlib import Path
 from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.inputs import Source, read_input
-from lunarsci.twin.plans.plan import Leg, Limit, Plan, parse_limit
+from lunarsci.twin.plans.limits import Limit, parse_limit
+from lunarsci.twin.plans.plan import Leg, Plan
 
 
 def plan_text(plan: Plan) -> str:

@@ -13,7 +13,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import RoverFootprint
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
+from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.routes.arc_search import Course, keeps_clear, lattice_courses, refine
 from lunarsci.twin.routes.corridors import DistinctWays, course_places, obstacle_places, sides

@@ -12,8 +12,9 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
-from lunarsci.twin.plans.plan import Leg, Limit, Plan
+from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, ArcProblem, Course, find_courses, pose_after
 from lunarsci.twin.routes.search_ground import SearchGround, search_ground
 from lunarsci.twin.rover import Rover

@@ -116,7 +116,10 @@ def _turned(prediction: "Prediction", random: np.random.Generator) -> FloatArray
 def _states(
     prediction: "Prediction", along: FloatArray, across: FloatArray, shares: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """A rover that comes a share of the way farther slips less by it; one that comes to the left slips sidewards."""
+    """A rover that comes a share of the way farther slips less by it; one that comes to the left slips sidewards.
+
+    No draw goes beyond what a quantity can have: |slip| 1, 90 deg of side slip, and a wheel's radius of sinkage.
+    """
     from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
     states, moving = prediction.states.copy(), ~prediction.halted
@@ -126,6 +129,10 @@ def _states(
     column["side_slip_deg"][:, moving] += np.degrees(left)
     for name, share in shares.items():
         column[name][:, moving] *= 1.0 + share[:, None, None]
+    for name, low, high in (
+        ("slip_ratio", -1.0, 1.0), ("side_slip_deg", -90.0, 90.0), ("sinkage_m", 0.0, prediction.rover.wheel.radius_m)
+    ):  # fmt: skip
+        np.clip(column[name], low, high, out=column[name])
     return states
 
 

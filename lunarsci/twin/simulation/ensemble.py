@@ -244,7 +244,8 @@ def predict(
         forces or soils of states takes every wheel's ground as undisturbed.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too. Where that
         drive did not end, this one has its outcome.
-    draws : what the ground of each member is drawn by, instead of the terrain's own `HeightErrors.draws` by the seed.
+    draws : what the ground of each member is drawn by, instead of the terrain's own `HeightErrors.draws` by the seed;
+        of one soil there are as many members.
     progress : called with members done and members in all, after each of them.
 
     Raises
@@ -260,7 +261,7 @@ def predict(
         parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
     else:
         parameters = _given_parameters(given, sweep, members)
-    count = len(next(iter(parameters.values()))) if parameters else 1
+    count = len(next(iter(parameters.values()))) if parameters else (1 if draws is None else len(draws))
     schedule = make_schedule(plan, rover)
     times, every = _steps(schedule, count, time_step_s, sample_m)
     overrides = soil_overrides(parameters if grounds is None else {}, count)

@@ -1,0 +1,136 @@
+"""Roughness that lies between the nodes of a coarse grid, drawn from the roughness of the Moon by scale.
+
+A map from orbit shows no ground between its nodes, and a rover meets it. Differences of lunar heights over a distance l
+have the variance c l^(2 H), and medians of slope and exponent are known for maria and highlands down to 17 m. That the
+law goes on to the size of a wheel is assumed. What a smooth surface through nodes of that spacing does not show of such
+ground is laid on nodes as close as a wheel is large; how rough it is changes from place to place between the two kinds.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power
+from lunarsci.twin.ground.terrain import Terrain
+
+BASELINE_M = 17.0
+"""Shortest distance over which slopes were measured from orbit: Rosenburg et al. (2011), 10.1029/2010JE003716. [m]"""
+MARIA, HIGHLANDS = (2.0, 0.76), (7.5, 0.95)
+"""Median slope of the ground over 17 m [deg], and median Hurst exponent [-]: Rosenburg et al. (2011), as above."""
+ALIKE_M = 10.0
+"""Distance over which the ground stays about as rough; assumed. [m]"""
+MARGIN_M, MARGIN_SHARE = 10.0, 0.2
+"""About a plan, and of its length, on which finer nodes are laid: drives stray less. Assumed."""
+MOST_NODES = 4_000_000
+"""Of the finer grid; beyond them nodes lie wider apart."""
+OBSTACLE_SIGMAS = 3.0
+"""Of what lies between nodes, that make an obstacle; assumed."""
+
+
+def relief_of_kind(slope_deg: float, hurst: float) -> Relief:
+    """The law of differences of heights for a median slope over 17 m and an exponent."""
+    # Slopes along x and y are normal, so that the ground's slope has Rayleigh's law, of median sqrt(2 ln 2).
+    rms_m = BASELINE_M * math.tan(math.radians(slope_deg)) / math.sqrt(2.0 * math.log(2.0))
+    return Relief(rms_m**2 * BASELINE_M ** (-2.0 * hurst), hurst)
+
+
+def lunar_relief() -> tuple[Relief, float]:
+    """The law half-way between maria and highlands, in logarithms, and how far each is from it. [ln of a height]"""
+    one, other = relief_of_kind(*MARIA), relief_of_kind(*HIGHLANDS)
+    apart = 0.25 * math.log(other.at_one_m / one.at_one_m)
+    return Relief(math.sqrt(one.at_one_m * other.at_one_m), 0.5 * (one.hurst + other.hurst)), apart
+
+
+@dataclass(frozen=True, slots=True)
+class Unresolved:
+    """What a grid does not show.
+
+    Attributes
+    ----------
+    spacing_m : of its nodes. [m]
+    rms_m : what lies between them, in the median over the ground that may be there. [m]
+    deciding_m : spacing at which no obstacle of the rover lies between nodes. [m]
+    """
+
+    spacing_m: float
+    rms_m: float
+    deciding_m: float
+
+
+def with_unresolved(
+    terrain: Terrain, places_m: FloatArray, wheel_radius_m: float, step_m: float, seed: int = 0
+) -> tuple[Terrain, Unresolved | None]:
+    """A terrain about planned places (n, 2) on nodes no wider than a wheel's radius, with what it does not show.
+
+    As it is, and None, where its own nodes are as close. `step_m` is what a wheel climbs.
+    """
+    factor = 2 ** max(0, math.ceil(math.log2(terrain.spacing_m / wheel_radius_m) - 1e-9))
+    rows, columns = _about(terrain, places_m)
+    while factor > 1 and (rows.stop - rows.start) * (columns.stop - columns.start) * factor**2 > MOST_NODES:
+        factor //= 2
+    if factor == 1:
+        return terrain, None
+    finer = _finer(terrain, rows, columns, factor)
+    grain = unresolved_grain(factor, finer.spacing_m, seed)
+    errors = HeightErrors(
+        common=np.zeros((*finer.height_m.shape, 0), np.float32),
+        level=np.zeros(finer.height_m.shape, np.float32),
+        grain=np.stack([grain, grain], axis=-1),
+    )
+    relief, _ = lunar_relief()
+    deciding = (step_m / (OBSTACLE_SIGMAS * math.sqrt(relief.at_one_m))) ** (1.0 / relief.hurst)
+    told = Unresolved(terrain.spacing_m, float(np.sqrt(np.median(grain.astype(float) ** 2)) / 0.6745), deciding)
+    return dataclasses.replace(finer, errors=errors), told
+
+
+def unresolved_grain(factor: int, spacing_m: float, seed: int) -> "np.ndarray[tuple[int, ...], np.dtype[np.float32]]":
+    """Fractal ground less the cubic spline through every so many nodes of it, on a torus. (512, 512) [m]"""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    random = np.random.default_rng([seed, 31])
+    relief, apart = lunar_relief()
+    shape = (GRAIN_NODES, GRAIN_NODES)
+    waves = np.fft.fft2(random.standard_normal(shape)) * np.sqrt(fractal_power(shape, spacing_m, relief))
+    ground = np.fft.ifft2(waves).real
+    kind = gaussian_filter(random.standard_normal(shape), min(ALIKE_M / spacing_m, GRAIN_NODES / 8), mode="wrap")
+    nodes = np.mgrid[:GRAIN_NODES, :GRAIN_NODES] / factor
+    shown = map_coordinates(ground[::factor, ::factor], nodes, order=3, mode="grid-wrap")
+    rougher = np.exp(apart * (kind - kind.mean()) / kind.std())
+    return np.asarray(rougher * (ground - shown), dtype=np.float32)
+
+
+def _about(terrain: Terrain, places_m: FloatArray) -> tuple[slice, slice]:
+    """Rows and columns of the nodes about a plan, at least four of each where there are so many."""
+    length = float(np.hypot(*np.diff(places_m, axis=0).T).sum())
+    reach = MARGIN_M + MARGIN_SHARE * length + 2.0 * terrain.spacing_m
+    parts = []
+    for axis, places in ((terrain.y_m, places_m[:, 1]), (terrain.x_m, places_m[:, 0])):
+        first, last = np.searchsorted(axis, (places.min() - reach, places.max() + reach))
+        parts.append(slice(max(0, min(int(first), len(axis) - 4)), min(len(axis), max(int(last), 4))))
+    return parts[0], parts[1]
+
+
+def _finer(terrain: Terrain, rows: slice, columns: slice, factor: int) -> Terrain:
+    """The same surface on nodes a `factor` closer, between some rows and columns."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    x, y = terrain.x_m[columns], terrain.y_m[rows]
+    spacing = terrain.spacing_m / factor
+    finer_x, finer_y = (axis[0] + spacing * np.arange(factor * (len(axis) - 1) + 1) for axis in (x, y))
+    soil = terrain.soil
+    if soil.shape[0] > 1:
+        places = np.stack(np.meshgrid(finer_y, finer_x, indexing="ij"), axis=-1)
+        laid = RegularGridInterpolator((y, x), soil[rows, columns], bounds_error=False, fill_value=None)
+        soil = laid(places)
+    return dataclasses.replace(
+        terrain,
+        x0_m=float(x[0]),
+        y0_m=float(y[0]),
+        spacing_m=spacing,
+        height_m=terrain.height_at(finer_x[None, :], finer_y[:, None]),
+        soil=soil,
+        ground=terrain.written,
+    )
