@@ -1,5 +1,7 @@
 """Fits that refuse: laws that cannot explain the states, wrong signs and units, and files that carry the verdict."""
 
+import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +19,11 @@ from lunarsci.regolith.inference.prediction import (
     disputed,
     predict_forces,
     predict_states,
+    shares_at,
 )
 from lunarsci.regolith.inference.verdict import least_chi_square
 from lunarsci.regolith.integrals import integrated_forces
-from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.prior import PARAMETERS, default_prior
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import ContactModel, read_wheel
@@ -210,3 +213,27 @@ def test_a_verdict_that_is_not_trusted_says_why() -> None:
             trusted=False, reason="", model="closed", model_error=(0, 0, 0), model_error_from="given",
             reduced_chi_square=1.0,
         )  # fmt: skip
+
+
+def test_the_model_errs_more_where_nothing_taught_it(right: SoilPosterior) -> None:
+    """At a taught state its own error; 0.3 of slip away 1 - 1/e of the variance elsewhere comes to it; far off all."""
+    taught = replace(right, taught=np.array([[0.1, 0.0], [0.4, 0.0]]))
+    own = np.array(right.verdict.model_error)
+    elsewhere = max(own.max(), 0.1)
+    found = shares_at(taught, np.array([[0.4, 0.0], [0.7, 0.0], [0.1, 15.0], [0.1, 80.0]]))
+    part = 1.0 - math.exp(-1.0)
+    assert found == pytest.approx(np.sqrt(own**2 + np.array([0.0, part, part, 1.0])[:, None] * elsewhere**2), rel=1e-9)
+    drawn = predict_forces(taught, WHEEL, [0.1, 0.1], [0.0, 45.0], [36.0, 36.0], [0.01, 0.01], draws=2000)
+    low, high = drawn.interval()
+    assert (high - low)[1, 2] > 2.0 * 1.6 * elsewhere * 36.0 * 0.9
+
+
+def test_a_parameter_that_no_soil_has_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wheels on a soil of 20 kPa, four standard deviations of the prior off; on that of 600 Pa nothing is said."""
+    assert default_prior()["cohesion_pa"].widths_off(20_000.0) == pytest.approx(math.log(20_000 / 600) / 0.9)
+    monkeypatch.setattr(sys.modules[__name__], "SOIL", SOIL.replace(cohesion_pa=20_000.0))
+    found = infer_soil(states(measured(60)), OTHER, model=ContactModel())
+    assert not found.verdict.trusted and "cohesion_pa is" in found.verdict.reason, found.verdict.reason
+    monkeypatch.undo()
+    plain = infer_soil(states(measured(60)), OTHER, model=ContactModel())
+    assert plain.verdict.trusted, plain.verdict.reason

@@ -66,10 +66,16 @@ def test_points_of_published_curves(bench: Any, reference_data: Path) -> None:
 
 
 def test_a_joint_fit_explains_the_measured_wheel_and_predicts_repetitions_left_out(bench: Any, runs: Any) -> None:
-    """Measured over all repetitions: drawbar 0.06 of the load without and 0.10 with side slip, lateral 0.09."""
+    """Measured over all repetitions: drawbar 0.06 of the load without and 0.10 with side slip, lateral 0.09.
+
+    It predicts well with numbers that no soil of the Moon and no wheel of the priors has, and says so.
+    """
     states, wheel = bench.states_of(runs), bench.read_wheel("cmu-grouser")
     found = bench.infer_soil(states, wheel, model=bench.JOINT.model, contact=True)
-    assert found.verdict.trusted, found.verdict.reason
+    assert not found.verdict.trusted
+    assert all(
+        name in found.verdict.reason for name in ("sinkage_exponent is", "max_stress_c1 is", "of its prior from")
+    )
     assert 0.5 <= (found.verdict.reduced_chi_square or 0) <= 2
     misses, held, which = bench.left_out(states, wheel, bench.JOINT, runs.repetition, (1,))
     straight = runs.angle[which] == 0

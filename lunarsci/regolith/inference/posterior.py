@@ -70,6 +70,7 @@ class SoilPosterior:
         for the normal approximation.
     profiled : (4, p) 68 % and 95 % limits by profile, None where they were not asked for.
     disputed : parameters of which another law that predicts as well finds another value.
+    taught : slip ratio [-] and side slip [deg] of the states kept; empty where they are not known. (n, 2)
     """
 
     mode: FloatArray
@@ -87,6 +88,7 @@ class SoilPosterior:
     autocorrelation: float | None = None
     profiled: FloatArray | None = field(default=None, repr=False)
     disputed: tuple[str, ...] = ()
+    taught: FloatArray = field(default_factory=lambda: np.empty((0, 2)), repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -268,6 +270,7 @@ def infer_soil(
         stretch_of(found),
         autocorrelation,
         profiled,
+        taught=found.problem.inputs[found.kept, 1:3],
     )
 
 

@@ -32,6 +32,12 @@ STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
 MOST_COMPARED = 200
 """States that laws are compared on, drawn from more, so that it takes seconds; assumed."""
+ALIKE = (0.3, 15.0)
+"""How far off in slip [-] and side slip [deg] from the states that taught it a law is as wrong as it is elsewhere;
+assumed, about the steps between states of wheel tests."""
+LEAST_ELSEWHERE = 0.1
+"""Share of the load by which a law misses a force where nothing taught it, at least: what the best one misses of the
+runs of Pavlov & Johnson's wheel that it has not seen, 0.09 to 0.10 (`tests/benchmarks/wheels.py`)."""
 OPEN = 2.0
 """Standard errors by which a law with known contact angles must predict better before they are taken as known; assumed.
 """
@@ -90,8 +96,9 @@ def predict_forces(
     Returns
     -------
     Draws of the soil, of its contact, of the errors of measurement, and of the model's: a Student law with the tails of
-    the residuals, for each force and state its own; all as many times wider as states left out ask for. Where the
-    sinkage follows from the load, F_N is the load.
+    the residuals, for each force and state its own; all as many times wider as states left out ask for. The model's
+    error grows away from the slips and side slips that taught it, see `shares_at`. Where the sinkage follows from the
+    load, F_N is the load.
 
     Raises ParameterError for loads out of range.
     """
@@ -102,12 +109,12 @@ def predict_forces(
     said = errors or MeasurementErrors()
     best = values_of(posterior.prior, posterior.mode)
     soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
-    share, depth, forces = np.array(posterior.verdict.model_error), np.empty((draws, len(load))), []
+    share, depth, forces = shares_at(posterior, states), np.empty((draws, len(load))), []
     given = None if sinkage_m is None else np.broadcast_to(np.asarray(sinkage_m, dtype=float), load.shape)
     for k, soil in enumerate(soils):
         moved = states[:, :2] + random.standard_normal((len(load), 2)) * _spread(said, states)
         if given is None:
-            carried = load * np.maximum(1 + share[0] * random.standard_normal(load.shape), LEAST_CARRIED)
+            carried = load * np.maximum(1 + share[:, 0] * random.standard_normal(load.shape), LEAST_CARRIED)
             depth[k] = _under(soil, moved, carried, wheel, posterior)
         else:
             deep = given + said.sinkage_m * random.standard_normal(load.shape)
@@ -122,6 +129,21 @@ def predict_forces(
     if given is None:
         noise[..., 0], all_forces[..., 0], value[:, 0] = 0.0, load, load
     return PredictedForces(value, value + np.array(posterior.stretch) * (all_forces + noise - value), depth)
+
+
+def shares_at(posterior: SoilPosterior, motion: FloatArray) -> FloatArray:
+    """Share of the load by which the model misses F_N, F_DP, F_L at slips and side slips (n, 2 or more). (n, 3)
+
+    Near states that taught it that is the model error found there; far from them the largest of the three comes to it,
+    as straight drives say nothing of how well the law knows lateral forces.
+    """
+    share = np.broadcast_to(np.array(posterior.verdict.model_error), (len(motion), 3))
+    if not len(posterior.taught):
+        return share
+    apart = (motion[:, None, :2] - posterior.taught[None]) / ALIKE
+    nearest = (apart**2).sum(axis=2).min(axis=1)
+    elsewhere = max(float(share.max()), LEAST_ELSEWHERE)
+    return np.asarray(np.sqrt(share**2 + (-np.expm1(-nearest))[:, None] * elsewhere**2))
 
 
 def _spread(errors: MeasurementErrors, states: FloatArray) -> FloatArray:

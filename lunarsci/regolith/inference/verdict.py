@@ -11,6 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.inference.problem import LEAST_SHARE, JointProblem, error_covariance, part_of
+from lunarsci.regolith.prior import values_of
 from lunarsci.regolith.states import WheelStates
 
 CEILINGS = (0.35, 0.15, 0.15)
@@ -26,6 +27,8 @@ GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
 no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
 assumed."""
+NEAR_END = 1.96
+"""Standard deviations to the nearer end of a 95 % interval, by definition; assumed normal."""
 DECISIVE = 12.0
 """By how much -2 ln posterior must be better for another reading of a column to count: odds of 400. Assumed."""
 HUBER, MOST_STATES = 3.0, 60
@@ -134,9 +137,8 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     """
     shares, reduced = mode.problem.model_error, reduced_chi_square(mode)
     reasons = [*_misfit(mode, reduced, given, states), *_ceilings(mode, given), *_left_out(mode, unusable)]
-    strange = float(np.max(np.abs(mode.point - mode.problem.center) / mode.problem.width))
-    good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and strange < STRANGE
-    good = good and not reasons
+    reasons += _strange(mode)
+    good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and not reasons
     turned = [] if good else suspects(mode, units=bool(reasons))
     if turned:
         first = turned[0]
@@ -166,6 +168,18 @@ def _misfit(mode: Mode, reduced: float | None, given: bool, states: WheelStates)
         return []
     after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(mode.problem.model_error))
     return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
+
+
+def _strange(mode: Mode) -> list[str]:
+    """Parameters that no soil or wheel of the priors has, whatever the states leave open of them."""
+    problem = mode.problem
+    off, sd = (mode.point - problem.center) / problem.width, np.sqrt(np.diag(mode.covariance)) / problem.width
+    values = values_of(problem.prior, mode.point)
+    return [
+        f"{problem.names[k]} is {values[k]:.3g}, {abs(off[k]):.1f} standard deviations of its prior from "
+        f"{problem.prior[problem.names[k]].median:g}"
+        for k in np.flatnonzero(np.abs(off) - NEAR_END * sd > STRANGE)
+    ]
 
 
 def least_chi_square(left: float) -> float:
