@@ -121,7 +121,7 @@ def test_mode_of_a_linear_problem_is_that_of_least_squares() -> None:
 
 
 def test_mode_follows_wild_values_by_their_sign_alone_and_the_prior_whole() -> None:
-    """Beyond 4 errors a value pulls by 4 whatever its size, and curves nothing; a prior that is 6 off stays a square."""
+    """Beyond 4 errors a value pulls by 4 whatever its size and curves nothing; a prior that is 6 off stays a square."""
     random = np.random.default_rng(5)
     matrix, truth = random.normal(size=(40, 8)), np.array([7.0, *np.zeros(7)])
     measured = matrix @ truth
