@@ -246,7 +246,7 @@ def test_the_table_of_a_path_has_a_row_every_tenth_of_a_metre_or_nearer() -> Non
     for name, more in (("slope_deg", 0), ("roughness_m", 1000), ("step_m", 2000)):
         assert (table[name].to_numpy() - more).tolist() == nearest
     assert len(path_table(arc, surface, 0.5)) == 4 and len(path_table(arc, surface, 2.0)) == 2
-    # Lit or not is looked at every 2 cm: 54 places, those beyond x = 0.625 m, midway between two nodes, lie in the dark.
+    # Light is looked at every 2 cm, at 54 places: beyond x = 0.625 m, midway between two nodes, they lie in the dark.
     lit = np.tile(x <= 0.51, (y.size, 1))
     many = np.radians(30.0) + 0.5 * np.linspace(0.0, 1.05, 54)
     assert share_on(lit, arc, surface) == pytest.approx((0.2 + 2.0 * (np.sin(many) - 0.5) < 0.625).mean())
