@@ -80,7 +80,9 @@ def test_the_spread_of_a_band_is_the_largest_distance_to_either_side(sign: float
             )
             for band in fit.bands
         )
-        return replace(fit, continuum="wavelength", bands=bands, nbsr={"um2": replace(ratio, opx=ratio.opx + 0.05 * far)})
+        return replace(
+            fit, continuum="wavelength", bands=bands, nbsr={"um2": replace(ratio, opx=ratio.opx + 0.05 * far)}
+        )
 
     others = {"wavelength-quadratic": fit, "wavelength": off(1.0), "wavenumber": off(-4 / 7)}
     lost = replace(off(9.0), converged=False)
