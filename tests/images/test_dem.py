@@ -20,7 +20,7 @@ from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.gridding import _common_errors, _lay, grid_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.landscape import Landscape, landscape_on
-from lunarsci.images.matching import MATCHED, SHADOW, Rectified, StereoMatches, _islands, match, rectify
+from lunarsci.images.matching import MATCHED, SHADOW, Rectified, StereoMatches, _islands, _relief, match, rectify
 from lunarsci.images.pictures import png_bytes, read_picture
 from lunarsci.images.refinement import HALF_PX, refine
 from lunarsci.images.render import RenderedPair, render
@@ -289,6 +289,29 @@ def test_patches_that_hang_in_nothing_are_islands() -> None:
     islands = _islands(disparity)
     assert islands[alone].all() and islands[below].all()
     assert islands.sum() == 150 + 150
+
+
+def test_relief_is_what_a_plane_leaves_of_the_window_that_is_refined() -> None:
+    """Against planes by least squares; a spike counts as far as the 7 x 7 pixels about it, with what its plane leaves.
+
+    Nothing of a window's 49 disparities but the middle is off: of the spike its mean takes 1/49, so that 48/49^2 of its
+    square are left; off the middle the slopes take more.
+    """
+    v, u = np.mgrid[:30, :40].astype(float)
+    plane = 50 - 0.3 * v + 0.02 * u
+    assert _relief(plane) == pytest.approx(0.0, abs=1e-5)
+    spiked = plane + 2.0 * ((v == 12) & (u == 20))
+    found = _relief(spiked)
+    assert found[12, 20] == pytest.approx(2.0 * np.sqrt(48) / 49, rel=1e-6)
+    assert np.argwhere(found > 1e-3).min(axis=0).tolist() == [9, 17]
+    assert np.argwhere(found > 1e-3).max(axis=0).tolist() == [15, 23]
+    rough = plane + np.random.default_rng(1).normal(size=plane.shape)
+    found = _relief(rough)
+    for row, column in ((3, 3), (11, 27), (26, 36)):
+        window = np.s_[row - 3 : row + 4, column - 3 : column + 4]
+        columns = np.column_stack([np.ones(49), v[window].ravel(), u[window].ravel()])
+        left = rough[window].ravel() - columns @ np.linalg.lstsq(columns, rough[window].ravel(), rcond=None)[0]
+        assert found[row, column] == pytest.approx(np.sqrt((left**2).mean()), rel=1e-6)
 
 
 def test_ground_without_texture_has_no_pits(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """Depths of tracks against tracks stamped into made-up ground, seen by simulated stereo with correlated errors."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,8 +10,9 @@ from stamped_ground import FINE, NAVCAM, PANCAM, Ground, with_track
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
+from lunarsci.images.jobs.track import TrackSinkage
 from lunarsci.images.lines import places_on, read_line
-from lunarsci.images.tracks import TrackProfile, track_depths
+from lunarsci.images.tracks import TrackDepths, TrackProfile, track_depths
 from lunarsci.images.undisturbed_ground import BIWEIGHT, robust_fit
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain_files import read_terrain
@@ -131,6 +134,38 @@ def test_heights_between_nodes() -> None:
     assert np.isnan(model.at("height_m", [0.9], [0.0])).all()
     assert len(model.near((2.0, 0.0), 0.5).x) == 9
     assert FINE < 0.01
+
+
+def test_what_places_share_does_not_average_and_sinkage_is_what_was_before_the_rebound() -> None:
+    """Two places of three: systematic errors of hypot(3, 4) and hypot(0, 1) mm; the ground rose by a fifth."""
+    depths = TrackDepths(
+        distance_m=np.array([0.0, 0.1, 0.2]),
+        x_m=np.array([0.3, 0.4, 0.5]),
+        y_m=np.full(3, 1.2),
+        rut_m=np.array([0.008, np.nan, 0.012]),
+        rut_m_random=np.array([0.012, 0.5, 0.0]),
+        systematic_m={"slope": np.array([0.003, 0.7, 0.0]), "bias": np.array([0.004, 0.7, 0.001]), "pose": None},
+        reason=("", "floor not covered", ""),
+        offset_m=np.zeros(3),
+        mean_m=0.010,
+        mean_random_m=0.006,
+        ground_scatter_m=None,
+        shams=0,
+    )
+    model: Any = SimpleNamespace(summary=dict, height_m_sigma=np.ones(1), synthetic=True)
+    found = TrackSinkage(
+        model=model, line=LINE, width_m=0.15, depths=depths, rebound=0.2, inputs={}, tables={}, assumed=()
+    )
+    told = found.to_dict()
+    # Means of squares: (25 + 1) / 2 = 13 mm2; 36 + 13 = 49 mm2.
+    rut = {"mean": 0.010, "random": 0.006, "systematic": 1e-3 * np.sqrt(13.0), "sigma": 0.007}
+    assert told["rut_m"] == pytest.approx(rut)
+    assert told["sinkage_m"] == pytest.approx({"mean": 0.0125, "sigma": 0.00875, "rebound": 0.2})
+    assert (told["places"], told["determined"]) == (3, 2)
+    first, none, last = told["track"]
+    assert first["rut_m_sigma"] == pytest.approx(0.013) and last["rut_m_sigma"] == pytest.approx(0.001)
+    assert first["sinkage_m"] == pytest.approx(0.010) and first["sinkage_m_sigma"] == pytest.approx(0.01625)
+    assert np.isnan(none["rut_m_sigma"]) and none["status"] == "floor not covered"
 
 
 def test_weights_of_a_robust_fit_follow_the_scatter_not_the_stated_error() -> None:

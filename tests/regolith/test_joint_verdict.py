@@ -10,6 +10,7 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
+from lunarsci.regolith.inference.mode import Mode
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import (
     WheelLaw,
@@ -21,7 +22,8 @@ from lunarsci.regolith.inference.prediction import (
     predict_states,
     shares_at,
 )
-from lunarsci.regolith.inference.verdict import least_chi_square
+from lunarsci.regolith.inference.problem import problem_of
+from lunarsci.regolith.inference.verdict import least_chi_square, suspects
 from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.prior import PARAMETERS, default_prior
 from lunarsci.regolith.soil import read_soil
@@ -75,6 +77,20 @@ def test_a_wrong_sign_of_one_column_is_refused(column: str) -> None:
     assert not verdict.trusted
     assert column in verdict.reason
     assert "sign" in verdict.reason
+
+
+@pytest.mark.parametrize(("count", "row"), [(100, 0), (30, -1)])
+def test_the_first_and_the_last_state_are_heard(count: int, row: int) -> None:
+    """It alone slips to the side, and is pushed the wrong way: also of more states than are tried."""
+    values = measured(count)
+    values[:, [2, 5]] = 0.0
+    values[row, :3] = 0.015, 0.3, 15.0
+    forces = integrated_forces(OTHER, SOIL, *values[row, :3], ContactModel())
+    for sign, columns in ((1.0, []), (-1.0, ["lateral_force_n"])):
+        values[row, 3:] = forces.normal_force_n, forces.drawbar_pull_n, sign * forces.lateral_force_n
+        problem = problem_of(states(values), np.ones(count, dtype=bool), WHEEL, default_prior(), None, (0.02,) * 3)
+        mode = Mode(np.ones(count, dtype=bool), problem.center, np.eye(len(problem.center)), problem, problem)
+        assert [suspect.column for suspect in suspects(mode)] == columns
 
 
 def test_side_slip_in_radians_is_named() -> None:

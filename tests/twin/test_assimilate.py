@@ -99,6 +99,16 @@ def test_the_belief_holds_the_true_soil_and_predicts_the_next_drive(
     assert spread_of["after"] < 0.3 * spread_of["before"]
 
 
+def surprise(moved: np.ndarray) -> float:
+    """Root mean square in independent standard deviations of the first belief, by its principal axes."""
+    values, axes = np.linalg.eigh(first_belief().covariance)
+    return float(np.sqrt(((moved @ axes) ** 2 / values).mean()))
+
+
+def test_the_surprise_is_how_far_the_mean_moved(found: SoilUpdate) -> None:
+    assert found.prior_shift == pytest.approx(surprise(found.belief.mean - first_belief().mean))
+
+
 @pytest.mark.slow
 def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:
     """A drive said to have sunk 60 mm deep while its loads stay those of the Moon."""
@@ -107,6 +117,8 @@ def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: 
     wrong = assimilate(yutu2, ground, PLAN, dataclasses.replace(record, values=values), first_belief(), particles=32)
     assert "single wheels are off in sinkage_m" in wrong.refused
     assert np.array_equal(wrong.belief.mean, first_belief().mean)
+    best = {name: first_belief().laws[name].transformed(wrong.prediction.parameters[name])[0] for name in PARAMETERS}
+    assert wrong.prior_shift == pytest.approx(surprise(np.array([*best.values()]) - first_belief().mean))
 
 
 def test_slip_that_the_soil_found_does_not_have_is_doubted(record: DriveRecord, found: SoilUpdate) -> None:

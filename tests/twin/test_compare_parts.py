@@ -70,6 +70,14 @@ def test_ranks_are_even_if_the_prediction_is_right() -> None:
     assert found.min() > 0 and found.max() < 1
 
 
+def test_a_rank_among_three_members_by_hand() -> None:
+    """(0.5 + sum of Phi) / (3 + 1): Phi(1) = 0.841345 one standard error above a member; 1/8 and 7/8 beyond all."""
+    observed, sigma = np.array([4.0, -90.0, 90.0]), np.array([2.0, 1.0, 1.0])
+    members = np.array([[2.0, 0.0, 0.0], [4.0, 1.0, 1.0], [4.0, 2.0, 2.0]])
+    expected = [(0.5 + 0.841345 + 0.5 + 0.5) / 4, 1 / 8, 7 / 8]
+    assert predictive_rank(observed, sigma, members) == pytest.approx(expected, abs=1e-6)
+
+
 def test_the_correlation_length_of_an_autoregressive_series_is_the_known_one() -> None:
     """(1 + rho) / (1 - rho) for order 1: Sokal (1997)."""
     random = np.random.default_rng(2)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
@@ -117,6 +118,26 @@ def test_mode_of_a_linear_problem_is_that_of_least_squares() -> None:
     assert found.covariance == pytest.approx(inverse, abs=1e-6)
     nothing = find_mode(linear(matrix, measured, cliff=-1e9), np.random.default_rng(0))
     assert nothing is None
+
+
+def test_mode_follows_wild_values_by_their_sign_alone_and_the_prior_whole() -> None:
+    """Beyond 4 errors a value pulls by 4 whatever its size and curves nothing; a prior that is 6 off stays a square."""
+    random = np.random.default_rng(5)
+    matrix, truth = random.normal(size=(40, 8)), np.array([7.0, *np.zeros(7)])
+    measured = matrix @ truth
+    wild = np.zeros(40, dtype=bool)
+    wild[[2, 20, 33]] = True
+    measured[wild] += np.array([4e3, 5e3, -6e3])
+
+    def half_cost(point: np.ndarray) -> float:
+        off = np.abs(matrix @ point - measured)
+        return float(np.where(off < 4.0, 0.5 * off**2, 4.0 * off - 8.0).sum() + 0.5 * (point**2).sum())
+
+    found = find_mode(linear(matrix, measured), np.random.default_rng(0))
+    assert found is not None and found.point[0] > 6.0
+    assert found.point == pytest.approx(minimize(half_cost, truth, tol=1e-8).x, abs=0.02)
+    calm = matrix[~wild]
+    assert found.covariance == pytest.approx(np.linalg.inv(calm.T @ calm + np.eye(8)), abs=2e-4)
 
 
 def test_errors_are_widened_by_what_is_alike_and_not_by_noise() -> None:

@@ -3,6 +3,8 @@
 import math
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +18,10 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.path import arc_end, planned_pose
-from lunarsci.twin.plans.plan import check_plan, parse_sweep, read_plan
+from lunarsci.twin.plans.plan import Leg, Plan, check_plan, parse_sweep, read_plan
 from lunarsci.twin.plans.plan_files import plan_text, write_plan
 from lunarsci.twin.routes.arc_search import close_on_point, close_on_pose
-from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path
+from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path, share_on
 from lunarsci.twin.rover import Rover, build_rover
 
 SPACING = 0.1
@@ -221,6 +223,33 @@ def test_the_passage_of_the_stand_in_is_found() -> None:
     table = path_table(path, surface)
     assert table["distance_m"].iloc[-1] == pytest.approx(path.plan.length_m)
     assert table["slope_deg"].max() <= path.max_slope_on_path_deg + 1e-6
+
+
+def test_the_table_of_a_path_has_a_row_every_tenth_of_a_metre_or_nearer() -> None:
+    """1.05 m on a circle of 2 m take 11 steps of 95 mm; heights are those of a plane, maps those of the next node."""
+    x, y = np.arange(-1.0, 3.01, 0.25), np.arange(-1.0, 2.01, 0.25)
+    ground = build_terrain("plane", -1.0, -1.0, 0.25, 0.1 * x + 0.05 * y[:, None], read_soil("longji"))
+    number = np.arange(x.size * y.size).reshape(y.size, x.size)
+    maps = SimpleNamespace(slope_deg=number, roughness_m=1000 + number, step_m=2000 + number)
+    plan = Plan(name="arc", x_m=0.2, y_m=-0.1, heading_deg=30.0, legs=(Leg(1.05, 0.5),), speed_m_s=0.05)
+    arc: Any = SimpleNamespace(plan=plan)
+    surface: Any = SimpleNamespace(terrain=ground, maps=maps)
+    table = path_table(arc, surface)
+    distance = np.linspace(0.0, 1.05, 12)
+    heading = np.radians(30.0) + 0.5 * distance
+    at_x, at_y = 0.2 + 2.0 * (np.sin(heading) - 0.5), -0.1 - 2.0 * (np.cos(heading) - np.sqrt(0.75))
+    assert table["distance_m"].to_numpy() == pytest.approx(distance)
+    assert table["heading_deg"].to_numpy() == pytest.approx(np.degrees(heading))
+    assert table[["x_m", "y_m"]].to_numpy() == pytest.approx(np.column_stack([at_x, at_y]))
+    assert table["height_m"].to_numpy() == pytest.approx(0.1 * at_x + 0.05 * at_y)
+    nearest = [number[np.abs(y - b).argmin(), np.abs(x - a).argmin()] for a, b in zip(at_x, at_y, strict=True)]
+    for name, more in (("slope_deg", 0), ("roughness_m", 1000), ("step_m", 2000)):
+        assert (table[name].to_numpy() - more).tolist() == nearest
+    assert len(path_table(arc, surface, 0.5)) == 4 and len(path_table(arc, surface, 2.0)) == 2
+    # Light is looked at every 2 cm, at 54 places: beyond x = 0.625 m, midway between two nodes, they lie in the dark.
+    lit = np.tile(x <= 0.51, (y.size, 1))
+    many = np.radians(30.0) + 0.5 * np.linspace(0.0, 1.05, 54)
+    assert share_on(lit, arc, surface) == pytest.approx((0.2 + 2.0 * (np.sin(many) - 0.5) < 0.625).mean())
 
 
 def test_the_closing_arc_ends_at_its_point_and_the_closing_pair_at_its_pose() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
-from lunarsci.twin.plans.plan import parse_sweep, read_plan
+from lunarsci.twin.plans.plan import Fixes, parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
 
@@ -39,6 +39,19 @@ def test_the_stated_step_error_is_the_one_against_a_fine_step(yutu2: Rover, dt: 
     coarse, fine = (predict(yutu2, terrain, plan, sweep=(), time_step_s=step) for step in (dt, 0.002))
     error = float(np.hypot(*(coarse.endpoints_m[0] - fine.endpoints_m[0])))
     assert step_error_m(coarse) == pytest.approx(error, rel=0.3)
+
+
+@pytest.mark.parametrize("fixes", [None, Fixes(0.005, 0.1)])
+def test_the_step_error_is_that_of_the_member_that_misses_most(yutu2: Rover, fixes: Fixes | None) -> None:
+    """Of two soils the second; where it is fixed on the way, that fix counts as exact at every step."""
+    terrain, plan = synthetic_longji(rms_m=0.0), dataclasses.replace(read_plan(), fixes=fixes)
+    exact = dataclasses.replace(plan, fixes=fixes and Fixes(0.0, 0.0))
+    soils = {"friction_angle_deg": np.array([40.0, 25.0])}
+    driven = predict(yutu2, terrain, plan, samples=soils, time_step_s=0.1)
+    coarse, fine = (predict(yutu2, terrain, exact, samples=soils, time_step_s=step) for step in (0.1, 0.005))
+    error = np.hypot(*(coarse.endpoints_m - fine.endpoints_m).T)
+    assert driven.miss_m.argmax() == 1
+    assert step_error_m(driven) == pytest.approx(error[1], rel=0.2)
 
 
 def test_steps_too_fine_to_matter_are_not_halved(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]

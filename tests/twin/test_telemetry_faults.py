@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,8 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.telemetry.checks import WheelPace, check_slips
 from lunarsci.twin.telemetry.lag import Lag, check_lag, without_lag
-from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+from lunarsci.twin.telemetry.positions import usable_headings
+from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 from lunarsci.twin.telemetry.wheel_motion import wheel_motion
@@ -497,6 +499,44 @@ def test_a_halt_that_the_plan_lacks_is_told_from_a_late_clock(rates: bool, drive
     (longer,) = [one for one in states(sent, yutu2, short).findings.entries if one.kind == "unplanned halt"]
     (again,) = re.findall(r"set stop_s = ([\d.]+) in leg 2", longer.done)
     assert float(again) == pytest.approx(stop, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("alike", "turn_deg", "digit_deg", "sigma_deg", "left_out"),
+    [
+        (10, 0.5, 0.04, 0.1, 9),
+        (9, 0.5, 0.04, 0.1, 0),
+        (10, 0.5, 0.06, 0.1, 0),
+        (10, 0.5, 0.4, 0.9, 9),
+        (10, 0.5, 0.6, 0.9, 0),
+        (10, 0.0, 0.04, 0.1, 0),
+        (4, 1.1, 0.06, 0.1, 3),
+        (4, 0.9, 0.06, 0.1, 0),
+        (4, 2.6, 0.3, 0.5, 3),
+        (4, 2.4, 0.3, 0.5, 0),
+        (2, 9.0, 0.06, 0.1, 0),
+    ],
+)
+def test_a_heading_hangs_over_ten_rows_or_a_turn_that_its_error_cannot_hide(
+    alike: int, turn_deg: float, digit_deg: float, sigma_deg: float, left_out: int
+) -> None:
+    """Ten rows tell where the last digit is finer than half the error, three where the wheels turned over 1 deg and
+    over 5 errors; the first of the rows that are alike stays."""
+    number = np.arange(30.0)
+    yaw = 40.0 + digit_deg * np.where(number < 8, number, np.maximum(8, number - alike + 1))
+    turned = turn_deg * np.clip((number - 8) / (alike - 1), 0.0, 1.0)
+    none, wheels = np.full(30, np.nan), np.full((30, 6), np.nan)
+    sent = Telemetry(
+        file="sent.csv", time_s=number, fix_m=wheels[:, :2], fix_covariance_m2=np.full((30, 2, 2), np.nan),
+        yaw_deg=yaw, yaw_deg_sigma=np.full(30, sigma_deg), roll_deg=none, pitch_deg=none, speed_m_s=wheels,
+        steering_deg=wheels, angle_deg=wheels, rate_deg_s=wheels, steered_deg=wheels, synthetic=True,
+    )  # fmt: skip
+    findings = Findings("sent.csv")
+    with pytest.warns(LunarSciWarning, match="stuck heading at time_s 9") if left_out else nullcontext():
+        kept = usable_headings(sent, turned, findings).yaw_deg
+    expected = np.where((number > 8) & (number < 9 + left_out), np.nan, yaw)
+    assert kept == pytest.approx(expected, nan_ok=True)
+    assert [entry.count for entry in findings.entries] == [left_out][: min(left_out, 1)]
 
 
 BENDS = Plan(name="more bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(2.5, 0.25)), speed_m_s=0.05)

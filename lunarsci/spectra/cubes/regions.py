@@ -21,6 +21,9 @@ MOON_LONGLAT = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
 _BOX = re.compile(r"\s*(\d*)\s*:\s*(\d*)\s*,\s*(\d*)\s*:\s*(\d*)\s*")
 _LINES_AT_ONCE = 512
 _EDGE_PARTS = 64
+_TOUCHED = 1e-6
+_JUMP = 30.0
+"""Times the usual step along an edge that is a jump from one end of a map to the other; assumed."""
 
 Ring = tuple[tuple[float, float], ...]
 
@@ -29,7 +32,8 @@ Ring = tuple[tuple[float, float], ...]
 class Region:
     """Lines and samples from `first` up to `last` of each, every `step`-th, less what polygon and mask leave out.
 
-    `polygons` : rings of each, in samples and lines where the cube has a frame, else in longitude and latitude.
+    `polygons` : rings of each, in samples and lines where the cube has a frame, else in longitude and latitude, which
+    may count from any meridian.
     `mask` : numbers of the cube's size, 0 or missing where a pixel is left out.
     """
 
@@ -69,7 +73,9 @@ class Region:
         for rings in self.polygons:
             parity = np.zeros(len(points), bool)
             for ring in rings:
-                parity ^= Outline(np.array(ring)).contains_points(points)
+                outline = np.array(ring)
+                about = points if cube.frame is not None else _turned(points, outline)
+                parity ^= Outline(outline).contains_points(about)
             found |= parity
         return found.reshape(lines.stop - lines.start, -1)
 
@@ -80,7 +86,13 @@ def _places(cube: Cube, lines: slice, samples: slice) -> FloatArray:
         s, row = np.meshgrid(np.arange(samples.start, samples.stop) + 0.5, np.arange(lines.start, lines.stop) + 0.5)
         return np.stack([s.ravel(), row.ravel()], axis=1)
     planes = [cube.backplanes[name].read(lines, samples).ravel() for name in ("longitude", "latitude")]
-    return np.stack([planes[0] % 360.0, planes[1]], axis=1)
+    return np.stack(planes, axis=1)
+
+
+def _turned(places: FloatArray, ring: FloatArray) -> FloatArray:
+    """Longitude, less whole turns, within half a turn of the middle of a ring, and latitude. (p, 2) [deg]"""
+    west = 0.5 * (ring[:, 0].min() + ring[:, 0].max()) - 180.0
+    return np.stack([(places[:, 0] - west) % 360.0 + west, places[:, 1]], axis=1)
 
 
 def region_of(cube: Cube, roi: str | None = None, mask: str | None = None, every: int = 1) -> Region:
@@ -137,7 +149,23 @@ def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:
         raise DataError(f"{file}: has no polygon; a region is a Polygon or MultiPolygon in longitude and latitude")
     if cube.frame is None and "longitude" not in cube.backplanes:
         raise DataError(f"{cube.name}: has no place on the Moon that a polygon could mean; give `roi` x0:x1,y0:y1")
-    return tuple(tuple(_on_cube(cube, ring, file) for ring in polygon) for polygon in rings)
+    if not all(np.isfinite(ring).all() and (np.abs(ring) <= (360, 90)).all() for polygon in rings for ring in polygon):
+        raise DataError(f"{file}: has corners that are no longitude and latitude in degrees; convert them")
+    if cube.frame is None:
+        return tuple(tuple(tuple((float(x), float(y)) for x, y in ring) for ring in polygon) for polygon in rings)
+    placed = [
+        tuple(_on_cube(cube, ring + turn, file) for ring in polygon) for polygon in rings for turn in _turns(cube)
+    ]
+    touching = tuple(polygon for polygon in placed if _about(cube, polygon))
+    if not touching:
+        raise DataError(f"{file}: lies beside the cube {cube.name}")
+    return touching
+
+
+def _turns(cube: Cube) -> FloatArray:
+    """Whole turns by which a polygon is tried: on a map in degrees it may lie on both sides of the edge. (t, 2)"""
+    turns = np.arange(-2, 3) if _system(cube).is_geographic else np.zeros(1)
+    return np.stack([360.0 * turns, 0.0 * turns], axis=1)
 
 
 def _rings(item: Any) -> Iterator[Any]:
@@ -157,15 +185,16 @@ def _rings(item: Any) -> Iterator[Any]:
 
 
 def _on_cube(cube: Cube, ring: FloatArray, file: str) -> Ring:
-    """A ring in the coordinates that pixels are compared in."""
-    if not np.isfinite(ring).all() or np.abs(ring[:, 1]).max() > 90 or np.abs(ring[:, 0]).max() > 360:
-        raise DataError(f"{file}: has corners that are no longitude and latitude in degrees; convert them")
+    """A ring in samples and lines of a cube that has a frame."""
     closed = ring if (ring[0] == ring[-1]).all() else np.vstack([ring, ring[:1]])
-    if cube.frame is None:
-        return tuple((float(x) % 360.0, float(y)) for x, y in closed)
     share = np.linspace(0, 1, _EDGE_PARTS, endpoint=False)[:, None]
     edges = np.vstack([a + share * (b - a) for a, b in pairwise(closed)])
     s, line = pixels_at(cube, edges[:, 0], edges[:, 1], file)
+    steps = np.hypot(np.diff(s, append=s[0]), np.diff(line, append=line[0])).reshape(-1, _EDGE_PARTS)
+    if (steps.max(axis=1) > np.maximum(_JUMP * np.median(steps, axis=1), 0.5 * max(cube.shape))).any():
+        raise DataError(
+            f"{file}: reaches over the edge of the cube's map projection; end it short of there, or give x0:x1,y0:y1"
+        )
     return tuple(zip(s.tolist(), line.tolist(), strict=True))
 
 
@@ -179,18 +208,22 @@ def pixels_at(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str
     return (e * (x - c) - b * (y - f)) / determinant, (a * (y - f) - d * (x - c)) / determinant
 
 
-def _projected(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
+def _system(cube: Cube) -> Any:
+    """The coordinate system of a cube's frame, of rasterio."""
     from rasterio.crs import CRS
+
+    if cube.frame is None or not cube.frame.crs_wkt:
+        raise DataError(f"{cube.name}: names no coordinate system for a place in degrees; give `roi` x0:x1,y0:y1")
+    return CRS.from_wkt(cube.frame.crs_wkt)
+
+
+def _projected(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
     from rasterio.errors import RasterioError
     from rasterio.warp import transform
 
-    frame = cube.frame
-    if frame is None or not frame.crs_wkt:
-        raise DataError(f"{cube.name}: names no coordinate system for a place in degrees; give `roi` x0:x1,y0:y1")
-    system = CRS.from_wkt(frame.crs_wkt)
+    system = _system(cube)
     if system.is_geographic:
-        middle = float(frame.middles(np.array(cube.shape[0] / 2), np.array(cube.shape[1] / 2))[0])
-        return (longitude - middle + 180) % 360 + middle - 180, latitude
+        return longitude, latitude
     try:
         x, y = transform(MOON_LONGLAT, system, longitude.tolist(), latitude.tolist())
     except (RasterioError, ValueError) as error:
@@ -199,15 +232,21 @@ def _projected(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: st
     return np.asarray(x, float), np.asarray(y, float)
 
 
+def _about(cube: Cube, polygon: Sequence[Ring]) -> tuple[tuple[int, int], ...]:
+    """Samples and lines about a polygon, first and after the last; empty where it does not touch the cube."""
+    corners = np.array([corner for ring in polygon for corner in ring])
+    # Of a pixel that is touched by rounding alone the middle lies outside.
+    low, high = np.floor(corners.min(axis=0) + _TOUCHED), np.ceil(corners.max(axis=0) - _TOUCHED)
+    spans = [(max(int(a), 0), min(int(b), size)) for a, b, size in zip(low, high, cube.shape[::-1], strict=True)]
+    return tuple(spans) if all(first < last for first, last in spans) else ()
+
+
 def _bounds(cube: Cube, polygons: Sequence[Sequence[Ring]], file: str) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Lines and samples about the polygons. Raises DataError where none of them touches the cube."""
+    """Lines and samples about the polygons. Raises DataError where none of them touches a cube without a frame."""
     if cube.frame is not None:
-        corners = np.array([corner for rings in polygons for ring in rings for corner in ring])
-        low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
-        spans = [(max(int(a), 0), min(int(b), size)) for a, b, size in zip(low, high, cube.shape[::-1], strict=True)]
-        if all(first < last for first, last in spans):
-            return spans[1], spans[0]
-        raise DataError(f"{file}: lies beside the cube {cube.name}")
+        spans = np.array([_about(cube, polygon) for polygon in polygons])
+        (s0, line0), (s1, line1) = spans[..., 0].min(axis=0).tolist(), spans[..., 1].max(axis=0).tolist()
+        return (line0, line1), (s0, s1)
     whole = Region((0, cube.shape[0]), (0, cube.shape[1]), 1, tuple(map(tuple, polygons)))
     rows, columns = np.zeros(cube.shape[0], bool), np.zeros(cube.shape[1], bool)
     for first in range(0, cube.shape[0], _LINES_AT_ONCE):

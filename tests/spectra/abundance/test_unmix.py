@@ -32,7 +32,7 @@ from lunarsci.spectra.abundance.powders import (
     population,
 )
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.abundance.unmix import GAUGE, MixtureSeries, _posterior, shares, unmix
+from lunarsci.spectra.abundance.unmix import GAUGE, Equations, MixtureSeries, _posterior, _solve, shares, unmix
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -189,6 +189,30 @@ def test_the_covariance_is_that_of_the_whole_matrix() -> None:
     scale = np.concatenate([np.ones(size), np.tile(one.scale, count)])
     volume = np.linalg.slogdet(dense * np.outer(scale, scale))[1]
     assert found.ln_evidence == pytest.approx(-0.5 * (equations.value + volume))
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_a_damped_step_is_that_of_the_whole_matrix(damping: float) -> None:
+    """Three spectra of four own parameters and five shared ones; the diagonal is 1 + damping times its own."""
+    random = np.random.default_rng(2)
+    root, slope = random.normal(size=(17, 40)), random.normal(size=17)
+    dense = root @ root.T
+    places = [slice(5 + 4 * j, 9 + 4 * j) for j in range(3)]
+    for at in places:
+        for other in places:
+            dense[at, other] *= at == other
+    dense += 20.0 * np.eye(17)
+    equations = Equations(
+        value=0.0,
+        shared_slope=slope[:5],
+        own_slope=slope[5:].reshape(3, 4),
+        shared=dense[:5, :5],
+        across=np.array([dense[:5, at] for at in places]),
+        own=np.array([dense[at, at] for at in places]),
+    )
+    shared, own_step = _solve(equations, damping)
+    expected = np.linalg.solve(dense + damping * np.diag(np.diag(dense)), slope)
+    assert np.concatenate([shared, own_step.ravel()]) == pytest.approx(expected)
 
 
 def test_a_mixture_of_the_end_members_themselves_is_found_in_full() -> None:

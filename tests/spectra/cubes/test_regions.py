@@ -110,6 +110,55 @@ def test_a_polygon_on_a_projected_cube_and_on_a_swath(tmp_path: Path) -> None:
     assert kept(swath, found).shape == (10, 10)
 
 
+@pytest.mark.parametrize("middle", [0.0, 90.0, -270.0, 180.0, -180.0, 359.5, -0.1, -359.0])
+def test_a_polygon_on_a_swath_may_lie_over_any_meridian(tmp_path: Path, middle: float) -> None:
+    """Longitudes of the swath count from 0 to 360 deg, those of the polygon from there or from a turn before."""
+    path = m3(tmp_path, spectra(20, 30).astype("f4"))
+    lines, samples = np.mgrid[:20, :30]
+    east = 0.1 * (samples - 14.5)
+    backplane(tmp_path, "LOC", np.stack([(middle + east) % 360, 1 - 0.1 * lines, 0 * lines], axis=2), "<f8")
+    swath = open_cube(str(path))
+    west, far = middle - 0.77, middle + 0.5
+    found = region_of(swath, geojson(tmp_path / "box.json", [[west, 0.95], [far, 0.95], [far, 0.05], [west, 0.05]]))
+    # Middles of pixels from -0.75 to 0.45 deg beside it, and from 0.9 down to 0.1 deg north.
+    assert (found.lines, found.samples) == ((1, 10), (7, 20))
+    assert kept(swath, found).all()
+
+
+@pytest.mark.parametrize("west", [-180.0, 0.0])
+@pytest.mark.parametrize(
+    ("first", "last"), [(170, 180), (-180, -170), (170, 190), (-10, 10), (350, 360), (0, 10), (-180, 180), (0, 360)]
+)
+def test_a_polygon_on_a_map_of_all_longitudes_may_end_at_its_edge_or_reach_over_it(
+    tmp_path: Path, west: float, first: int, last: int
+) -> None:
+    """Pixels of 1 degree, six lines of them: six for each degree, wherever these are on the map."""
+    from rasterio.transform import from_origin
+
+    whole = np.ones((12, 360, 6), "f4")
+    transform = from_origin(west, 6, 1, 1)
+    cube = open_cube(str(tiff(tmp_path / "all.tif", whole, names=NAMES, transform=transform)))
+    region = region_of(cube, geojson(tmp_path / "box.json", [[first, 3], [last, 3], [last, -3], [first, -3]]))
+    found = np.zeros(360, int)
+    found[slice(*region.samples)] = kept(cube, region).sum(axis=0)
+    wanted = (np.arange(first, last) - int(west)) % 360
+    assert region.lines == (3, 9)
+    assert found[wanted].tolist() == [6] * (last - first) and found.sum() == 6 * (last - first)
+
+
+def test_a_polygon_over_the_edge_of_a_projection_is_refused(tmp_path: Path) -> None:
+    from rasterio.transform import from_origin
+
+    degree = np.pi / 180 * 1737400.0
+    crs, transform = "+proj=eqc +R=1737400 +lon_0=180 +units=m", from_origin(-180 * degree, 6 * degree, degree, degree)
+    whole = np.ones((12, 360, 6), "f4")
+    cube = open_cube(str(tiff(tmp_path / "all.tif", whole, names=NAMES, crs=crs, transform=transform)))
+    inside = region_of(cube, geojson(tmp_path / "in.json", [[1, 3], [350, 3], [350, -3], [1, -3]]))
+    assert (inside.lines, inside.samples) == ((3, 9), (1, 350)) and kept(cube, inside).all()
+    with pytest.raises(DataError, match="reaches over the edge"):
+        region_of(cube, geojson(tmp_path / "over.json", [[-10, 3], [10, 3], [10, -3], [-10, -3]]))
+
+
 def test_polygons_that_cannot_be_meant(tmp_path: Path, envi: Any) -> None:
     cube = upright(tmp_path)
     box = [[10, 20], [13, 20], [13, 16], [10, 16]]

@@ -61,6 +61,41 @@ def test_a_continuum_that_leaves_the_ratio_open_opens_the_range() -> None:
     assert (ratio.continuum_low, ratio.continuum_high) == (0.0, 1.0)
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_spread_of_a_band_is_the_largest_distance_to_either_side(sign: float) -> None:
+    """Other continua 7 nm to one side and 4 nm to the other, and so on; one that did not converge says nothing."""
+    [fit] = fit_spectra([made()], mgm_model("OPX-CPX"))
+    assert isinstance(fit, MgmFit)
+    ratio = fit.nbsr["um2"]
+    assert ratio is not None
+
+    def off(share: float) -> MgmFit:
+        far = sign * share
+        bands = tuple(
+            replace(
+                band,
+                center_nm=band.center_nm + 7.0 * far,
+                fwhm_nm=band.fwhm_nm - 20.0 * far,
+                strength=band.strength + 0.03 * far,
+            )
+            for band in fit.bands
+        )
+        return replace(
+            fit, continuum="wavelength", bands=bands, nbsr={"um2": replace(ratio, opx=ratio.opx + 0.05 * far)}
+        )
+
+    others = {"wavelength-quadratic": fit, "wavelength": off(1.0), "wavenumber": off(-4 / 7)}
+    lost = replace(off(9.0), converged=False)
+    found = with_continuum_spread(fit, others | {"log-quadratic": lost, "wavelength-cubic": off(0.2)})
+    for band in found.bands:
+        assert (band.center_continuum_nm, band.fwhm_continuum_nm) == pytest.approx((7.0, 20.0))
+        assert band.strength_continuum == pytest.approx(0.03)
+    spread = found.nbsr["um2"]
+    assert spread is not None and spread.continuum == pytest.approx(0.05)
+    ends = sorted((ratio.opx + 0.05 * sign, ratio.opx - 0.05 * sign * 4 / 7))
+    assert (spread.continuum_low, spread.continuum_high) == pytest.approx(tuple(ends))
+
+
 def test_a_spectrum_with_its_continuum_is_not_fitted_without_one() -> None:
     with pytest.raises(DataError, match="divided by their continuum"):
         check_continuum_removed([made()])

@@ -10,8 +10,8 @@ from scipy.stats import spearmanr
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import assemblage
-from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.fit import fit_spectra, starting_points
+from lunarsci.spectra.mgm.model import MgmContinuum, mgm_model
 from lunarsci.spectra.mgm.profile import ratios_of
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
@@ -213,3 +213,27 @@ def test_nbsr_at_2_um_ranks_the_orthopyroxene_clinopyroxene_mixtures(reference_d
     fits = {fit.id: fit for fit in fit_spectra([s for s in spectra if s.id in series.index], MODEL)}
     ratios = [fits[name].nbsr["um2"].opx for name in series.index]  # type: ignore[union-attr]
     assert spearmanr(ratios, series["vol_opx"]).statistic == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("continuum", ["wavelength", "log-quadratic"])
+def test_starts_are_level_in_the_brightest_and_within_two_sigma_and_the_bounds(continuum: MgmContinuum) -> None:
+    """ln R in 101 equal steps has its 95th percentile at the 95th step; bands start 10 % deep in ln R."""
+    ln_reflectance = np.linspace([-1.0, -3.0], [0.0, -1.0], 101, axis=1)
+    level = np.array([-0.05, -1.1]) if continuum == "log-quadratic" else np.exp([-0.05, -1.1])
+    model = mgm_model(continuum=continuum).bounded("opx_1_center_nm", 910.0, 925.0)
+    starts = starting_points(model, ln_reflectance, 40)
+    m = model.degrees
+    assert starts.shape == (40, 2, model.prior.size)
+    assert starts[:, :, 0] == pytest.approx(np.tile(level, (40, 1))) and not starts[:, :, 1:m].any()
+    assert (starts[:, :, m + 2 :: 3] == -0.1).all()
+    assert starts[0, :, m::3] == pytest.approx(np.tile(np.clip(model.prior, model.lower, model.upper)[m::3], (2, 1)))
+    for kind in (m, m + 1):
+        moved = (starts[1:, 0] - model.prior)[:, kind::3] / model.sigma[kind::3]
+        assert -2.0 - 1e-9 < moved.min() < -1.8 and 1.8 < moved.max() < 2.0 + 1e-9
+    centers = 1e3 * starts[:, :, model.index("opx_1_center_nm")]
+    assert (centers >= 910.0 - 1e-9).all() and (centers <= 925.0 + 1e-9).all() and np.ptp(centers) > 10.0
+    lowest, highest = level.mean(), 9.0
+    kept = starting_points(model.bounded("c0", lowest, highest), ln_reflectance, 2)[:, :, 0]
+    assert kept == pytest.approx(np.tile(np.maximum(level, lowest), (2, 1)))
+    kept = starting_points(model.bounded("c0", -9.0, lowest), ln_reflectance, 2)[:, :, 0]
+    assert kept == pytest.approx(np.tile(np.minimum(level, lowest), (2, 1)))

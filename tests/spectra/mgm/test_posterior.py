@@ -10,6 +10,7 @@ from scipy.stats import truncnorm
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
+from lunarsci.spectra.mgm.forward import correct_coarse, force_of, model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 from lunarsci.spectra.mgm.posterior import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 from lunarsci.spectra.mgm.result import MgmFit
@@ -136,6 +137,33 @@ def test_two_minima_keep_their_weights(second: float) -> None:
     spread = np.sqrt((density * (centres - 1600) ** 2)[centres > 1300].sum() / density[centres > 1300].sum())
     above = np.concatenate(drawn)
     assert np.sqrt(((above[above > 1300] - 1600) ** 2).mean()) == pytest.approx(spread, rel=0.1)
+
+
+@pytest.mark.parametrize("apart_um", [0.0, 0.01])
+def test_coarse_channels_have_the_residuals_and_the_slope_of_all(apart_um: float) -> None:
+    """Groups of three channels of unlike weights: where these lie at one wavelength their mean is all that they say;
+    where they do not, the slope of half of chi-square is still that of all, at the point at which it was asked."""
+    rng, model = np.random.default_rng(4), mgm_model("OPX", "wavelength")
+    middle = np.linspace(0.42, 2.4, 60)
+    fine, groups = (middle[:, None] + apart_um * np.array([-1.0, 0.0, 1.0])).ravel(), np.repeat(np.arange(60), 3)
+    point = model.prior.copy()
+    point[:2], point[model.degrees + 2 :: 3] = (0.2, 0.05), -0.1
+    data, weight = rng.normal(-1.5, 0.1, 180), rng.uniform(0.5, 2.0, 180) / NOISE**2
+    coarse_weight = np.bincount(groups, weight)
+    channels, coarse = (
+        (w, np.ascontiguousarray(model.basis(1e3 * w).T), values, np.sqrt(weights))
+        for w, values, weights in ((fine, data, weight), (middle, np.full(60, np.nan), coarse_weight))
+    )
+    flat, start = np.zeros((point.size, point.size)), np.zeros((2, model.degrees))
+    target = (channels, coarse, False, model.prior, flat, start, model.lower, model.upper, np.arange(point.size))
+    space = tuple((np.empty((point.size, n)), np.empty(n), np.empty(n)) for n in (180, 60))
+    correct_coarse(target, groups, point, space)
+    if apart_um == 0.0:
+        assert coarse[2] == pytest.approx(np.bincount(groups, weight * data) / coarse_weight)
+    expected = model_and_jacobian(point, fine, model.basis(1e3 * fine), False)
+    force = np.empty(point.size)
+    assert expected is not None and force_of(target, 1.0, point, space, force)
+    assert force == pytest.approx(expected[1] @ (weight * (data - expected[0])), rel=1e-6)
 
 
 def test_a_hard_case_is_sampled_about_its_minimum(curved: tuple[MgmFit, FitPosterior]) -> None:
