@@ -5,6 +5,7 @@ that are otherwise smooth, and closes holes.
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,18 +78,20 @@ class HeightRaster:
         all around it have one. The spacing is that of the file, the wider one where it has two. Raises DataError.
         """
         try:
+            if not (np.isfinite(self.transform).all() and self.transform.determinant):
+                raise ParameterError("its cells have no size; is its transform damaged?")
             crs, why = self._target(onto)
             if not why:
                 return self, self._stretch_left(crs)
             there = self._resampled(crs, nearest=nearest)
             return there, "; ".join(filter(None, (self._told(why, there), there._stretch_left(crs))))
-        except ParameterError as error:
+        except (ParameterError, OverflowError) as error:
             raise DataError(f"{self.path}: {error}") from error
 
     def _target(self, onto: str) -> tuple[str, str]:
         """The system to be on, and why its nodes are not those of the file; '' where they are."""
         if self.crs and onto and onto != self.crs:
-            return onto, "are of another projection"
+            return onto, "it is not that of the terrain"
         if self.crs and not onto:
             places = self._places(3)
             local = local_projection(self.crs, *places)
@@ -121,7 +124,7 @@ class HeightRaster:
         except ParameterError as error:
             raise ParameterError(f"no one map has all of it: {error}; cut out the part around the drive") from error
         low = there.min(axis=1)
-        columns, rows = (1 + np.floor((there.max(axis=1) - low) / spacing + EVEN).astype(int)).tolist()
+        columns, rows = (1 + math.floor(span / spacing + EVEN) for span in there.max(axis=1) - low)
         check_count(self.path, columns * rows)
         if min(columns, rows) < 3:
             raise ParameterError(f"has {columns} x {rows} nodes every {spacing:g} m; give at least 3 x 3")
@@ -166,7 +169,7 @@ class HeightRaster:
         spacing = f"nodes every {there.transform.a:g} m"
         if there.crs == self.crs:
             return f"heights are interpolated to {spacing}: {why}"
-        return f"x and y are of '{name_of(there.crs)}', {spacing}, not of '{name_of(self.crs)}': {why}"
+        return f"reprojected from '{name_of(self.crs)}': {why}; x and y are of '{name_of(there.crs)}', {spacing}"
 
     def _stretch_left(self, crs: str) -> str:
         if not crs or (stretch := MapProjection(crs).worst_stretch(*self._places(3))) <= LARGEST_STRETCH:

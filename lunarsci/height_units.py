@@ -17,7 +17,8 @@ METRES = {
     0.3048: ("ft", "foot", "feet", "foot international", "international foot", "international feet", "ft intl"),
     1200.0 / 3937.0: ("us ft", "ft us", "ftus", "usft", "us survey foot", "us survey feet", "survey foot", "foot us"),
 }
-"""Metres in a unit, exactly (NIST Special Publication 811, B.6), and its names, small letters alone."""
+"""Metres in a unit, exactly, and its names in small letters (Thompson & Taylor 2008, NIST Special Publication 811, B.6
+for feet)."""
 NO_UNIT = ("", "none", "n a", "unk", "unknown", "null", "unspecified")
 """What stands for no unit."""
 

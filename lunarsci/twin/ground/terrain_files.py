@@ -84,9 +84,10 @@ class TerrainFile:
     read_as: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
 
-    def hashes(self, path: str) -> dict[str, str]:
-        """SHA-256 of the file and of those that were read beside it, by name. Raises DataError."""
-        return {name: read_input(name).sha256 for name in (path, *self.beside)}
+    @property
+    def hashes_beside(self) -> dict[str, str]:
+        """SHA-256 of the files that were read beside it, by name. Raises DataError."""
+        return {name: read_input(name).sha256 for name in self.beside}
 
     @property
     def states_errors(self) -> bool:

@@ -287,7 +287,7 @@ def read_drive_inputs(
     inputs, tables = _soil_hashes(given, driven if soil_counts else None)
     read, earlier = (_read_plan(one, inputs) for one in (plan, before))
     if terrain != SYNTHETIC:
-        inputs |= file.hashes(terrain)
+        inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
     check = MadeForCheck(description, built, rover is not None, surface, named is not None, file.read_as)
     drive, earlier = check.placed(read or read_plan(), file.crs_of_file), earlier and check.placed(earlier, "")
     drive = _kept_out(drive, built, keep_out, inputs, surface.crs)

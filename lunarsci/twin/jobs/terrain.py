@@ -371,8 +371,8 @@ def read_site(
         make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
         file, inputs = TerrainFile(make(own_soil, **made)), {}
     else:
+        inputs = {terrain: read_input(terrain).sha256}
         file = read_terrain_file(terrain, own_soil, asked.height_unit, onto=onto)
-        inputs = file.hashes(terrain)
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
     (sun, shadow_cost), costs = asked.light(), asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
@@ -386,7 +386,7 @@ def read_site(
         rover=built,
         description=description,
         mobility=read_mobility(description, built).with_limits(**limits),
-        inputs=inputs | used,
+        inputs=inputs | file.hashes_beside | used,
         tables=tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         made=made,
         driven=driven,
