@@ -6,7 +6,7 @@ Soil and errors are layers beside the heights, under their own names.
 import math
 import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +15,18 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import read_input, text, unheard
+from lunarsci.height_rasters import DRIVERS, EVEN, HEIGHT, HeightRaster, check_count, read_height_raster
+from lunarsci.height_units import metres_in
+from lunarsci.inputs import read_input, text
 from lunarsci.names import one_of
 from lunarsci.printable import shortened
-from lunarsci.projections import NO_RASTERIO, check_scale, ellipsoid_of, remedy
+from lunarsci.projections import NO_RASTERIO
 from lunarsci.tables import numbers_of, read_csv_table
 
-HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
+HEADER = ("ncols", "nrows", "cellsize", "dx", "dy", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
 HIGHEST_M = 2e4
 """No height is farther from the median: the Moon's span 19.9 km (Smith et al. 2017, Icarus 283, 70,
 10.1016/j.icarus.2016.06.006)."""
-MOST_NODES = 40_000_000
-"""More are refused: maps of these take 1.8 GB."""
-MOST_BLOCK_BYTES = 8 * MOST_NODES
-"""Of a raster's blocks, each of which is unpacked whole."""
 STEEPEST_DEG = 45.0
 """Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. Assumed. [deg]"""
 LONE_STEP = 10.0
@@ -38,8 +36,6 @@ LARGEST_STEP = 100.0
 """From a node to a neighbour; walls may be steep, but not so high. Assumed. [spacings]"""
 _SLOPES_OF = 1_000_000
 """Nodes at most that the median slope is taken of."""
-EVEN = 1e-4
-"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""
 
@@ -57,6 +53,10 @@ class HeightGrid:
     synthetic : True for made-up ground.
     made_for : what else the file says, None where it says nothing.
     crs : the coordinate system of x and y as well-known text; empty where none is named.
+    crs_of_file : that of the file, which may be another one.
+    unit : of the heights, as the file states it; empty where it states none.
+    read_as : how the file was read, where there was a choice.
+    beside : files beside this one that were read.
     """
 
     name: str
@@ -68,27 +68,45 @@ class HeightGrid:
     synthetic: bool = False
     made_for: str | None = None
     crs: str = ""
+    crs_of_file: str = ""
+    unit: str = "m"
+    read_as: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
-def read_grid(path: str | Path, layers: Collection[str] = (), unread: Collection[str] = ERROR_LAYERS) -> HeightGrid:
+def read_grid(
+    path: str | Path,
+    layers: Collection[str] = (),
+    unread: Collection[str] = ERROR_LAYERS,
+    *,
+    unit: str | None = None,
+    onto: str = "",
+    values: bool = False,
+) -> HeightGrid:
     """Read a grid, by the ending of its file.
 
     * `.npz`, NumPy archive: `x_m` (nx,) and `y_m` (ny,), ascending and evenly spaced with one spacing; `height_m`
       (ny, nx) with NaN where unknown; optionally `layers`, a number or (ny, nx), `name`, `synthetic`, `made_for` and
       `crs`.
-    * `.tif`, `.tiff`, GeoTIFF: first band, heights in m on square cells of a projection in m whose metres are within
-      2 % of those on the ground, and bands whose description is one of `layers`; scale, offset and nodata of a band are
-      applied; needs the extra `cubes`.
-    * `.asc`, ESRI ASCII grid, heights and cells in m.
+    * `.tif`, `.tiff`, GeoTIFF; `.lbl`, `.img`, PDS3; `.xml`, label of PDS4; `.cub`, ISIS: first band, and bands whose
+      description is one of `layers`, with scale, offset and nodata; needs the extra `cubes`. What does not lie on
+      square cells of metres is brought onto such, see `HeightRaster.in_metres`.
+    * `.asc`, ESRI ASCII grid, cells in m.
     * `.csv`, a row for each node: `x_m`, `y_m`, `height_m`, and optionally `layers`; nodes that are not in the table
       are holes.
 
-    Names in `unread` may be there, and are left. Heights stand for the centres of cells. Raises DataError.
+    Names in `unread` may be there, and are left. Heights stand for the centres of cells. They are in `unit`, one of
+    `HeightUnit`, or in that which the file states, or in m; `values` are no heights, and have no unit. Rasters of
+    another coordinate system than `onto` are brought onto that. Raises DataError, ParameterError for another `unit`.
     """
-    file = Path(path)
-    readers = {".tif": _read_geotiff, ".tiff": _read_geotiff, ".asc": _read_ascii, ".csv": _read_table}
+    file, end = Path(path), Path(path).suffix.lower()
+    asked, how = (file, tuple(layers), tuple(unread)), dict[str, Any](onto=onto, values=values)
     try:
-        grid = readers.get(file.suffix.lower(), _read_archive)(file, tuple(layers), tuple(unread))
+        if end in (".asc", *DRIVERS):
+            grid = (_read_ascii if end == ".asc" else _read_raster)(*asked, **how)
+        else:
+            grid = (_read_table if end == ".csv" else _read_archive)(*asked)
+        grid = grid if values else _in_metres(str(path), grid, unit)
         _check_heights(str(path), grid.height_m)
         return grid
     except DataError:
@@ -97,6 +115,24 @@ def read_grid(path: str | Path, layers: Collection[str] = (), unread: Collection
         raise DataError(f"{path}: {error.strerror or error}") from error
     except (TypeError, ValueError, MemoryError) as error:
         raise DataError(f"{path}: {error}") from error
+
+
+def _in_metres(path: str, grid: HeightGrid, unit: str | None) -> HeightGrid:
+    """Heights in m: of the unit that was asked for, or that the file states. Raises DataError."""
+    try:
+        stated = metres_in(grid.unit)
+    except ParameterError as error:
+        if unit is None:
+            raise DataError(f"{path}: unit of heights: {error}; say which it is by `height_unit`") from error
+        stated = None
+    if unit is not None:
+        factor = metres_in(unit)
+        told = f"heights are in {unit}, as asked" + (f"; the file says {grid.unit}" if grid.unit else "")
+    elif stated is None:
+        factor, told = 1.0, "heights are in m, as the file states no unit (--height-unit)"
+    else:
+        factor, told = stated, "" if stated == 1.0 else f"heights are in {grid.unit}, as the file states"
+    return replace(grid, height_m=(factor or 1.0) * grid.height_m, read_as=tuple(filter(None, (told, *grid.read_as))))
 
 
 def _check_heights(path: str, height_m: FloatArray) -> None:
@@ -145,14 +181,6 @@ def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
     return int(steep.sum())
 
 
-def _check_count(path: Path, nodes: int) -> None:
-    if nodes > MOST_NODES:
-        raise DataError(
-            f"{path}: {nodes / 1e6:,.0f} million nodes, and at most {MOST_NODES / 1e6:.0f} million are read; cut out "
-            "the part around the drive, or take wider nodes"
-        )
-
-
 def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
     known = {"x_m", "y_m", "height_m", "name", "synthetic", "made_for", "crs", *layers}
     arrays = _load(path, known, unread)
@@ -176,72 +204,39 @@ def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
     )
 
 
-def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
-    try:
-        import rasterio
-        from rasterio.errors import RasterioIOError
-    except ImportError as error:
-        raise DataError(f"{path}: {NO_RASTERIO}") from error
-    try:
-        with unheard(), rasterio.open(path, driver="GTiff") as raster:
-            _check_count(path, raster.width * raster.height)
-            check_blocks(raster, str(path))
-            transform, crs = raster.transform, raster.crs
-            numbers = {1: "height_m"} | {
-                k: str(text) for k, text in enumerate(raster.descriptions, start=1) if k > 1 and text in layers
-            }
-            found = {name: _band(raster, k) for k, name in numbers.items()}
-            synthetic = raster.tags().get("SYNTHETIC", "").lower() in ("true", "1", "yes")
-    except (RasterioIOError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a GeoTIFF that can be read: {error}") from error
-    wkt = "" if crs is None else crs.to_wkt()
-    middle = transform @ (0.5 * found["height_m"].shape[1], 0.5 * found["height_m"].shape[0])
-    if crs is not None and crs.is_geographic:
-        metres = math.radians(abs(transform.e)) * ellipsoid_of(wkt)[0]
-        raise DataError(
-            f"{path}: heights on degrees of longitude and latitude; {remedy(wkt, middle[0], middle[1], metres)}"
-        )
-    if wkt:
-        check_scale(wkt, str(path), middle, transform.a)
-    if transform.b != 0 or transform.d != 0 or not transform.a > 0:
-        raise DataError(f"{path}: rotated; warp it so that columns point along x")
-    if not np.isclose(transform.a, abs(transform.e), rtol=EVEN):
-        raise DataError(f"{path}: cells of {transform.a:g} x {abs(transform.e):g} m; resample them to squares")
-    y0 = transform.f + 0.5 * transform.e
-    if transform.e < 0:
-        found = {name: values[::-1] for name, values in found.items()}
-        y0 += transform.e * (len(found["height_m"]) - 1)
-    height = found.pop("height_m")
+def _read_raster(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
+    return _of_raster(read_height_raster(path, layers), **how)
+
+
+def _of_raster(found: HeightRaster, *, onto: str, values: bool) -> HeightGrid:
+    """The grid of a raster, on square cells of metres; `values` that are no heights are not interpolated."""
+    raster, done = found.in_metres(onto, nearest=values)
+    bands, across = dict(raster.bands), raster.transform
+    y0 = across.f + 0.5 * across.e
+    if across.e < 0:
+        bands = {name: band[::-1] for name, band in bands.items()}
+        y0 += across.e * (raster.shape[0] - 1)
+    height = bands.pop(HEIGHT)
+    for name in bands if raster is not found else ():
+        if name not in ERROR_LAYERS:
+            bands[name] = np.where(np.isnan(height), np.nanmedian(bands[name]), bands[name])
     return HeightGrid(
-        name=path.stem,
-        x0_m=transform.c + 0.5 * transform.a,
+        name=Path(raster.path).stem,
+        x0_m=across.c + 0.5 * across.a,
         y0_m=y0,
-        spacing_m=float(transform.a),
+        spacing_m=float(across.a),
         height_m=height,
-        layers=found,
-        synthetic=synthetic,
-        crs=wkt,
+        layers=bands,
+        synthetic=raster.synthetic,
+        crs=raster.crs,
+        crs_of_file=found.crs,
+        unit=raster.unit,
+        read_as=(done,) if done else (),
+        beside=raster.beside,
     )
 
 
-def check_blocks(raster: Any, path: str) -> None:
-    """Raise DataError where blocks of a raster of GDAL, which are unpacked whole, are too large."""
-    for (lines, samples), kind in zip(raster.block_shapes, raster.dtypes, strict=True):
-        if lines * samples * np.dtype(kind).itemsize > MOST_BLOCK_BYTES:
-            raise DataError(
-                f"{path}: is packed in blocks of {lines} x {samples}, too large to be read; write it anew in tiles "
-                "(gdal_translate -co TILED=YES)"
-            )
-
-
-def _band(raster: Any, number: int) -> FloatArray:
-    """A band in its unit, NaN where it has no data. (ny, nx)"""
-    values = raster.read(number, masked=True).astype(float).filled(np.nan)
-    scale, offset = raster.scales[number - 1], raster.offsets[number - 1]
-    return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset)
-
-
-def _read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
+def _read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
     lines = text(read_input(path)).splitlines()
     header: dict[str, float] = {}
     while lines and len(words := lines[0].split()) == 2 and (name := words[0].lower()) in HEADER:
@@ -254,27 +249,47 @@ def _read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) ->
     if heights.size != shape[0] * shape[1]:
         raise DataError(f"{path}: {heights.size} heights, {shape[0]} rows of {shape[1]} announced; is it cut short?")
     heights[heights == header.get("nodata_value", -9999.0)] = np.nan
-    half = 0.5 * header["cellsize"]
-    x0, y0 = (header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + half) for axis in "xy")
-    height = heights.reshape(shape)[::-1]
-    return HeightGrid(name=path.stem, x0_m=x0, y0_m=y0, spacing_m=header["cellsize"], height_m=height)
+    x0, y0 = (
+        header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + 0.5 * header[f"d{axis}"]) for axis in "xy"
+    )
+    height, (dx, dy) = heights.reshape(shape), (header["dx"], header["dy"])
+    if not np.isclose(dx, dy, rtol=EVEN):
+        return _of_raster(_oblong(path, height, (x0, y0), (dx, dy)), **how)
+    return HeightGrid(name=path.stem, x0_m=x0, y0_m=y0, spacing_m=dx, height_m=height[::-1], unit="")
 
 
-def _checked_header(path: Path, header: Mapping[str, float]) -> tuple[int, int]:
-    """Rows and columns that the header of an ESRI ASCII grid announces, when nothing in it contradicts itself."""
-    for name in ("ncols", "nrows", "cellsize"):
+def _oblong(path: Path, height: FloatArray, first: tuple[float, float], sides: tuple[float, float]) -> HeightRaster:
+    """Heights on cells that are not square, the northern row first; `first` is the centre of the south-western one."""
+    try:
+        from rasterio.transform import from_origin
+    except ImportError as error:
+        raise DataError(f"{path}: cells of {sides[0]:g} x {sides[1]:g} m; {NO_RASTERIO}") from error
+    west, north = first[0] - 0.5 * sides[0], first[1] + (len(height) - 0.5) * sides[1]
+    return HeightRaster(path=str(path), bands={HEIGHT: height}, transform=from_origin(west, north, *sides))
+
+
+def _checked_header(path: Path, header: dict[str, float]) -> tuple[int, int]:
+    """Rows and columns that the header of an ESRI ASCII grid announces, when nothing in it contradicts itself.
+
+    `cellsize` is in it as `dx` and `dy`, too, afterwards.
+    """
+    if "cellsize" in header and {"dx", "dy"} & {*header}:
+        raise DataError(f"{path}: cellsize and dx, dy; keep what is right")
+    header |= {name: header["cellsize"] for name in ("dx", "dy") if "cellsize" in header}
+    for name in ("ncols", "nrows", "dx", "dy"):
         if name not in header:
             raise DataError(
-                f"{path}: no {name}; an ESRI ASCII grid begins with ncols, nrows, xllcorner, yllcorner, cellsize"
+                f"{path}: no {'cellsize' if name == 'dx' else name}; an ESRI ASCII grid begins with ncols, nrows, "
+                "xllcorner, yllcorner, cellsize (or dx, dy)"
             )
     if not all(header[name] >= 1 and header[name].is_integer() for name in ("ncols", "nrows")):
         raise DataError(f"{path}: ncols {header['ncols']:g}, nrows {header['nrows']:g}; give counts of 1 or more")
-    if not 0 < header["cellsize"] < math.inf:
-        raise DataError(f"{path}: a cellsize of {header['cellsize']:g}; give the side of a cell in m")
+    if wrong := [header[name] for name in ("dx", "dy") if not 0 < header[name] < math.inf]:
+        raise DataError(f"{path}: a cellsize of {wrong[0]:g}; give the side of a cell in m")
     given = {name for name in header if name[1:3] == "ll"}
     if given - {"xllcorner", "yllcorner"} and given - {"xllcenter", "yllcenter"}:
         raise DataError(f"{path}: {' and '.join(sorted(given))}; name the corner of the first cell, or its centre")
-    _check_count(path, int(header["nrows"] * header["ncols"]))
+    check_count(str(path), int(header["nrows"] * header["ncols"]))
     return int(header["nrows"]), int(header["ncols"])
 
 
@@ -354,7 +369,7 @@ def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any
                 wrong = shortened(min(unknown))
                 raise DataError(f"{path}: '{wrong}' is not a key of a terrain; {one_of(wrong, sorted(known))}")
             for entry in archive.zip.infolist() if archive.zip else ():
-                _check_count(path, entry.file_size // 8)
+                check_count(str(path), entry.file_size // 8)
             arrays = {key: archive[key] for key in archive.files if key in known}
         if wrong := next((key for key, array in arrays.items() if np.iscomplexobj(array)), ""):
             raise DataError(f"{path}: {wrong} has complex numbers; write real ones")

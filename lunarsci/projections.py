@@ -47,16 +47,13 @@ class MapProjection:
             raise ParameterError("its coordinates are degrees of longitude and latitude")
         if system.linear_units_factor[1] != 1.0:
             raise ParameterError(f"its projection counts in {system.linear_units_factor[0]}; project it to m")
-        radius, flattening = self.ellipsoid
-        globe = f"+a={radius!r} +f={flattening!r}" if flattening else f"+R={radius!r}"
         object.__setattr__(self, "_system", system)
-        object.__setattr__(self, "_degrees", CRS.from_user_input(f"+proj=longlat {globe} +no_defs"))
+        object.__setattr__(self, "_degrees", CRS.from_user_input(degrees_of(self.wkt)))
 
     @property
     def name(self) -> str:
         """As its text calls it."""
-        found = re.match(r'\s*\w+\["([^"]*)"', self.wkt)
-        return found.group(1) if found else "unnamed"
+        return name_of(self.wkt)
 
     @property
     def ellipsoid(self) -> tuple[float, float]:
@@ -65,35 +62,31 @@ class MapProjection:
 
     def lonlat(self, x_m: Any, y_m: Any) -> FloatArray:
         """Longitude to the east and latitude of places. (n, 2) [deg]"""
-        return self._moved(self._system, self._degrees, x_m, y_m)
+        return moved(self._system, self._degrees, x_m, y_m)
 
     def metres(self, longitude_deg: Any, latitude_deg: Any) -> FloatArray:
         """x and y on the map. (n, 2) [m] Raises ParameterError for what is no place of the map."""
         lon, lat = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (longitude_deg, latitude_deg))
         if not ((np.abs(lon) <= 360.0).all() and (np.abs(lat) <= 90.0).all()):
             raise ParameterError("longitudes lie between -360 and 360 deg to the east, latitudes between -90 and 90")
-        places = self._moved(self._degrees, self._system, lon, lat)
-        if not np.isfinite(places).all():
-            raise ParameterError(f"the map's projection ({self.name}) has no such place")
-        return places
+        return moved(self._degrees, self._system, lon, lat)
 
     def ground(self, x_m: float, y_m: float) -> FloatArray:
         """What a metre of the map along x and along y is on the ground: to the east and to the north. (2, 2) [m]
 
-        By differences over 20 m on the ellipsoid, of radii a / w to the east and a (1 - e^2) / w^3 to the north with
-        w^2 = 1 - e^2 sin^2(latitude).
+        By differences over 20 m in space, of places a / w (cos lat cos lon, cos lat sin lon, (1 - e^2) sin lat) with
+        w^2 = 1 - e^2 sin^2(lat) on the ellipsoid; so also at a pole.
         """
-        step = STEP_M * np.array([1.0, -1.0, 0.0, 0.0])
-        places = self.lonlat(x_m + step, y_m + step[[2, 3, 0, 1]])
-        lon, lat = np.radians(places).T
+        step = STEP_M * np.array([0.0, 1.0, -1.0, 0.0, 0.0])
+        lon, lat = np.radians(self.lonlat(x_m + step, y_m + step[[0, 3, 4, 1, 2]])).T
         radius, flattening = self.ellipsoid
-        eccentric = flattening * (2.0 - flattening)
-        middle = float(np.radians(self.lonlat(x_m, y_m)[0, 1]))
-        w = math.sqrt(1.0 - eccentric * math.sin(middle) ** 2)
-        turned = np.arctan2(np.sin(lon[::2] - lon[1::2]), np.cos(lon[::2] - lon[1::2]))
-        east = radius / w * math.cos(middle) * turned
-        north = radius * (1.0 - eccentric) / w**3 * (lat[::2] - lat[1::2])
-        return np.column_stack([east, north]) / (2.0 * STEP_M)
+        squeezed = (1.0 - flattening) ** 2
+        up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        places = radius / np.sqrt(1.0 - (1.0 - squeezed) * up[2] ** 2) * up * np.array([[1.0], [1.0], [squeezed]])
+        east = np.array([-math.sin(lon[0]), math.cos(lon[0]), 0.0])
+        north = np.cross(up[:, 0], east)
+        steps = (places[:, 1::2] - places[:, 2::2]).T / (2.0 * STEP_M)
+        return np.column_stack([steps @ east, steps @ north])
 
     def north_deg(self, x_m: float, y_m: float) -> float:
         """Direction of true north at a place, counted from the map's y to the right. [deg]"""
@@ -104,11 +97,79 @@ class MapProjection:
         """Largest share by which a metre of the map differs from one on the ground at a place. [-]"""
         return float(np.abs(np.linalg.norm(self.ground(x_m, y_m), axis=1) - 1.0).max())
 
-    def _moved(self, start: Any, end: Any, first: Any, second: Any) -> FloatArray:
-        from rasterio.warp import transform
+    def worst_stretch(self, x_m: Any, y_m: Any) -> float:
+        """The largest `stretch` of several places. [-]"""
+        return max(self.stretch(x, y) for x, y in zip(x_m, y_m, strict=True))
 
-        x, y = (np.atleast_1d(np.asarray(values, dtype=float)).ravel() for values in (first, second))
-        return np.column_stack(transform(start, end, x, y)[:2]).astype(float)
+
+def moved(start: Any, end: Any, first: Any, second: Any) -> FloatArray:
+    """Places of one system in another, both as text that rasterio takes. (n, 2)
+
+    Within one system, which may be none (''), they stay as they are, and rasterio is not needed. Raises ParameterError
+    for what is no place of both.
+    """
+    x, y = (np.atleast_1d(np.asarray(values, dtype=float)).ravel() for values in (first, second))
+    if start == end:
+        return np.column_stack([x, y])
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    try:
+        found = np.column_stack(transform(CRS.from_user_input(start), CRS.from_user_input(end), x, y)[:2]).astype(float)
+    except Exception as error:  # whatever GDAL says of a place that is none: its errors have no public class
+        raise ParameterError(f"the map's projection has no such place ({error})") from error
+    if not np.isfinite(found).all():
+        raise ParameterError("the map's projection has no such place")
+    return found
+
+
+def name_of(wkt: str) -> str:
+    """What a well-known text calls its system."""
+    found = re.match(r'\s*\w+\["([^"]*)"', wkt)
+    return found.group(1) if found else "unnamed"
+
+
+def carried(crs: str, onto: str, x_m: float, y_m: float, heading_deg: float) -> tuple[float, float, float]:
+    """A pose on one map as a pose on another of the same body. [m, m, deg]
+
+    Headings go from x towards y. Raises ParameterError where there is no such place.
+    """
+    start, end = MapProjection(crs), MapProjection(onto)
+    if abs(start.ellipsoid[0] / end.ellipsoid[0] - 1.0) > LARGEST_STRETCH:
+        raise ParameterError(f"'{start.name}' and '{end.name}' are of two bodies")
+    x, y = end.metres(*start.lonlat(x_m, y_m)[0])[0]
+    turned = math.radians(heading_deg)
+    ahead = np.array([math.cos(turned), math.sin(turned)]) @ start.ground(x_m, y_m)
+    along, across = np.linalg.solve(end.ground(x, y).T, ahead)
+    return float(x), float(y), math.degrees(math.atan2(across, along))
+
+
+def degrees_of(wkt: str) -> str:
+    """Longitude and latitude on the body of a well-known text, as text that rasterio takes. Raises ParameterError."""
+    return f"+proj=longlat {_globe(wkt)} +no_defs"
+
+
+def _globe(wkt: str) -> str:
+    radius, flattening = ellipsoid_of(wkt)
+    return f"+a={radius!r} +f={flattening!r}" if flattening else f"+R={radius!r}"
+
+
+def local_projection(wkt: str, x: Any, y: Any) -> MapProjection:
+    """Stereographic about the middle of places, which may be of a system in degrees; on its body.
+
+    It is true to angles, and its metres are those of the ground within 2 % for 16 deg about the middle (Snyder 1987,
+    USGS Professional Paper 1395, p. 157: 1 / cos^2 of half the distance). Raises ParameterError.
+    """
+    from rasterio.crs import CRS
+
+    lon, lat = np.radians(moved(wkt, degrees_of(wkt), x, y)).T
+    directions = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    east, north, up = directions.mean(axis=1)
+    middle = math.atan2(north, east), math.atan2(up, math.hypot(east, north))
+    lon_deg, lat_deg = (round(math.degrees(angle), 6) + 0.0 for angle in middle)  # 0.0 makes -0.0 0.0
+    local = f"+proj=stere +lat_0={lat_deg:.6f} +lon_0={lon_deg:.6f} {_globe(wkt)} +units=m +no_defs"
+    text = CRS.from_user_input(local).to_wkt()
+    return MapProjection(text.replace(name_of(text), f"stereographic about {lon_deg:.4f}, {lat_deg:.4f} deg", 1))
 
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
@@ -133,36 +194,18 @@ def projection_of(wkt: str, what: str) -> MapProjection:
         raise DataError(f"{what}: {error}") from error
 
 
-def check_scale(wkt: str, what: str, middle_m: Sequence[float], spacing_m: float) -> None:
-    """Raises DataError where metres of the map are not those of the ground at its middle, with what to do."""
-    try:
-        projection = MapProjection(wkt)
-    except ParameterError as error:
-        raise DataError(f"{what}: {error}") from error
-    x, y = middle_m
-    if (stretch := projection.stretch(x, y)) <= LARGEST_STRETCH:
-        return
-    lon, lat = projection.lonlat(x, y)[0]
-    raise DataError(
-        f"{what}: a metre of the map differs by {stretch:.0%} from one on the ground at its middle; "
-        f"{remedy(wkt, lon, lat, spacing_m)}"
-    )
-
-
-def remedy(wkt: str, longitude_deg: float, latitude_deg: float, spacing_m: float) -> str:
-    """The command that projects a GeoTIFF to metres about a place, for a message."""
-    radius, flattening = ellipsoid_of(wkt)
-    globe = f"+a={radius:.10g} +f={flattening:.10g}" if flattening else f"+R={radius:.10g}"
-    local = f"+proj=stere +lat_0={latitude_deg:.4f} +lon_0={longitude_deg:.4f} {globe}"
-    return (
-        f"project it to metres about its middle: rio warp IN.tif OUT.tif --dst-crs '{local}' --res {spacing_m:.3g} "
-        "--resampling bilinear (nearest where it has classes of ground)"
-    )
-
-
 def known_projection(crs: str) -> MapProjection | None:
     """The system of a well-known text; None for an empty one, and where rasterio is not installed."""
     return MapProjection(crs) if crs and find_spec("rasterio") is not None else None
+
+
+def told_of(crs: str, x_m: FloatArray, y_m: FloatArray) -> tuple[str, ...]:
+    """The system of a map and where north is in the middle of its columns and rows, for people; nothing without one."""
+    projection = known_projection(crs)
+    if projection is None:
+        return ()
+    north = projection.north_deg(float(x_m[x_m.size // 2]), float(y_m[y_m.size // 2]))
+    return (f"x and y are of the projection '{projection.name}'; true north is {north:.2f} deg to the right of y",)
 
 
 def lonlat_of(crs: str, place_m: Sequence[float]) -> dict[str, float]:

@@ -27,6 +27,8 @@ SHARED = {
     "lanes",
     "figure",
     "grids",
+    "height_rasters",
+    "height_units",
     "projections",
     "rovers",
     "spectra_data",

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.grids import MOST_NODES, read_grid
+from lunarsci.grids import read_grid
+from lunarsci.height_rasters import MOST_NODES
 from lunarsci.images.pictures import read_picture
 from lunarsci.inputs import InputFile, text
 
@@ -43,6 +44,9 @@ def test_a_sound_grid_is_read(tmp_path: Path) -> None:
         ("cellsize 0.5", "cellsize nan", "cellsize"),
         ("cellsize 0.5", "cellsize -0.5", "cellsize"),
         ("ncols 6", "ncols 60000", "at most 40 million"),
+        ("cellsize 0.5", "dx 0.5", "no dy"),
+        ("cellsize 0.5", "cellsize 0.5\ndx 0.5\ndy 0.5", "cellsize and dx, dy"),
+        ("cellsize 0.5", "dx 0.5\ndy -0.5", "cellsize of -0.5"),
     ],
 )
 def test_headers_that_contradict_themselves(wrong: str, right: str, why: str, tmp_path: Path) -> None:
@@ -50,6 +54,18 @@ def test_headers_that_contradict_themselves(wrong: str, right: str, why: str, tm
     header = header.replace("nrows 6", "nrows 40000") if "60000" in right else header
     with pytest.raises(DataError, match=why):
         read_grid(ascii_grid(tmp_path, header))
+
+
+def test_cells_by_both_their_sides(tmp_path: Path) -> None:
+    """A rise of 0.01 a column and -0.01 a row to the north, on cells of 0.5 m by 0.25 m: 0.02 and -0.04."""
+    even = read_grid(ascii_grid(tmp_path, HEADER.replace("cellsize 0.5", "dx 0.5\ndy 0.5")))
+    assert np.array_equal(even.height_m, read_grid(ascii_grid(tmp_path)).height_m) and even.spacing_m == 0.5
+    pytest.importorskip("rasterio")
+    oblong = read_grid(ascii_grid(tmp_path, HEADER.replace("cellsize 0.5", "dx 0.5\ndy 0.25")))
+    assert oblong.spacing_m == 0.5 and "cells are not square" in oblong.read_as[1]
+    along_y, along_x = np.gradient(oblong.height_m, 0.5)
+    assert np.nanmax(np.abs(along_x - 0.02)) < 1e-9 and np.nanmax(np.abs(along_y + 0.04)) < 1e-9
+    assert oblong.y0_m == pytest.approx(20.125)
 
 
 def test_a_height_that_stands_for_none(tmp_path: Path) -> None:

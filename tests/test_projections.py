@@ -9,7 +9,7 @@ from lunarsci.errors import DataError, ParameterError
 
 pytest.importorskip("rasterio")
 
-from lunarsci.projections import MapProjection, check_scale, projection_of
+from lunarsci.projections import MapProjection, carried, local_projection, projection_of
 
 MOON_M = 1_737_400.0
 SOUTH = f"+proj=stere +lat_0=-90 +lon_0=0 +R={MOON_M} +units=m"
@@ -52,10 +52,26 @@ def test_a_map_of_the_earth_has_its_ellipsoid_and_its_convergence() -> None:
     assert map_of.north_deg(x, y) == pytest.approx(turned, rel=0.01)
 
 
-def test_metres_that_are_none_are_refused_with_a_command() -> None:
-    with pytest.raises(DataError, match=r"differs by 30% .* rio warp .*stere \+lat_0=-45.*--res 5"):
-        check_scale(wkt(EQUATOR), "dem.tif", (0.0, -45.4 * math.radians(MOON_M)), 5.0)
-    check_scale(wkt(SOUTH), "dem.tif", (1e5, 1e5), 5.0)
+def test_a_pose_on_another_map_looks_the_same_way() -> None:
+    """Seen from the south pole north is outwards, at 30 deg east 60 deg from x; east is 90 deg to the right of that."""
+    x, y = MOON_M * np.radians([30.0, -85.0])
+    reach = 2.0 * MOON_M * math.tan(math.radians(2.5))
+    place = (reach * math.sin(math.radians(30.0)), reach * math.cos(math.radians(30.0)))
+    for heading, there in ((90.0, 60.0), (0.0, -30.0)):
+        found = carried(wkt(EQUATOR), wkt(SOUTH), x, y, heading)
+        assert found == pytest.approx((*place, there), abs=1e-3)
+        assert carried(wkt(SOUTH), wkt(EQUATOR), *found) == pytest.approx((x, y, heading), abs=1e-3)
+    with pytest.raises(ParameterError, match="two bodies"):
+        carried(wkt("EPSG:32633"), wkt(SOUTH), 5e5, 5e6, 0.0)
+
+
+def test_a_local_map_is_about_the_middle_of_its_places() -> None:
+    """Also across the longitude where counting begins anew; scale is 1 / cos^2 of half the distance."""
+    local = local_projection(wkt(EQUATOR), MOON_M * np.radians([179.0, 181.0]), MOON_M * np.radians([40.0, 40.0]))
+    assert np.abs(local.lonlat(0.0, 0.0)[0]) == pytest.approx((180.0, 40.0), abs=0.01)
+    away = 2.0 * MOON_M * math.tan(math.radians(8.0))
+    assert local.stretch(0.0, away) == pytest.approx(1.0 - math.cos(math.radians(8.0)) ** 2, rel=1e-3)
+    assert local.north_deg(0.0, 0.0) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

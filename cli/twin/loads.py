@@ -15,13 +15,14 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import wheel_tables
-from .options import INTERPOLATION, ROVER, TERRAIN, PlanFile
+from .options import HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
 
 PANEL: dict[str, Any] = {"panel": "Uncertain motion and soil"}
 OPTIONS = {
     "member": option("Which member of the motion's file, where it has several.", min=0),
     "rover": ROVER,
     "terrain": TERRAIN,
+    "height_unit": HEIGHT_UNIT,
     "interpolation": INTERPOLATION,
     "soil": option(
         "One soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"

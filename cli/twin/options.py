@@ -12,8 +12,13 @@ PlanFile = Annotated[
 GROUND, SOIL, LIGHT, STEPS = "Rover and ground", "Soil and drives", "Sun and battery", "Steps and draws"
 ROVER = option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2", panel=GROUND)
 TERRAIN = option(
-    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
+    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, ESRI ASCII .asc, CSV of nodes).",
     show_default="synthetic-longji",
+    panel=GROUND,
+)
+HEIGHT_UNIT = option(
+    "Unit of the terrain's heights, in place of what its file states.",
+    show_default="what the file states, or m",
     panel=GROUND,
 )
 INTERPOLATION = option(
@@ -73,6 +78,7 @@ SAMPLE = option("Distance between recorded states in m.", panel=STEPS)
 DRIVE = {
     "rover": ROVER,
     "terrain": TERRAIN,
+    "height_unit": HEIGHT_UNIT,
     "interpolation": INTERPOLATION,
     "soil": SOILS,
     "sweep": SWEEP,

@@ -9,12 +9,13 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
+from .options import BEFORE, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
 TELEMETRY = "Telemetry"
 OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
+    "height_unit": HEIGHT_UNIT,
     "interpolation": INTERPOLATION,
     "soil": option(
         "The true soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"

@@ -21,6 +21,9 @@ OPTIONS = {
         "With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
         show_default="the terrain's, or longji",
     ),
+    "height_unit": option(
+        "Unit of the terrain's heights, in place of what its file states.", show_default="what the file states, or m"
+    ),
     "keep_out": KEEP_OUT,
     "layer": option(
         "Raster on any grid (GeoTIFF, .asc, .npz, .csv) of factors on the cost of a metre, or with --class of classes "
@@ -54,7 +57,7 @@ OPTIONS = {
     "ground_slope": option("Slope along x in deg; not of Longji.", panel=GROUND),
     "craters": option("Number of craters; not of Longji.", "--crater-count", panel=GROUND),
 }
-TERRAIN = "synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes)."
+TERRAIN = "synthetic-longji, synthetic, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, ESRI ASCII .asc, CSV of nodes)."
 TerrainFile = Annotated[str, typer.Argument(help=TERRAIN, metavar="TERRAIN")]
 NamedTerrain = Annotated[str | None, typer.Argument(help=TERRAIN, metavar="TERRAIN", show_default="synthetic-longji")]
 GeoTiff = Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")]

@@ -113,8 +113,8 @@ def page_of(documents: Sequence[Document], pictures: Sequence[GivenPicture], wan
     return Page(title, documents, pictures, ground)
 
 
-def _terrain(name: str) -> Ground:
-    """A terrain by its name or from its file. Raises DataError."""
+def _terrain(name: str, height_unit: str | None = None) -> Ground:
+    """A terrain by its name or from its file, heights in a unit other than it states. Raises DataError."""
     from lunarsci.grids import ERROR_LAYERS, read_grid
     from lunarsci.regolith.soil import read_soil
     from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -122,7 +122,7 @@ def _terrain(name: str) -> Ground:
 
     if name != SYNTHETIC:
         soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
-        return read_grid(name, (), (*soil, *ERROR_LAYERS))
+        return read_grid(name, (), (*soil, *ERROR_LAYERS), unit=height_unit)
     return synthetic_longji(read_soil("longji"))
 
 
@@ -132,9 +132,10 @@ def _terrain_of(documents: Sequence[Document]) -> Ground | None:
         if document.folder is not None and (file := document.folder / "terrain.npz").is_file():
             return _terrain(str(file))
     for document in documents:
-        name = (document.provenance.get("options") or {}).get("terrain")
+        options = document.provenance.get("options") or {}
+        name = options.get("terrain")
         if document.kind.startswith("twin-") and isinstance(name, str) and _known(name, document):
-            return _terrain(name)
+            return _terrain(name, options.get("height_unit"))
     return None
 
 

@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility
 from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, read_terrain, write_terrain
+from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+from lunarsci.twin.jobs.terrain import terrain
 from lunarsci.twin.rover import build_rover
 
 HEIGHT = np.arange(20.0).reshape(4, 5) ** 1.5 / 100
@@ -75,20 +77,6 @@ def test_a_table_brings_its_soil(tmp_path: Path, longji_soil: Soil) -> None:
     ground = read_terrain(table(tmp_path / "t.csv", cohesion_pa=170.0, lateral_modulus_mm=13.0), longji_soil)
     assert ground.soil[2, 2, 3] == pytest.approx(170.0)
     assert ground.soil[2, 2, 7] == pytest.approx(0.013)
-
-
-def test_rasters_that_do_not_fit_are_refused_with_a_way_out(tmp_path: Path, longji_soil: Soil) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    oblong = rasterio.transform.from_origin(0.0, 0.0, 0.5, 0.7)
-    turned = rasterio.transform.Affine(0.5, 0.1, 0.0, 0.1, -0.5, 0.0)
-    for changes, hint in (
-        ({"crs": "EPSG:4326"}, "project it to m"),
-        ({"crs": "EPSG:2263"}, "project it to m"),
-        ({"transform": oblong}, "resample"),
-        ({"transform": turned}, "rotated"),
-    ):
-        with pytest.raises(DataError, match=hint):
-            read_terrain(geotiff(tmp_path / "t.tif", **changes), longji_soil)
 
 
 @pytest.mark.parametrize(
@@ -167,14 +155,69 @@ def test_counts_of_an_orbital_grid_become_metres(tmp_path: Path, longji_soil: So
     assert height[-1, 1:] == pytest.approx(1000.0 + 0.5 * np.arange(1, 6))
 
 
-def test_metres_that_are_stretched_and_degrees_are_refused_with_the_command(tmp_path: Path, longji_soil: Soil) -> None:
+PLAN = """{crs}
+[start]
+x_m = {x}
+y_m = {y}
+heading_deg = {heading}
+[drive]
+speed_m_s = 0.05
+[[leg]]
+length_m = 3.0
+[[keep_out]]
+name = "rock"
+x_m = {x}
+y_m = {zone}
+radius_m = 1.0
+"""
+
+
+@pytest.mark.parametrize("named", [True, False], ids=["with its system", "without"])
+def test_a_plan_in_the_file_s_own_x_and_y_is_taken_along(named: bool, tmp_path: Path, longji_soil: Soil) -> None:
+    """At 60 deg a map metre to the east is half of one: north-east of the map, 45 deg, is atan(1 / 0.5) on the ground.
+
+    A circle 10 m to the north of the start stays there.
+    """
     rasterio = pytest.importorskip("rasterio")
-    far = rasterio.transform.from_origin(5_385_400.0, -1_376_600.0, 5.0, 5.0)
-    with pytest.raises(DataError, match=r"30% .*rio warp .*\+lat_0=-45\.39"):
-        read_terrain(geotiff(tmp_path / "t.tif", crs=MOON, transform=far), longji_soil)
-    degrees = rasterio.transform.from_origin(177.5, -45.4, 0.001, 0.001)
-    with pytest.raises(DataError, match=r"degrees of longitude .*rio warp .*\+lat_0=-45\.402.*--res 30\.3"):
-        read_terrain(geotiff(tmp_path / "d.tif", crs="+proj=longlat +R=1737400", transform=degrees), longji_soil)
+    x, y = 100_000.0, np.radians(60.0) * 1_737_400.0
+    where = rasterio.transform.from_origin(x - 250.0, y + 250.0, 5.0, 5.0)
+    dem = geotiff(tmp_path / "e.tif", np.zeros((100, 100)), crs=MOON, transform=where)
+    crs = f"crs = '{rasterio.crs.CRS.from_user_input(MOON).to_wkt()}'" if named else ""
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN.format(crs=crs, x=x, y=y, heading=45.0, zone=y + 10.0))
+    with pytest.warns(LunarSciWarning, match=r"x and y are of .* are taken to those of the terrain"):
+        known = read_drive_inputs(plan, None, str(dem))
+    ground, moved = known.terrain, known.plan
+    assert read_drive_inputs(None, None, str(dem)).terrain.crs == ground.crs == moved.crs
+    assert (moved.x_m, moved.y_m) == pytest.approx((0.0, 0.0), abs=0.05)
+    assert moved.heading_deg == pytest.approx(np.degrees(np.arctan2(1.0, 0.5)), abs=0.01)
+    assert moved.exclusion_zones[0].y_m - moved.y_m == pytest.approx(10.0, abs=1e-3)
+    plan.write_text(PLAN.format(crs="", x=5.0, y=5.0, heading=45.0, zone=15.0))
+    assert read_drive_inputs(plan, None, str(dem)).plan.heading_deg == 45.0, "on the ground as it is: as written"
+    earth = rasterio.crs.CRS.from_user_input("EPSG:32633").to_wkt()
+    plan.write_text(PLAN.format(crs=f"crs = '{earth}'", x=500_000.0, y=5e6, heading=0.0, zone=5e6))
+    with pytest.raises(RequestError, match="are of two bodies; plan on this terrain"):
+        read_drive_inputs(plan, None, str(dem))
+
+
+def test_the_unit_of_an_option_is_that_of_the_ground(tmp_path: Path, longji_soil: Soil) -> None:
+    """A rise of 0.02 a node of 0.5 m, in ft: tan 0.04 x 0.3048."""
+    rows = 0.02 * np.arange(40.0)[None, :] * np.ones((40, 1))
+    dem = geotiff(tmp_path / "t.tif", rows)
+    for unit, metres in (("ft", 0.3048), ("cm", 0.01), (None, 1.0)):
+        driven, seen = (
+            read_drive_inputs(None, None, str(dem), height_unit=unit),
+            terrain(str(dem), height_unit=unit),
+        )
+        ground = driven.terrain.height_m
+        assert ground[0, 1] - ground[0, 0] == pytest.approx(0.02 * metres, rel=1e-5)
+        steepest = np.degrees(np.arctan(0.04 * metres))
+        assert seen.to_dict()["maps"]["slope_deg"]["max"] == pytest.approx(steepest, rel=1e-3)
+        assert len(driven.about()["read_as"]) == len(seen.to_dict()["read_as"]) == 1
+    with pytest.raises(RequestError, match="`height_unit` does not apply to synthetic-longji"):
+        read_drive_inputs(None, None, None, height_unit="km")
+    with pytest.raises(RequestError, match="`height_unit` does not apply to synthetic"):
+        terrain("synthetic", height_unit="km")
 
 
 def test_a_text_that_is_no_coordinate_system_is_named(tmp_path: Path, longji_soil: Soil) -> None:

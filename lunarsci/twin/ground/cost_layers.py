@@ -80,7 +80,7 @@ def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float])
     without a cost, the factor is 1. Rasters of another coordinate system are looked up by longitude and latitude.
     Raises DataError.
     """
-    grid = read_grid(path)
+    grid = read_grid(path, values=True)
     values = _values_at(grid, terrain, path)
     known = ~np.isnan(values)
     if not known.any():

@@ -16,6 +16,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, OutputError
 from lunarsci.grids import ERROR_LAYERS, HeightGrid, check_relief, geotiff_bytes, read_grid
+from lunarsci.inputs import read_input
 from lunarsci.projections import known_projection
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import MadeFor
@@ -69,6 +70,9 @@ class TerrainFile:
     terrain : with a soil everywhere.
     carries : soil parameters that the file itself has; the others are of the soil that was laid under them.
     made_for : the rover in whose sight it was written, where the file says so.
+    crs_of_file : the coordinate system that the file has, which is not that of the terrain where it was reprojected.
+    read_as : how the file was read, where there was a choice.
+    beside : files beside it that were read.
     errors : what an elevation model says of its errors, by layer; empty for other terrains. (ny, nx)
     """
 
@@ -76,6 +80,14 @@ class TerrainFile:
     carries: tuple[str, ...] = ()
     made_for: MadeFor | None = None
     errors: Mapping[str, FloatArray] = field(default_factory=dict)
+    crs_of_file: str = ""
+    read_as: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+
+    @property
+    def hashes_beside(self) -> dict[str, str]:
+        """SHA-256 of the files that were read beside it, by name. Raises DataError."""
+        return {name: read_input(name).sha256 for name in self.beside}
 
     @property
     def states_errors(self) -> bool:
@@ -95,22 +107,22 @@ class TerrainFile:
         return replace(terrain, height_m=height, errors=errors, ground=terrain.written)
 
 
-def read_terrain(path: str | Path, soil: Soil) -> Terrain:
+def read_terrain(path: str | Path, soil: Soil, *, onto: str = "") -> Terrain:
     """The terrain of `read_terrain_file`."""
-    return read_terrain_file(path, soil).terrain
+    return read_terrain_file(path, soil, onto=onto).terrain
 
 
-def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
+def read_terrain_file(path: str | Path, soil: Soil, height_unit: str | None = None, *, onto: str = "") -> TerrainFile:
     """Read a terrain, by the ending of its file.
 
     As `lunarsci.grids.read_grid` says; layers are the fields of `Soil` under their own names and units, and the errors
     of an elevation model. `made_for` is the JSON of a rover. Layers `PARAMETER_left_of_prior` of a soil map may be
-    there, and are not read.
+    there, and are not read. A raster is brought onto the coordinate system `onto`, where one is given.
 
     Heights stand for the centres of cells. Parameters the file lacks come from `soil`. Raises DataError.
     """
     unread = tuple(f"{name}{LEFT}" for name in SOIL_COLUMNS)
-    grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread)
+    grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread, unit=height_unit, onto=onto)
     try:
         read = _read_terrain(grid, soil)
     except (TypeError, ValueError, MemoryError) as error:
@@ -126,7 +138,8 @@ def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
     maker = None if grid.made_for is None else MadeFor.from_table(json_document(grid.made_for))
     soils = {name: values for name, values in grid.layers.items() if name in SOIL_COLUMNS}
     errors = {name: _checked(name, values, grid) for name, values in grid.layers.items() if name not in soils}
-    return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors)
+    said = (grid.crs_of_file, grid.read_as, grid.beside)
+    return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors, *said)
 
 
 def _checked(name: str, values: npt.NDArray[Any], grid: HeightGrid) -> FloatArray:

@@ -7,6 +7,7 @@ from typing import Any
 
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.height_units import HeightUnit
 from lunarsci.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
@@ -61,8 +62,8 @@ class DriveInputs:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What there is to say about files of another rover or ground."""
-        return tuple(self.check.remarks)
+        """What there is to say about how the terrain was read, and about files of another rover or ground."""
+        return (*self.check.read_as, *self.check.remarks)
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
@@ -112,6 +113,7 @@ class DriveInputs:
         """Terrain and rover, for a result."""
         return {
             "terrain": {"name": self.terrain.name, "synthetic": self.terrain.synthetic},
+            **self.check.how_read,
             "rover": self.rover.name,
             "made_for": self.made_for,
             "assumed_of_rover": list(self.description.assumed),
@@ -123,6 +125,7 @@ def read_drive_inputs(
     rover: str | None,
     named: str | None,
     interpolation: str = "smooth",
+    height_unit: HeightUnit | None = None,
     *,
     soil: str | Sequence[str] | None = None,
     fixes: str | None = None,
@@ -153,23 +156,23 @@ def read_drive_inputs(
         raise RequestError("`before` leaves nothing but ruts, and `ruts` are left out; give one of them")
     if ruts is None:
         ruts = before is not None or (given.belief is not None and given.belief.ruts)
-    file, surface, driven = _read_ground(terrain, given)
+    file, surface, driven = _read_ground(terrain, given, height_unit)
     surface = file.likely(surface, built.wheel.width_m)
     surface = surface if terrain_errors else replace(surface, errors=None)
     inputs: dict[str, str] = {}
-    drive, earlier = (_read_plan(one, inputs) for one in (plan, before))
-    drive = _kept_out(drive or read_plan(), built, keep_out, inputs, surface.crs)
-    if priors and driven.of == "default" and given.file is None and not drive.sweep:
+    read, earlier = (_read_plan(one, inputs) for one in (plan, before))
+    read = read or read_plan()
+    if priors and driven.of == "default" and given.file is None and not read.sweep:
         soil, given, driven = PRIORS, GivenSoil.read(PRIORS), DrivenSoil(PRIORS, "belief")
     of_soil, tables = _soil_hashes(given, driven if soil_counts else None)
     inputs = of_soil | inputs
     if terrain != SYNTHETIC:
-        inputs[terrain] = read_input(terrain).sha256
+        inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
+    check = MadeForCheck(description, built, rover is not None, surface, named is not None, file.read_as)
+    drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
+    drive = _kept_out(drive, built, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
-    if drive.crs and surface.crs and drive.crs != surface.crs:
-        raise RequestError(f"{drive.origin} and {terrain} have different coordinate systems; plan on this terrain")
-    check = MadeForCheck(description, built, rover is not None, surface, named is not None)
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
     check.looked_at(file.made_for, terrain)
     check.belief(given.name, given.belief)
@@ -239,11 +242,13 @@ def _soil_option(soil: str | Sequence[str] | None, driven: DrivenSoil | None) ->
     return {"soil": names[0] if len(names) == 1 else names} if names else {}
 
 
-def _read_ground(terrain: str, given: GivenSoil) -> tuple[TerrainFile, Terrain, DrivenSoil]:
+def _read_ground(terrain: str, given: GivenSoil, unit: HeightUnit | None) -> tuple[TerrainFile, Terrain, DrivenSoil]:
     """The terrain's file, the terrain with the soil that is driven on, and where this comes from."""
     name = given.named or DEFAULT_SOIL
-    own = read_soil(name)
-    file = TerrainFile(synthetic_longji(own)) if terrain == SYNTHETIC else read_terrain_file(terrain, own)
+    own, made = read_soil(name), terrain == SYNTHETIC
+    if made and unit is not None:
+        raise RequestError(f"`height_unit` does not apply to {terrain}; leave it out")
+    file = TerrainFile(synthetic_longji(own)) if made else read_terrain_file(terrain, own, unit)
     surface, driven = lay_soil_on(file, terrain, own, name, asked=given.named is not None)
     return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
 

@@ -104,7 +104,7 @@ def forces(
     from lunarsci.twin.judgement.load_check import wheel_loads
 
     asked = request_of(DriveRequest, request, options)
-    known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil=asked.soil, fixes=asked.fixes)
+    known = read_drive_inputs(plan, *asked.ground, soil=asked.soil, fixes=asked.fixes)
     alone = not asked.sweep and asked.members is None and known.given.one_soil
     soils = Soils.of(known, () if alone else asked.sweep or None, asked.members, asked.seed or 0)
     if asked.seed is not None and soils.drawn_by is None:

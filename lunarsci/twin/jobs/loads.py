@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import RequestError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,13 +28,12 @@ UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "itera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoadsRequest:
+class LoadsRequest(RoverOnGround):
     """What a motion is held with; `states`, `belief` and the options after them make soil and motion uncertain.
 
     Attributes
     ----------
     member : which drive of the motion's file, where it has several.
-    rover, terrain, interpolation : what moved where.
     soil : one soil, in place of the terrain's: a name or a TOML file.
     states : measured wheel states that get the forces.
     belief : what is believed of the soil; the priors if None.
@@ -45,9 +45,6 @@ class LoadsRequest:
     """
 
     member: int | None = None
-    rover: str | None = None
-    terrain: str | None = None
-    interpolation: str = "smooth"
     soil: str | None = None
     states: str | Any | None = None
     belief: str | Any | None = None
@@ -268,8 +265,7 @@ def loads(
     from lunarsci.twin.plans.motion import read_motion
 
     asked = request_of(LoadsRequest, request, options)
-    ground = (asked.rover, asked.terrain, asked.interpolation)
-    known = read_drive_inputs(plan, *ground, soil=asked.soil, soil_counts=not asked.uncertain)
+    known = read_drive_inputs(plan, *asked.ground, soil=asked.soil, soil_counts=not asked.uncertain)
     if not known.given.one_soil:
         raise RequestError("a motion is held on one soil; give the belief as `belief`")
     given = {"motion": motion, "states": asked.states, "belief": asked.belief}

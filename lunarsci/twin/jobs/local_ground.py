@@ -50,7 +50,9 @@ class LocalGround:
         driven, inputs = asked.risk is not None or asked.mission is not None, dict(site.inputs)
         found: list[tuple[Traversability, Terrain]] = []
         for path in asked.local:
-            local = read_site(path, alone, next(iter(_names(asked, site)), None), asked.limits_of_ground())
+            local = read_site(
+                path, alone, next(iter(_names(asked, site)), None), asked.limits_of_ground(), site.terrain.crs
+            )
             check_finer(path, local.terrain, site.terrain)
             if driven and not asked.exact_terrain and (local.file.states_errors or site.file.states_errors):
                 raise RequestError(

@@ -10,6 +10,7 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import Source
 from lunarsci.provenance import sha256, to_json
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,14 +32,11 @@ CORRELATED = ("belief", "samples")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveRequest:
+class DriveRequest(RoverOnGround):
     """How to drive a plan.
 
     Attributes
     ----------
-    rover : name or TOML file; that of the plan's default, Yutu-2, where it is None.
-    terrain : `synthetic-longji`, which is taken where it is None, or a file.
-    interpolation : of the ground between nodes, `smooth` or `triangles`.
     soil : in place of the terrain's: a name or a TOML file; a file of samples (CSV), a belief or a soil map (JSON),
         from which every drive has a soil of its own; or a name, and samples that lack some of its parameters.
     sweep : NAME=LOW:HIGH:N, uncertain parameters in place of the plan's sweeps.
@@ -49,9 +47,6 @@ class DriveRequest:
     sample : distance between recorded states. [m]
     """
 
-    rover: str | None = None
-    terrain: str | None = None
-    interpolation: str = "smooth"
     soil: tuple[str, ...] = ()
     sweep: tuple[str, ...] = ()
     members: int | None = None
@@ -262,9 +257,7 @@ def predict(
     asked = request_of(PredictRequest, request, options)
     inputs = read_drive_inputs(
         plan,
-        asked.rover,
-        asked.terrain,
-        asked.interpolation,
+        *asked.ground,
         soil=asked.soil,
         fixes=asked.fixes,
         judged=True,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,12 +23,12 @@ REMARK = b"# synthetic: made up by `lunarsci twin simulate`, not a measurement\n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SimulateDriveRequest:
+class SimulateDriveRequest(RoverOnGround):
     """How to drive, and how well the rover is seen.
 
     Attributes
     ----------
-    rover, terrain, interpolation, ruts, before : as of `PredictRequest`.
+    ruts, before : as of `PredictRequest`.
     soil : the true one, in place of the terrain's: a name or a TOML file.
     fix_distance : way between localised positions. [m]
     fix_sigma : their standard error in x and in y; None is a third of 4 % of the way between them. [m]
@@ -37,9 +38,6 @@ class SimulateDriveRequest:
     time_step, sample : longest time step, and way between rows. [s], [m]
     """
 
-    rover: str | None = None
-    terrain: str | None = None
-    interpolation: str = "smooth"
     soil: str | None = None
     ruts: bool | None = None
     before: str | None = None
@@ -146,8 +144,7 @@ def simulate_drive(
         yaw_deg=asked.yaw_sigma,
         track_m=asked.track_sigma,
     )
-    ground = (asked.rover, asked.terrain, asked.interpolation)
-    inputs = read_drive_inputs(plan, *ground, soil=asked.soil, ruts=asked.ruts, before=asked.before)
+    inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, ruts=asked.ruts, before=asked.before)
     if not inputs.given.one_soil:
         raise RequestError(f"`soil` {asked.soil} is a belief, and the truth is one soil; give a name or a TOML file")
     # Where the plan has fixes their errors are other ones than those of the predictions with the same seed.

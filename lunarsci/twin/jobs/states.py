@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, open_input, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,14 +29,11 @@ MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StatesRequest:
+class StatesRequest(RoverOnGround):
     """What telemetry is read with.
 
     Attributes
     ----------
-    rover : name or TOML file; Yutu-2 where it is None.
-    terrain : before the drive: `synthetic-longji`, which is taken where it is None, or a file.
-    interpolation : of the ground between nodes, `smooth` or `triangles`.
     positions : from localisation, as a table of time_s, x_m, y_m and their errors, in place of those in the telemetry.
     track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
     since, until : rows whose time_s is before or after are left out; None takes all. [s]
@@ -44,9 +42,6 @@ class StatesRequest:
     lag : by how much positions, headings and attitude are later than the columns of the wheels; they are put back. [s]
     """
 
-    rover: str | None = None
-    terrain: str | None = None
-    interpolation: str = "smooth"
     positions: str | Any | None = None
     track: str | Any | None = None
     since: float | None = None
@@ -168,7 +163,7 @@ def states(
     from lunarsci.twin.telemetry.states import states_of
 
     asked = request_of(StatesRequest, request, options)
-    known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
+    known = read_drive_inputs(plan, *asked.ground, soil_counts=False)
     with open_input(telemetry) as source:
         findings = Findings(source.name)
         placed = asked.positions is None
@@ -185,11 +180,11 @@ def states(
     sent = without_lag(sent, asked.lag, findings)
     drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None)
     if asked.track is not None:
-        drive = with_sinkage(drive, _read_track(known, asked.track, asked.interpolation), known.terrain)
+        drive = with_sinkage(drive, _read_track(known, asked.track), known.terrain)
     return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
 
 
-def _read_track(known: "DriveInputs", track: Any, interpolation: str) -> "RutPoints | Terrain":
+def _read_track(known: "DriveInputs", track: Any) -> "RutPoints | Terrain":
     from lunarsci.regolith.soil import read_soil
     from lunarsci.twin.ground.terrain_files import read_terrain
     from lunarsci.twin.telemetry.sinkage import is_table_of_ruts, read_track
@@ -198,7 +193,8 @@ def _read_track(known: "DriveInputs", track: Any, interpolation: str) -> "RutPoi
     known.inputs[source.name] = source.sha256
     if is_table_of_ruts(source):
         return read_track(source)
-    return replace(read_terrain(source.name, read_soil("longji")), interpolation=interpolation)
+    track_ground = read_terrain(source.name, read_soil("longji"), onto=known.terrain.crs)
+    return replace(track_ground, interpolation=known.terrain.interpolation)
 
 
 def _changes(drive: "DriveStates") -> dict[str, Any]:

@@ -177,9 +177,7 @@ def _mission(plans: Any, asked: SweepRequest) -> "tuple[Soils, ...]":
     for plan in several or [None]:
         inputs = read_drive_inputs(
             plan,
-            asked.rover,
-            asked.terrain,
-            asked.interpolation,
+            *asked.ground,
             soil=asked.soil,
             fixes=asked.fixes,
             judged=True,

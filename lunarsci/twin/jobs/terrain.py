@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
+from lunarsci.height_units import HeightUnit
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, request_of
@@ -57,6 +58,7 @@ class GroundRequest:
     Attributes
     ----------
     rover : name or TOML file; Yutu-2 where it is None.
+    height_unit : of the terrain's heights, in place of what its file states; m where that states none.
     baseline : side of the square whose slope is measured; the rover's where it is None. [m]
     max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
@@ -70,6 +72,7 @@ class GroundRequest:
     """
 
     rover: str | None = None
+    height_unit: HeightUnit | None = None
     baseline: float | None = None
     max_slope: float | None = None
     max_step: float | None = None
@@ -89,11 +92,11 @@ class GroundRequest:
 
     def made(self, terrain: str) -> dict[str, Any]:
         """What the maker of synthetic ground is told. Raises RequestError for what another terrain has no use for."""
-        given = {name: getattr(self, name) for name in MADE if getattr(self, name) is not None}
+        given = {name: value for name in (*MADE, "height_unit") if (value := getattr(self, name)) is not None}
         for name in given:
-            if name not in MAKERS.get(terrain, ()):
+            if name not in MAKERS.get(terrain, ("height_unit",)):
                 raise RequestError(f"`{name}` does not apply to {terrain}; leave it out")
-        return {MADE[name]: value for name, value in given.items()}
+        return {MADE[name]: value for name, value in given.items() if name in MADE}
 
     def light(self) -> tuple[tuple[float, float] | None, float | None]:
         """Direction of the Sun [deg, deg] and the factor on the cost of a metre in shadow. Raises RequestError."""
@@ -201,6 +204,7 @@ class SurveyedSite:
 
         return {
             "terrain": self.terrain.summary(),
+            **self.check.how_read,
             "rover": self.description.name,
             "made_for": self.check.made_for,
             "soil": soil_record(self.driven, self.terrain),
@@ -301,19 +305,14 @@ class TerrainSurvey(Result):
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
-        from lunarsci.projections import known_projection
+        from lunarsci.projections import told_of
         from lunarsci.twin.ground.hazards import map_scales
 
         site, maps = self.site, self.surface.maps
-        notes = [UNSEEN, *site.check.remarks]
+        notes = [UNSEEN, *site.check.read_as, *site.check.remarks]
         if site.terrain.synthetic:
             notes.append("the terrain is synthetic; this says nothing about a real site")
-        if (projection := known_projection(site.terrain.crs)) is not None:
-            middle = (float(axis[len(axis) // 2]) for axis in (site.terrain.x_m, site.terrain.y_m))
-            north = projection.north_deg(*middle)
-            notes.append(
-                f"x and y are of the projection '{projection.name}'; true north is {north:.2f} deg to the right of y"
-            )
+        notes += told_of(site.terrain.crs, site.terrain.x_m, site.terrain.y_m)
         if site.file.states_errors:
             notes.append("heights have errors: looked at is the likely ground, without the roughness of errors")
         if site.keep_outs:
@@ -348,9 +347,9 @@ def terrain(
 
 
 def read_site(
-    named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]
+    named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None], onto: str = ""
 ) -> SurveyedSite:
-    """Read or make the terrain (`synthetic-longji` if None), with its soil or the one given, and the rover's limits."""
+    """Read or make the terrain (`synthetic-longji` if None), a raster in the system `onto`, with soil and limits."""
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.rovers import DEFAULT_ROVER, read_rover
     from lunarsci.twin.ground import synthetic
@@ -373,13 +372,14 @@ def read_site(
         make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
         file, inputs = TerrainFile(make(own_soil, **made)), {}
     else:
-        inputs, file = {terrain: read_input(terrain).sha256}, read_terrain_file(terrain, own_soil)
+        inputs = {terrain: read_input(terrain).sha256}
+        file = read_terrain_file(terrain, own_soil, asked.height_unit, onto=onto)
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
     (sun, shadow_cost), costs = asked.light(), asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
-    check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None)
+    check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None, file.read_as)
     check.looked_at(file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
@@ -387,7 +387,7 @@ def read_site(
         rover=built,
         description=description,
         mobility=read_mobility(description, built).with_limits(**limits),
-        inputs=inputs | used,
+        inputs=inputs | file.hashes_beside | used,
         tables=tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         made=made,
         driven=driven,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +28,7 @@ SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UpdateRequest:
+class UpdateRequest(RoverOnGround):
     """What was driven and measured beside the wheel states, and what was believed before.
 
     Attributes
@@ -38,7 +39,6 @@ class UpdateRequest:
     forget : share of the way back to the first priors, for ground further on, 0 to 1. [-]
     by_place : whether the soil is kept by place, as it is where `soil` is a map.
     correlation : distance over which soils are alike; the map's, or 5, if None. [m]
-    rover, terrain, interpolation : what was driven where.
     particles : soils that carry the belief, 32 or more.
     ruts : whether wheels met the ruts of others; None takes what explains the drive better.
     seed : of everything random.
@@ -50,9 +50,6 @@ class UpdateRequest:
     forget: float = 0.0
     by_place: bool = False
     correlation: float | None = None
-    rover: str | None = None
-    terrain: str | None = None
-    interpolation: str = "smooth"
     particles: int = 128
     ruts: bool | None = None
     seed: int = 0
@@ -287,7 +284,7 @@ def update(
     asked = request_of(UpdateRequest, request, options)
     if asked.correlation is not None and asked.soil is None and not asked.by_place:
         raise RequestError(NO_MAP)
-    known = read_drive_inputs(asked.plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
+    known = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     table = read_drive_states(source, known.rover)
     record = read_record(table, known.rover, positions=fixes)

@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.errors import DataError, LunarSciWarning, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.inputs import InputFile
+from lunarsci.projections import carried, name_of
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, other_law
 from lunarsci.regolith.written_names import GROUND, ground_kinship, short_name, written_in
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription
@@ -46,16 +47,36 @@ def laxer(limits: Iterable[Limit], rover: Rover) -> list[str]:
     ]
 
 
+def _is_on(terrain: Terrain, plan: Plan) -> bool:
+    """Whether a plan starts on the grid of a terrain."""
+    x, y = terrain.x_m, terrain.y_m
+    return bool(x[0] <= plan.x_m <= x[-1] and y[0] <= plan.y_m <= y[-1])
+
+
+def _carried(plan: Plan, crs: str, onto: str) -> Plan:
+    """A plan on another map. Raises ParameterError."""
+    x, y, heading = carried(crs, onto, plan.x_m, plan.y_m, plan.heading_deg)
+    zones = tuple(
+        replace(zone, x_m=place[0], y_m=place[1])
+        for zone in plan.exclusion_zones
+        for place in (carried(crs, onto, zone.x_m, zone.y_m, 0.0),)
+    )
+    target = None if plan.target_m is None else carried(crs, onto, *plan.target_m, 0.0)[:2]
+    return replace(plan, x_m=x, y_m=y, heading_deg=heading, exclusion_zones=zones, target_m=target, crs=onto)
+
+
 OF_THE_ROVER = ("sinkage_m", "tilt_deg")
 """Limits that follow from the rover's size and file."""
 EMBEDDED = "the embedded plan"
+SAME_PLACE_M = 1e-3
+"""Two texts of one coordinate system differ by less; assumed. [m]"""
 
 
 @dataclass(slots=True)
 class MadeForCheck:
     """The rover that drives and its ground, whether each was asked for, and what was found about files of another.
 
-    `made_for` is for the result; `remarks` has one sentence for each warning.
+    `made_for` is for the result; `remarks` has one sentence for each warning, `read_as` says how the ground was read.
     """
 
     description: RoverDescription
@@ -63,6 +84,7 @@ class MadeForCheck:
     asked: bool
     terrain: Terrain
     terrain_asked: bool
+    read_as: tuple[str, ...] = ()
     made_for: dict[str, Any] = field(default_factory=lambda: {"plan": None, "terrain": None})
     remarks: list[str] = field(default_factory=list)
 
@@ -70,6 +92,11 @@ class MadeForCheck:
         """Warn, and keep the sentence."""
         self.remarks.append(text)
         warnings.warn(text, LunarSciWarning, stacklevel=3)
+
+    @property
+    def how_read(self) -> dict[str, list[str]]:
+        """For a result: `read_as`, where there was a choice in how the ground was read."""
+        return {"read_as": list(self.read_as)} if self.read_as else {}
 
     def plan(self, plan: Plan, path: str | None, *, judged: bool) -> Plan:
         """The plan with limits of this rover. Raises RequestError for a plan that another rover should drive.
@@ -84,6 +111,32 @@ class MadeForCheck:
         self._note("plan", made, path)
         self.ground(path or "the plan", made.ground if made is not None else "", refused=False)
         return plan
+
+    def placed(self, plan: Plan, crs_of_file: str) -> Plan:
+        """The plan with the x and y of the terrain, where it has those of another coordinate system.
+
+        A plan that names none has those of the terrain; or of the terrain's file, where this is another one and only
+        there its start is on the ground. Raises RequestError where the two systems have nothing to do with each other.
+        """
+        here, crs = self.terrain.crs, plan.crs or crs_of_file
+        if not here or crs in ("", here) or not (plan.crs or not _is_on(self.terrain, plan)):
+            return plan
+        try:
+            moved = _carried(plan, crs, here)
+        except ParameterError as error:
+            if not plan.crs:
+                return plan
+            raise RequestError(
+                f"{plan.origin} has another coordinate system than {self.terrain.name}: {error}; plan on this terrain"
+            ) from error
+        if not plan.crs and not _is_on(self.terrain, moved):
+            return plan
+        if math.dist((plan.x_m, plan.y_m), (moved.x_m, moved.y_m)) > SAME_PLACE_M:
+            self.say(
+                f"{plan.origin}: x and y are of '{name_of(crs)}', and are taken to those of the terrain: it starts at "
+                f"x {moved.x_m:.2f}, y {moved.y_m:.2f} m, heading {moved.heading_deg:.2f} deg"
+            )
+        return moved
 
     def ground(self, path: str, written: str, *, refused: bool = True) -> None:
         """Say it where a file was made on another ground; '' where it does not say.
