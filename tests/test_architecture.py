@@ -13,6 +13,7 @@ SHARED = {
     "errors",
     "constants",
     "provenance",
+    "questions",
     "arrays",
     "atomic",
     "blocks",

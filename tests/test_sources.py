@@ -37,7 +37,7 @@ SETTINGS = {
         "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _UNSCALED", "sun.py: _J2000_JD",
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/loads/alternating.py: ALIKE",
-        "twin/plans/plan.py: MOST", "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
+        "twin/plans/limits.py: MOST", "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
         "twin/telemetry/positions.py: READINGS", "twin/telemetry/wheel_motion.py: UNITS"),
     "the source stands in each of the entries": ("spectra/indices.py: INDICES",),
     "places in rows, not numbers of the world": (

@@ -12,7 +12,7 @@ from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
+from .options import BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, GROUND, KEEP_OUT, RUTS, SUN, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
@@ -22,6 +22,11 @@ OPTIONS = DRIVE | {
     "risk": option(
         "Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both "
         "95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.",
+    ),
+    "as_written": option(
+        "Numbers of soil, rover and terrain are meant as they are written. Without it a number that would be likely in "
+        "another unit is asked about, and the verdict is not-determined.",
+        panel=GROUND,
     ),
     "ruts": RUTS,
     "before": BEFORE,

@@ -89,6 +89,12 @@ class Law:
         """How far a value, above 0 unless `of` is `value`, lies from the median. [standard deviations]"""
         return (float(self.transformed(np.array(value))) - self.center) / self.width
 
+    def ln_density(self, value: float) -> float:
+        """Of the transform of a value; minus infinite for one that the parameter cannot have."""
+        if self.of != "value" and not 0 < value < (90.0 if self.of == "ln tan" else math.inf):
+            return -math.inf
+        return -0.5 * self.widths_off(value) ** 2 - math.log(self.width * math.sqrt(2.0 * math.pi))
+
     def back(self, transform: FloatArray) -> FloatArray:
         """To the parameter's unit."""
         if self.of == "ln":

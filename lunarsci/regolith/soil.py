@@ -12,14 +12,28 @@ from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
+from lunarsci.questions import Question, question
 from lunarsci.regolith.prior import default_prior
 from lunarsci.tables import table_hashes
 
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
-USUAL_WIDTHS = 5.0
-"""Measured: all lunar soils and simulants of `reference_soils.csv` lie within 4 widths of the prior laws, but two clays
-of the Earth do not within 5."""
+OTHER_UNITS: dict[str, dict[str, float]] = {
+    "stiffness_kpa_m_n": {
+        "Pa/m^N": 1e-3,
+        "MPa/m^N": 1e3,
+        "psi/in^N": 271.4,
+        "a digit too many": 0.1,
+        "a digit missing": 10.0,
+    },
+    "cohesion_pa": {"kPa": 1e3, "psi": 6894.76, "a digit too many": 0.1, "a digit missing": 10.0},
+    "friction_angle_deg": {"rad": 57.29578},
+    "shear_modulus_mm": {"cm": 10.0, "m": 1e3, "in": 25.4},
+    "external_friction_angle_deg": {"rad": 57.29578},
+    "lateral_modulus_mm": {"cm": 10.0, "m": 1e3, "in": 25.4},
+}
+"""Other units of soil parameters with their size in the unit of the name: by definition (1 in = 25.4 mm, 1 lbf/in2 =
+6894.76 Pa)."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,24 +133,18 @@ def read_soil(soil: str) -> Soil:
 
 
 def warn_of_unusual(soil: Soil, called: str) -> None:
-    """Warn of values that no lunar soil is known to have."""
-    if strange := unusual(soil):
-        warnings.warn(
-            f"{called}: {', '.join(strange)}: no lunar soil is known to be so, though clays of the Earth are; "
-            "check the units that the names end in",
-            LunarSciWarning,
-            stacklevel=3,
-        )
+    """Warn of values that would be likely in another unit, or that no lunar soil has."""
+    for asked in unusual(soil, called):
+        warnings.warn(str(asked), LunarSciWarning, stacklevel=3)
 
 
-def unusual(soil: Soil) -> list[str]:
-    """Values further than `USUAL_WIDTHS` from the laws of `priors.toml`, as `NAME VALUE`; 0 has no unit."""
-    values = {name: getattr(soil, name) for name in default_prior()}
-    return [
-        f"{name} {value:g}"
-        for name, value in values.items()
-        if value and abs(default_prior()[name].widths_off(value)) > USUAL_WIDTHS
-    ]
+def unusual(soil: Soil, called: str = "soil") -> list[Question]:
+    """What to ask of a soil, by the laws of `priors.toml`."""
+    asked = (
+        question(f"{called}: {name}", getattr(soil, name), law.median, law.ln_density, OTHER_UNITS.get(name, {}))
+        for name, law in default_prior().items()
+    )
+    return [one for one in asked if one is not None]
 
 
 def _soil(table: dict[str, Any], origin: str) -> Soil:

@@ -21,7 +21,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     tmp_path = tmp_path_factory.mktemp("drive")
     paths = {name: tmp_path / f"{name}.csv" for name in ("motion", "states")} | {"plan": tmp_path / "plan.toml"}
     paths["plan"].write_text(PLAN)
-    assert main(["twin", "predict", str(paths["plan"]), "-q", "-o", str(tmp_path / "drive")]) == 0
+    assert main(["twin", "predict", str(paths["plan"]), "--soil", "longji", "-q", "-o", str(tmp_path / "drive")]) == 0
     motion = pd.read_csv(tmp_path / "drive" / "paths.csv")
     motion = motion.assign(x_m_sigma=0.004, y_m_sigma=0.004, yaw_deg_sigma=0.2)
     motion.to_csv(paths["motion"], index=False)

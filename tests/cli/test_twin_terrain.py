@@ -67,20 +67,18 @@ def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     assert (driven.code, driven.out) == (0, "go\n")
 
 
-def test_a_soil_that_nobody_named_is_said_to_be_assumed(run: Run, tmp_path: Path) -> None:
+def test_a_soil_that_nobody_named_is_drawn_from_the_priors(run: Run, tmp_path: Path) -> None:
     plan, ground = tmp_path / "plan.toml", tmp_path / "flat.csv"
     plan.write_text('name = "short"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.3\n')
     nodes = ((0.25 * x, 0.25 * y) for x in range(-8, 13) for y in range(-8, 9))
     ground.write_text("x_m,y_m,height_m\n" + "".join(f"{x},{y},0\n" for x, y in nodes))
-    said = "soil: that of longji, assumed: none is given, and the terrain has none (--soil)"
-    page = "The soil is assumed to be that of longji"
-    drive = ("twin", "predict", plan)
-    for more, is_assumed in (((), True), (("--soil", "longji"), False)):
-        shown = run(*drive, "--terrain", ground, *more)
-        told = run(*drive, "--terrain", ground, *more, "--json", "-o", tmp_path / f"kept{len(more)}.json")
-        assert (said in " ".join(shown.out.split())) == (page in " ".join(told.err)) == is_assumed, (shown, told)
-        assert shown.code == told.code == 0, shown.out
-    assert "assumed: none" not in run(*drive).out
+    said = "soil: 64 drawn from the belief priors, which rests on no drive yet"
+    for more, is_drawn in (((), True), (("--soil", "longji"), False)):
+        shown = run("twin", "predict", plan, "--terrain", ground, "--exact-terrain", *more)
+        assert (said in " ".join(shown.out.split())) == is_drawn and shown.code == 0, shown
+        assert f"{64 if is_drawn else 1} drive" in shown.out and "of yutu2" in shown.out
+    forces = run("twin", "forces", plan, "--terrain", ground)
+    assert "soil: that of longji, assumed: none is given" in " ".join(forces.out.split())
 
 
 def test_the_maps_are_in_both_files(run: Run, tmp_path: Path) -> None:

@@ -20,9 +20,8 @@ from lunarsci.regolith.inference.prediction import (
     disputed,
     predict_forces,
     predict_states,
-    shares_at,
 )
-from lunarsci.regolith.inference.problem import problem_of
+from lunarsci.regolith.inference.problem import problem_of, shares_at
 from lunarsci.regolith.inference.verdict import least_chi_square, suspects
 from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.prior import PARAMETERS, default_prior
@@ -236,7 +235,7 @@ def test_the_model_errs_more_where_nothing_taught_it(right: SoilPosterior) -> No
     taught = replace(right, taught=np.array([[0.1, 0.0], [0.4, 0.0]]))
     own = np.array(right.verdict.model_error)
     elsewhere = max(own.max(), 0.1)
-    found = shares_at(taught, np.array([[0.4, 0.0], [0.7, 0.0], [0.1, 15.0], [0.1, 80.0]]))
+    found = shares_at(own, taught.taught, np.array([[0.4, 0.0], [0.7, 0.0], [0.1, 15.0], [0.1, 80.0]]))
     part = 1.0 - math.exp(-1.0)
     assert found == pytest.approx(np.sqrt(own**2 + np.array([0.0, part, part, 1.0])[:, None] * elsewhere**2), rel=1e-9)
     drawn = predict_forces(taught, WHEEL, [0.1, 0.1], [0.0, 45.0], [36.0, 36.0], [0.01, 0.01], draws=2000)

@@ -1,4 +1,4 @@
-"""Measured soils against what is told of a soil file: nothing of lunar ones and simulants, two clays of the Earth."""
+"""Measured soils against what is asked of a soil file: of one in twenty lunar ones and simulants, of clays and loam."""
 
 import warnings
 from pathlib import Path
@@ -12,7 +12,9 @@ from lunarsci.tables import table_rows
 
 PACKAGE = "lunarsci.regolith"
 WIDTH_M = 0.15
-CLAYS = {"heavy clay, 25 % water", "lean clay, 22 % water"}
+CLAYS = {"heavy clay, 25 % water", "lean clay, 22 % water", "sandy loam of Michigan, 23 % water"}
+LEAST = "Apollo 14, trench"
+"""Of the lunar soils the one of least cohesion, 30 Pa, which would be likelier with a digit more."""
 
 
 def measured(row: dict[str, str]) -> list[Soil]:
@@ -31,7 +33,7 @@ def measured(row: dict[str, str]) -> list[Soil]:
 def test_no_lunar_soil_is_told_and_two_clays_are() -> None:
     rows = table_rows("reference_soils.csv", package=PACKAGE)
     told = {row["name"]: row["kind"] for row in rows if any(unusual(soil) for soil in measured(row))}
-    assert len(rows) > 30 and set(told) == CLAYS and set(told.values()) == {"terrestrial"}
+    assert len(rows) > 30 and set(told) == CLAYS | {LEAST} and {told[name] for name in CLAYS} == {"terrestrial"}
     typical = read_soil("lunar-typical")
     for row in table_rows("lateral_soils.csv", package=PACKAGE):
         names = ("lateral_modulus_mm", "external_friction_angle_deg")
@@ -43,7 +45,7 @@ def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
     file = tmp_path / "soil.toml"
     text = "\n".join(f"{k} = {v}" for k, v in known_soils()["longji"].items() if k not in ("source", "assumed"))
     file.write_text(text.replace("friction_angle_deg = 42.0", "friction_angle_deg = 0.733"))
-    with pytest.warns(LunarSciWarning, match=r"friction_angle_deg 0\.733: no lunar soil") as told:
+    with pytest.warns(LunarSciWarning, match=r"friction_angle_deg is 0\.733, where .* is it in rad\?") as told:
         read_soil(str(file))
     assert len(told) == 1
     file.write_text(text)
@@ -54,7 +56,7 @@ def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("given", [{"stiffness": 1.4e6}, {"cohesion": 5.2e5}, {"friction_angle": 0.6}])
 def test_an_option_of_other_units_is_told(given: dict[str, float]) -> None:
-    with pytest.warns(LunarSciWarning, match=r"the soil: .* no lunar soil .* check the units"):
+    with pytest.warns(LunarSciWarning, match=r"the soil: .* usual; is (it in|there a digit)"):
         lunarsci.wheel_forces(load=36.5, slip=0.2, **given)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -21,7 +21,8 @@ from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.aiming import bent_plan, halting_at
 from lunarsci.twin.rover import Rover
 
-END = (Limit("slip_ratio", "-", 0.6, "test", False), Limit("endpoint_miss_m", "m", 0.4, "test", False))
+GIVEN = {"slip_ratio": 0.6, "side_slip_deg": 90.0, "sinkage_m": 0.15, "endpoint_miss_m": 0.4}
+END = tuple(Limit(name, "", value, "test", False) for name, value in GIVEN.items())
 STRAIGHT = Plan(name="straight", legs=(Leg(5.0),), speed_m_s=0.05, limits=END)
 FREE = Improvement(fits=lambda plan: True, most_curvature_per_m=1.0 / 1.5, fixes=Fixes(0.05, 0.5, halt_s=60.0))
 

@@ -22,7 +22,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
-from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours
+from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours, shares_at
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
 from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
@@ -32,12 +32,6 @@ STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
 MOST_COMPARED = 200
 """States that laws are compared on, drawn from more, so that it takes seconds; assumed."""
-ALIKE = (0.3, 15.0)
-"""How far off in slip [-] and side slip [deg] from the states that taught it a law is as wrong as it is elsewhere;
-assumed, about the steps between states of wheel tests."""
-LEAST_ELSEWHERE = 0.1
-"""Share of the load by which a law misses a force where nothing taught it, at least: what the best one misses of the
-runs of Pavlov & Johnson's wheel that it has not seen, 0.09 to 0.10 (`tests/benchmarks/wheels.py`)."""
 OPEN = 2.0
 """Standard errors by which a law with known contact angles must predict better before they are taken as known; assumed.
 """
@@ -109,7 +103,11 @@ def predict_forces(
     said = errors or MeasurementErrors()
     best = values_of(posterior.prior, posterior.mode)
     soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
-    share, depth, forces = shares_at(posterior, states), np.empty((draws, len(load))), []
+    share, depth, forces = (
+        shares_at(posterior.verdict.model_error, posterior.taught, states),
+        np.empty((draws, len(load))),
+        [],
+    )
     given = None if sinkage_m is None else np.broadcast_to(np.asarray(sinkage_m, dtype=float), load.shape)
     for k, soil in enumerate(soils):
         moved = states[:, :2] + random.standard_normal((len(load), 2)) * _spread(said, states)
@@ -129,21 +127,6 @@ def predict_forces(
     if given is None:
         noise[..., 0], all_forces[..., 0], value[:, 0] = 0.0, load, load
     return PredictedForces(value, value + np.array(posterior.stretch) * (all_forces + noise - value), depth)
-
-
-def shares_at(posterior: SoilPosterior, motion: FloatArray) -> FloatArray:
-    """Share of the load by which the model misses F_N, F_DP, F_L at slips and side slips (n, 2 or more). (n, 3)
-
-    Near states that taught it that is the model error found there; far from them the largest of the three comes to it,
-    as straight drives say nothing of how well the law knows lateral forces.
-    """
-    share = np.broadcast_to(np.array(posterior.verdict.model_error), (len(motion), 3))
-    if not len(posterior.taught):
-        return share
-    apart = (motion[:, None, :2] - posterior.taught[None]) / ALIKE
-    nearest = (apart**2).sum(axis=2).min(axis=1)
-    elsewhere = max(float(share.max()), LEAST_ELSEWHERE)
-    return np.asarray(np.sqrt(share**2 + (-np.expm1(-nearest))[:, None] * elsewhere**2))
 
 
 def _spread(errors: MeasurementErrors, states: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from scipy.special import chdtri
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.questions import log_normal, question
 from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.inference.problem import LEAST_SHARE, JointProblem, error_covariance, part_of
@@ -27,6 +28,11 @@ GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
 no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
 assumed."""
+PRESSURE_PA, PRESSURE_SD = 3000.0, 0.9
+"""Load of a wheel over its radius times its width, and the standard deviation of its logarithm: 1.6 kPa of Yutu-2, some
+6 kPa of the Mars Exploration Rovers; assumed."""
+LOAD_UNITS = {"kN": 1e3, "mN": 1e-3}
+"""In newtons, by definition."""
 NEAR_END = 1.96
 """Standard deviations to the nearer end of a 95 % interval, by definition; assumed normal."""
 DECISIVE = 12.0
@@ -137,7 +143,7 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     """
     shares, reduced = mode.problem.model_error, reduced_chi_square(mode)
     reasons = [*_misfit(mode, reduced, given, states), *_ceilings(mode, given), *_left_out(mode, unusable)]
-    reasons += _strange(mode)
+    reasons += _strange(mode) + _loads(mode)
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and not reasons
     turned = [] if good else suspects(mode, units=bool(reasons))
     if turned:
@@ -180,6 +186,18 @@ def _strange(mode: Mode) -> list[str]:
         f"{problem.prior[problem.names[k]].median:g}"
         for k in np.flatnonzero(np.abs(off) - NEAR_END * sd > STRANGE)
     ]
+
+
+def _loads(mode: Mode) -> list[str]:
+    """Loads that no wheel of this size carries."""
+    loads, wheel = mode.problem.forces[:, 0], mode.problem.wheel
+    known = loads[np.isfinite(loads) & (loads > 0)]
+    if not known.size:
+        return []
+    usual = PRESSURE_PA * wheel.radius_m * wheel.width_m
+    law, median = log_normal(usual, PRESSURE_SD), float(np.median(known))
+    asked = question("median normal_force_n", median, usual, law, LOAD_UNITS, "give newtons")
+    return [] if asked is None else [str(asked)]
 
 
 def least_chi_square(left: float) -> float:

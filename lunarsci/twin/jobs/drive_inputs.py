@@ -152,10 +152,7 @@ def read_drive_inputs(
     """
     description, terrain = read_rover(rover or DEFAULT_ROVER), named or SYNTHETIC
     built, given = build_rover(description), GivenSoil.read(soil)
-    if before is not None and ruts is False:
-        raise RequestError("`before` leaves nothing but ruts, and `ruts` are left out; give one of them")
-    if ruts is None:
-        ruts = before is not None or (given.belief is not None and given.belief.ruts)
+    ruts = _meets_ruts(ruts, before is not None, given)
     file, surface, driven = _read_ground(terrain, given, height_unit)
     surface = file.likely(surface, built.wheel.width_m)
     surface = surface if terrain_errors else replace(surface, errors=None)
@@ -194,6 +191,12 @@ def read_drive_inputs(
         ruts,
         earlier,
     )
+
+
+def _meets_ruts(ruts: bool | None, before: bool, given: GivenSoil) -> bool:
+    if before and ruts is False:
+        raise RequestError("`before` leaves nothing but ruts, and `ruts` are left out; give one of them")
+    return (before or (given.belief is not None and given.belief.ruts)) if ruts is None else ruts
 
 
 def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | None:

@@ -15,6 +15,7 @@ from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.questions import Question
     from lunarsci.twin.ground.unresolved import Unresolved
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
     from lunarsci.twin.jobs.soils import Soils
@@ -100,6 +101,7 @@ class PredictRequest(PoweredRequest):
     exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
         may be off, or where its nodes lie wider apart than a wheel is large.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
+    as_written : numbers of soil, rover and terrain are meant as they are; nothing is asked about them.
     risk : chance of failing that is accepted, in place of the plan's; None for the plan's, or for the rule of `judge`.
     """
 
@@ -107,6 +109,7 @@ class PredictRequest(PoweredRequest):
     before: str | None = None
     exact_terrain: bool = False
     keep_out: tuple[str, ...] = ()
+    as_written: bool = False
     risk: float | None = None
 
     def __post_init__(self) -> None:
@@ -129,6 +132,7 @@ class PredictedDrives(Result):
     terrain_shares : part of the variance of ends, slip, tilt and sinkage that errors of the terrain make, by quantity;
         None where its heights are exact. [-]
     power : electrical power and battery; None where neither Sun nor charge was given.
+    questions : numbers that no Moon, soil or rover has as they are written; while any is open the verdict is.
     unresolved : what the terrain's nodes are too far apart to show, of which every drive has a draw; None for nothing.
     """
 
@@ -141,6 +145,7 @@ class PredictedDrives(Result):
     terrain_shares: "TerrainShares | None" = None
     power: "PowerUse | None" = None
     unresolved: "Unresolved | None" = None
+    questions: "tuple[Question, ...]" = ()
 
     @property
     def inputs(self) -> "DriveInputs":
@@ -184,6 +189,7 @@ class PredictedDrives(Result):
             "energy": energy_record(prediction),
             "power": None if self.power is None else power_record(prediction, self.power),
             "physics": self._physics(),
+            "questions": [asked.to_dict() for asked in self.questions],
             "unresolved": None if self.unresolved is None else asdict(self.unresolved),
             "terrain_errors": None if self.terrain_shares is None else asdict(self.terrain_shares),
             "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},
@@ -267,13 +273,31 @@ def predict(
         keep_out=asked.keep_out,
         priors=not asked.sweep,
     )
+    questions = () if asked.as_written else _questions(inputs, asked)
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
         inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
-    return _judged(soils, prediction, asked, unresolved)
+    return _asked_about(_judged(soils, prediction, asked, unresolved), questions)
+
+
+def _questions(inputs: "DriveInputs", asked: PredictRequest) -> "tuple[Question, ...]":
+    """What to ask of the numbers that were given."""
+    from lunarsci.twin.judgement.plausibility import questions_of
+
+    by_file = asked.terrain is not None and asked.height_unit is None
+    return questions_of(inputs.terrain if by_file else None, inputs.rover, inputs.given.named)
+
+
+def _asked_about(found: PredictedDrives, questions: "tuple[Question, ...]") -> PredictedDrives:
+    """A verdict is not determined while questions are open."""
+    if not questions:
+        return found
+    reasons = (*map(str, questions), *found.verdict.reasons)
+    verdict = replace(found.verdict, verdict="not-determined", reasons=reasons)
+    return replace(found, questions=questions, verdict=verdict)
 
 
 def _rough(inputs: "DriveInputs", seed: int) -> "tuple[DriveInputs, Unresolved | None]":

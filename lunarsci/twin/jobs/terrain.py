@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.routes.planner import PlannedPath
     from lunarsci.twin.rover import Rover
 
-
 Progress = Callable[[int, int], None]
 SOURCES = [
     "Goldberg, Maimone & Matthies (2002), IEEE Aerospace Conf., 10.1109/AERO.2002.1035370",
@@ -58,7 +57,7 @@ class GroundRequest:
     Attributes
     ----------
     rover : name or TOML file; Yutu-2 where it is None.
-    height_unit : of the terrain's heights, in place of what its file states; m where that states none.
+    height_unit : in place of the file's; m where that states none.
     baseline : side of the square whose slope is measured; the rover's where it is None. [m]
     max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms

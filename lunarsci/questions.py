@@ -1,0 +1,78 @@
+"""Numbers that would be likely in another unit: what to ask of whoever wrote them, and where the answer goes.
+
+A number is set against the law of what such numbers are, as it is written and as it would be in other units. Another
+reading is held for as likely beforehand as one file in a hundred. Where it is the likelier after all, a question is
+asked. A number that no unit explains is asked about where it is rarer than a slip of any size would be.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+SLIPS = 0.01
+"""Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed."""
+AS_WRITTEN = "--as-written"
+"""The option that takes all numbers as they are."""
+DECADES = 6.0
+"""Over which a slip of any size is taken to be even, in the logarithm; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A doubt about a number that its user can settle.
+
+    Attributes
+    ----------
+    quantity, value : as it is written.
+    usual : the middle of what such numbers are.
+    likely_unit : in which it would be likely; '' where none explains it.
+    option : what settles it.
+    """
+
+    quantity: str
+    value: float
+    usual: float
+    likely_unit: str
+    option: str
+
+    def __str__(self) -> str:
+        likely = f"; is it in {self.likely_unit}?" if self.likely_unit else "; is it meant so?"
+        likely = f"; is there {self.likely_unit}?" if self.likely_unit.startswith("a digit") else likely
+        return f"{self.quantity} is {self.value:.3g}, where about {self.usual:.3g} is usual{likely} ({self.option})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For a result."""
+        return asdict(self)
+
+
+def question(
+    quantity: str,
+    value: float,
+    usual: float,
+    ln_density: Callable[[float], float],
+    units: Mapping[str, float],
+    option: str = AS_WRITTEN,
+) -> Question | None:
+    """What to ask of a number; None where it is most likely as it is written. 0 has no unit.
+
+    Parameters
+    ----------
+    usual : the middle of what such numbers are.
+    ln_density : of a number, over a variable that grows with its logarithm.
+    units : the others by name, each with the size of one of them in the unit that is meant.
+    option : what settles it.
+    """
+    if not value:
+        return None
+    own, readings = ln_density(value), {name: ln_density(value * size) for name, size in units.items()}
+    likely = max(readings, key=lambda name: readings[name], default="")
+    explained = bool(likely) and math.log(SLIPS) + readings[likely] > own
+    if not explained and own > math.log(SLIPS) - math.log(DECADES * math.log(10.0)):
+        return None
+    return Question(quantity, value, usual, likely if explained else "", option)
+
+
+def log_normal(median: float, sd: float) -> Callable[[float], float]:
+    """ln density of the logarithm of numbers above 0, of this median, with this standard deviation."""
+    return lambda value: -0.5 * (math.log(value / median) / sd) ** 2 - math.log(sd * math.sqrt(2.0 * math.pi))
