@@ -21,6 +21,17 @@ LUNAR_GRAVITY = Constant(
     "GM/R^2 with GM = 4902.8 km3 s-2 and R = 1738.0 km gives 1.623. The uncertainty is the spread over the surface.",
 )
 
+MARTIAN_GRAVITY = Constant(
+    3.71, "m s-2", 0.03,
+    "Williams, Mars Fact Sheet, NASA Goddard Space Flight Center: mean surface gravity 3.71 m s-2; equator and pole "
+    "differ by 0.05.",
+)  # fmt: skip
+STANDARD_GRAVITY = Constant(
+    9.80665, "m s-2", 0.03, "3rd Conference generale des poids et mesures (1901), by definition; 9.78 to 9.83 on Earth."
+)
+GRAVITIES = {"moon": LUNAR_GRAVITY, "mars": MARTIAN_GRAVITY, "earth": STANDARD_GRAVITY}
+"""By the name of the body."""
+
 MOON_RADIUS_KM = 1737.4
 """Mean radius, Archinal et al. (2018), Celest. Mech. Dyn. Astron. 130, 22, 10.1007/s10569-017-9805-5. [km]"""
 

@@ -21,6 +21,7 @@ HEIGHT_UNIT = option(
     show_default="what the file states, or m",
     panel=GROUND,
 )
+GRAVITY = option("Gravity: moon, mars, earth, or a number in m/s².", show_default="moon", panel=GROUND)
 INTERPOLATION = option(
     "Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).", panel=GROUND
 )
@@ -79,6 +80,7 @@ DRIVE = {
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
+    "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "soil": SOILS,
     "sweep": SWEEP,

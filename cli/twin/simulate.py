@@ -9,13 +9,14 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
+from .options import BEFORE, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
 TELEMETRY = "Telemetry"
 OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
+    "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "soil": option(
         "The true soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"

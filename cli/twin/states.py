@@ -11,7 +11,7 @@ from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import spread_headers
-from .options import HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
+from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.states import MeasuredStates
@@ -21,6 +21,7 @@ OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
+    "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "positions": option(
         "Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, "

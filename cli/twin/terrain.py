@@ -11,7 +11,7 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import KEEP_OUT
+from .options import GRAVITY, KEEP_OUT
 
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
 LAYERS = "Layers and light"
@@ -21,6 +21,7 @@ OPTIONS = {
         "With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
         show_default="the terrain's, or longji",
     ),
+    "gravity": GRAVITY,
     "height_unit": option(
         "Unit of the terrain's heights, in place of what its file states.", show_default="what the file states, or m"
     ),

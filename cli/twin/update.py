@@ -13,7 +13,7 @@ from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
+from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
@@ -40,6 +40,7 @@ OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
+    "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "particles": option("Soils that carry the belief.", min=32, panel=BELIEF),
     "ruts": option(

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.constants import LUNAR_GRAVITY
+from lunarsci.constants import GRAVITIES, LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import one_of
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -225,6 +225,20 @@ class Rover:
             float(self.joint_damping_n_m_s),
             float(self.gravity_m_s2),
         )
+
+
+def with_gravity(rover: Rover, gravity: str | None) -> Rover:
+    """The rover on `moon`, `mars` or `earth`, or where gravity is a number in m/s2; as it is for None.
+
+    Raises ParameterError for anything else.
+    """
+    if gravity is None:
+        return rover
+    known = GRAVITIES.get(gravity.strip().lower())
+    try:
+        return replace(rover, gravity_m_s2=float(gravity) if known is None else known.value)
+    except ValueError as error:
+        raise ParameterError(f"gravity is '{gravity}'; give {', '.join(GRAVITIES)}, or m/s2 above 0") from error
 
 
 def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover:

@@ -233,3 +233,17 @@ def test_a_seed_that_draws_nothing_is_said(run: Run, short_plan: Path) -> None:
     idle, drawn = run(*grid, "--seed", "3"), run(*grid, "--seed", "3", "--members", "2")
     assert any("the seed has nothing to draw" in line for line in idle.err) and drawn.err == []
     assert [driven(done)[1]["seed"] for done in (idle, drawn)] == [None, 3]
+
+
+def test_gravity_is_an_option_and_stands_in_the_result(run: Run, tmp_path: Path) -> None:
+    """A rover on Earth weighs six times as much; its wheels carry that."""
+    plan = tmp_path / "plan.toml"
+    plan.write_text('name = "a"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n')
+    for given, g in (((), 1.622), (("--gravity", "earth"), 9.80665), (("--gravity", "2.5"), 2.5)):
+        done = run("twin", "forces", plan, "--soil", "longji", *given, "--json")
+        result = json.loads(done.out)["result"]
+        assert done.code == 0 and result["gravity_m_s2"] == g, done.err
+        mean = sum(wheel["normal_force_n"]["mean"] for wheel in result["wheels"])
+        assert mean == pytest.approx(135.0 * g, rel=0.01)
+    wrong = run("twin", "predict", plan, "--gravity", "pluto")
+    assert wrong.code == 2 and "--gravity" in wrong.err[0] and "moon, mars, earth" in wrong.err[0]

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_override
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, UNSETTLED, WHEEL, new_work
-from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.rover import Rover, build_rover, with_gravity
 from lunarsci.twin.simulation.settle import settle
 
 
@@ -131,3 +132,18 @@ def test_what_cannot_settle_says_so(yutu2: Rover, slope) -> None:  # type: ignor
     holed = slope()
     holed.height_m[14:19, 6:11] = np.nan
     assert loads(yutu2, holed)[0] == HOLE
+
+
+@pytest.mark.parametrize(("gravity", "g"), [("earth", 9.80665), ("mars", 3.71), ("Moon", 1.622), ("3.3", 3.3)])
+def test_wheels_carry_the_weight_under_any_gravity(yutu2: Rover, slope, gravity: str, g: float) -> None:  # type: ignore[no-untyped-def]
+    """At rest on level ground, as the levers share it."""
+    rover = with_gravity(yutu2, gravity)
+    code, normal, _ = loads(rover, slope(), stiffness_kpa_m_n=1443.0 * 3e6)
+    assert code == FINISHED and normal == pytest.approx(levers(rover), rel=1e-6)
+    assert normal.sum() == pytest.approx(135.0 * g, rel=1e-9)
+
+
+@pytest.mark.parametrize("gravity", ["0", "-1", "nan", "inf", "pluto"])
+def test_gravity_that_cannot_be_is_refused(yutu2: Rover, gravity: str) -> None:
+    with pytest.raises(ParameterError, match="gravity"):
+        with_gravity(yutu2, gravity)

@@ -23,7 +23,7 @@ from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
 from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, PRIORS, GivenSoil, caution_of, doubt_of
 from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
-from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.rover import Rover, build_rover, with_gravity
 
 SYNTHETIC = "synthetic-longji"
 SOURCES = [
@@ -115,6 +115,7 @@ class DriveInputs:
             "terrain": {"name": self.terrain.name, "synthetic": self.terrain.synthetic},
             **self.check.how_read,
             "rover": self.rover.name,
+            "gravity_m_s2": self.rover.gravity_m_s2,
             "made_for": self.made_for,
             "assumed_of_rover": list(self.description.assumed),
         }
@@ -126,6 +127,7 @@ def read_drive_inputs(
     named: str | None,
     interpolation: str = "smooth",
     height_unit: HeightUnit | None = None,
+    gravity: str | None = None,
     *,
     soil: str | Sequence[str] | None = None,
     fixes: str | None = None,
@@ -151,7 +153,7 @@ def read_drive_inputs(
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
     description, terrain = read_rover(rover or DEFAULT_ROVER), named or SYNTHETIC
-    built, given = build_rover(description), GivenSoil.read(soil)
+    built, given = on_gravity(build_rover(description), gravity), GivenSoil.read(soil)
     ruts = _meets_ruts(ruts, before is not None, given)
     file, surface, driven = _read_ground(terrain, given, height_unit)
     surface = file.likely(surface, built.wheel.width_m)
@@ -274,6 +276,14 @@ def parsed_fixes(text: str) -> Fixes:
         return parse_fixes(text)
     except ParameterError as error:
         raise RequestError(named_option("fixes", error)) from error
+
+
+def on_gravity(rover: Rover, gravity: str | None) -> Rover:
+    """A rover where gravity is what an option says. Raises RequestError."""
+    try:
+        return with_gravity(rover, gravity)
+    except ParameterError as error:
+        raise RequestError(named_option("gravity", error)) from error
 
 
 def named_option(name: str, error: Exception) -> str:

@@ -56,8 +56,7 @@ class GroundRequest:
 
     Attributes
     ----------
-    rover : name or TOML file; Yutu-2 where it is None.
-    height_unit : in place of the file's; m where that states none.
+    rover, gravity, height_unit : as in `RoverOnGround`.
     baseline : side of the square whose slope is measured; the rover's where it is None. [m]
     max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
@@ -72,6 +71,7 @@ class GroundRequest:
 
     rover: str | None = None
     height_unit: HeightUnit | None = None
+    gravity: str | None = None
     baseline: float | None = None
     max_slope: float | None = None
     max_step: float | None = None
@@ -357,7 +357,7 @@ def read_site(
     from lunarsci.twin.ground.hazards import read_mobility
     from lunarsci.twin.ground.keep_out import read_keep_outs
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
-    from lunarsci.twin.jobs.drive_inputs import SYNTHETIC
+    from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
     from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
     from lunarsci.twin.plans.made_for_check import MadeForCheck
     from lunarsci.twin.rover import build_rover
@@ -365,7 +365,7 @@ def read_site(
 
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
     description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)
-    built, own_soil = build_rover(description), read_soil(name)
+    built, own_soil = on_gravity(build_rover(description), asked.gravity), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
         make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain

@@ -349,6 +349,7 @@ class _DrivenLine:
                 "sha256": self.states.sha256,
                 "plan": self.known.plan.name,
                 "rover": self.known.rover.written,
+                "gravity_m_s2": self.known.rover.gravity_m_s2,
                 "ground": self.known.terrain.written,
                 "values": found.values,
                 "outliers": int(found.outliers.sum()),
