@@ -14,7 +14,7 @@ from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import leg_end, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, check_plan
 from lunarsci.twin.routes.candidates import candidate_plans, manners
-from lunarsci.twin.routes.corridors import sides
+from lunarsci.twin.routes.corridors import PLACES, course_places, sides
 from lunarsci.twin.rover import Rover, build_rover
 
 SPACING = 0.1
@@ -83,6 +83,22 @@ def test_sides_of_half_circles_differ_by_a_turn() -> None:
     assert (np.abs(found[0] - found[1]) == (1, 0, 0)).all()
     (turns,) = sides(once_round[None], np.array([[0.0, 0.1], [0.0, 3.0]]))
     assert abs(turns[0] - sides(above[None], np.array([[0.0, 0.1]]))[0, 0]) == 1 and turns[1] == 0
+
+
+def test_places_of_courses_lie_at_equal_shares_of_their_lengths() -> None:
+    """Against the integral of the heading, in steps of 1/20000 of the way; curvature changes from arc to arc."""
+    start = np.array([0.4, -1.2, 2.0])
+    arcs = np.array([[[2.0, 0.3], [1.0, -0.5], [3.0, 0.1]], [[0.5, 0.0], [4.0, 0.2], [0.7, -0.4]]])
+    for places, arc in zip(course_places(start, arcs), arcs, strict=True):
+        ends = np.cumsum(arc[:, 0])
+        way, step = np.linspace(0.0, ends[-1], 20001, retstep=True)
+        middle = way[:-1] + 0.5 * step
+        turned = step * np.cumsum(arc[np.searchsorted(ends, middle), 1])
+        heading = start[2] + turned - 0.5 * step * arc[np.searchsorted(ends, middle), 1]
+        x, y = (np.append(0.0, step * np.cumsum(of(heading))) for of in (np.cos, np.sin))
+        at = np.linspace(0.0, ends[-1], PLACES)
+        expected = np.column_stack([start[0] + np.interp(at, way, x), start[1] + np.interp(at, way, y)])
+        assert places == pytest.approx(expected, abs=1e-3)
 
 
 def test_manners_are_those_that_the_place_of_the_target_asks_for() -> None:
