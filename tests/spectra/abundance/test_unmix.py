@@ -234,7 +234,8 @@ def test_a_mineral_that_is_absent_comes_out_as_such() -> None:
 def test_an_interval_is_no_narrower_than_it_must_be_on_either_side() -> None:
     """By hand: wide enough, too narrow above, below, on both sides, and at 0 and 1."""
     mean = np.array([0.5, 0.5, 0.5, 0.5, 0.05, 0.95])
-    low, high = mean - [0.3, 0.3, 0.1, 0.1, 0.01, 0.01], mean + [0.3, 0.1, 0.3, 0.1, 0.01, 0.01]
+    low = mean - np.array([0.3, 0.3, 0.1, 0.1, 0.01, 0.01])
+    high = mean + np.array([0.3, 0.1, 0.3, 0.1, 0.01, 0.01])
     found = _widened(low, high, mean, np.full(6, 0.2))
     assert found[0] == pytest.approx([0.2, 0.2, 0.3, 0.3, 0.0, 0.75])
     assert found[1] == pytest.approx([0.8, 0.7, 0.8, 0.7, 0.25, 1.0])
