@@ -6,6 +6,8 @@ import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,12 @@ from lunarsci.cli.shared.examples import EXAMPLES
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.calibration import BoardView, CameraCalibration, calibrate
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
-from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest, CalibratedCameras, calibrate_cameras
+from lunarsci.images.jobs.calibrate_cameras import (
+    CalibrateCamerasRequest,
+    CalibratedCameras,
+    _seen_share,
+    calibrate_cameras,
+)
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
 from lunarsci.images.targets import BoardTarget, Sighting, check_board, find_target
@@ -59,6 +66,19 @@ def simulated(count: int, random: np.random.Generator, noise: float = 0.05) -> l
         both = zip(noisy, inside, strict=True)
         views.append(BoardView(tuple(Sighting(np.flatnonzero(k), p[k]) if k.sum() > 10 else None for p, k in both)))
     return views
+
+
+def test_a_picture_is_seen_in_as_many_of_64_cells_as_hold_a_point() -> None:
+    """Of 800 by 400 pixels: cells of 100 by 50; places half a pixel beyond the border belong to the outermost."""
+
+    def share(*places: tuple[float, float]) -> float:
+        rows = np.array([[0.0, u, v, 0.1, 0.2] for u, v in places])
+        found: Any = SimpleNamespace(cameras=[None, SimpleNamespace(size=(800, 400))], residuals=[None, rows])
+        return 64.0 * _seen_share(found, 1)
+
+    assert share((-0.4, -0.4), (99.0, 49.0), (799.4, 399.4), (701.0, 351.0)) == pytest.approx(2.0)
+    assert share((99.0, 10.0), (101.0, 10.0), (101.0, 60.0), (101.0, 40.0), (650.0, 390.0)) == pytest.approx(4.0)
+    assert share(*((50.0 + 100 * i, 25.0 + 50 * j) for i in range(8) for j in range(8))) == pytest.approx(64.0)
 
 
 def test_errors_of_a_rig_are_those_that_it_has() -> None:

@@ -22,7 +22,7 @@ from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
-from lunarsci.images.ties import OVERLAPPING, TiePoints, _peak
+from lunarsci.images.ties import OVERLAPPING, TiePoints, _eight, _peak
 from lunarsci.inputs import InputFile
 from lunarsci.twin.telemetry.reading import read_positions
 
@@ -331,6 +331,29 @@ def test_points_by_disparity() -> None:
     points = np.random.default_rng(1).uniform([-1, -1, 2], [1, 1, 15], (40, 3))
     left, right = rig.project(points)
     np.testing.assert_allclose(triangulated(rig, left, right[:, 0] - left[:, 0]), points, rtol=1e-6, atol=1e-6)
+
+
+def test_light_that_is_compared_has_the_same_mean_and_contrast_all_over() -> None:
+    """Noise of 1 and of 20 about a brightness that rises, beside glare that is not used: the noise itself is left,
+    about the middle of 8 bits and so wide that one pixel in a hundred or fewer is cut off at either end."""
+    noise = np.random.default_rng(1).normal(size=(200, 400))
+    contrast = np.where(np.arange(400) < 200, 1.0, 20.0)
+    used = np.ones(noise.shape, dtype=bool)
+    used[80:120, :] = False
+    light = 300.0 + 0.5 * np.arange(400) + contrast * noise
+    light[~used] = 1e5
+    found = _eight(light.astype(np.float32), used).astype(float)
+    assert (found[~used] == 128).all()
+    slopes = []
+    for half in (np.s_[:60, 30:160], np.s_[140:, 240:370], np.s_[125:140, 30:160], np.s_[60:75, 240:370]):
+        kept = np.abs(noise[half]) < 2.0
+        assert np.corrcoef(found[half][kept], noise[half][kept])[0, 1] > 0.99
+        slope, middle = np.polyfit(noise[half][kept], found[half][kept], 1)
+        assert middle == pytest.approx(127.5, abs=2.0)
+        slopes.append(slope)
+        ends = [(found[half] == end).mean() for end in (0, 255)]
+        assert max(ends) < 0.01
+    assert slopes == pytest.approx([np.mean(slopes)] * 4, rel=0.03) and np.mean(slopes) > 40.0
 
 
 def test_peak_of_a_parabola() -> None:

@@ -11,9 +11,9 @@ from stamped_ground import FINE, NAVCAM, PANCAM, Ground, with_track
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
 from lunarsci.images.jobs.track import TrackSinkage
-from lunarsci.images.lines import places_on, read_line
+from lunarsci.images.lines import Unrolled, places_on, read_line
 from lunarsci.images.tracks import TrackDepths, TrackProfile, track_depths
-from lunarsci.images.undisturbed_ground import BIWEIGHT, robust_fit
+from lunarsci.images.undisturbed_ground import BIWEIGHT, cells_of, robust_fit
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain_files import read_terrain
 
@@ -166,6 +166,23 @@ def test_what_places_share_does_not_average_and_sinkage_is_what_was_before_the_r
     assert first["rut_m_sigma"] == pytest.approx(0.013) and last["rut_m_sigma"] == pytest.approx(0.001)
     assert first["sinkage_m"] == pytest.approx(0.010) and first["sinkage_m_sigma"] == pytest.approx(0.01625)
     assert np.isnan(none["rut_m_sigma"]) and none["status"] == "floor not covered"
+
+
+def test_cells_are_means_with_errors_that_neighbours_share() -> None:
+    """Cells of 0.1 m along and across, the first node left out. A cell of three, with errors of 1, 2 and 3 mm: means,
+    and a mean variance of 14/3 mm2, of which 2/3 is left as two nodes count as one. A node alone keeps its own."""
+    nodes = Unrolled(
+        along=np.array([0.01, 0.02, 0.05, 0.08, 0.12, 0.05]),
+        across=np.array([0.01, -0.05, -0.01, -0.03, -0.05, 0.05]),
+        height=np.array([9.0, 0.1, 0.2, 0.6, 0.7, 0.8]),
+        sigma=np.array([9.0, 0.001, 0.002, 0.003, 0.004, 0.005]),
+    )
+    found = cells_of(nodes, np.arange(6) > 0, 0.1, 2.0)
+    order = np.argsort(found.height)
+    assert found.place[order] == pytest.approx(np.array([[0.05, -0.03], [0.12, -0.05], [0.05, 0.05]]))
+    assert found.height[order] == pytest.approx([0.3, 0.7, 0.8])
+    assert found.sigma[order] == pytest.approx([1e-3 * np.sqrt(14 / 3 * 2 / 3), 0.004, 0.005])
+    assert found.nodes[order].tolist() == [3, 1, 1]
 
 
 def test_weights_of_a_robust_fit_follow_the_scatter_not_the_stated_error() -> None:

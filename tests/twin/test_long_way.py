@@ -1,6 +1,8 @@
 """Ways of hundreds of metres over a grid of orbit: their cost, what they pass, and why there is none."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import check_plan
-from lunarsci.twin.routes.long_way import Strip, _strip, long_way, way_over_nodes
+from lunarsci.twin.routes.long_way import Strip, _no_way, _strip, long_way, way_over_nodes
 from lunarsci.twin.routes.planner import PlannedPath
 from lunarsci.twin.routes.search_ground import search_ground
 from lunarsci.twin.rover import build_rover
@@ -67,6 +69,23 @@ def check(surface: Traversability, path: PlannedPath, heading_deg: float | None 
         assert (
             not Polygon(np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])).contains_points(points).any()
         )
+
+
+def test_what_lies_beyond_the_nearest_place_is_looked_for_as_far_as_the_target() -> None:
+    """Places every 2 m were reached as far as x = 2 m; straight from there to (8, 8) m a wall begins 2 m before it."""
+    reason = np.full((21, 21), "", dtype=object)
+    reason[13:, 13:] = "a wall"
+    terrain = SimpleNamespace(x0_m=0.0, y0_m=0.0, spacing_m=0.5)
+    surface: Any = SimpleNamespace(
+        terrain=terrain, demand=np.zeros((21, 21)), reason=lambda row, column: reason[row, column]
+    )
+    window: Any = SimpleNamespace(x0=-6.0, y0=2.0)
+    cost = np.full((3, 8), np.inf)
+    cost[0, :5] = 1.0
+    said = _no_way(surface, window, cost, 2.0, np.array([8.0, 8.0]))
+    assert "x 2.0 m, y 2.0 m, 8.5 m from the target; beyond it a wall" in said
+    reason[:] = ""
+    assert "8.5 m from the target; try" in _no_way(surface, window, cost, 2.0, np.array([8.0, 8.0]))
 
 
 def test_discs_keep_a_hazard_at_its_distance_from_the_whole_rectangle() -> None:

@@ -98,6 +98,18 @@ def test_a_wheel_does_not_meet_the_rut_that_it_leaves(heading: float, begun: flo
         assert rows[0, rut, 0] == pytest.approx(0.005, rel=0.1)
 
 
+def test_ground_with_a_rut_lies_lower_along_its_normal() -> None:
+    """6 mm are left of 10 mm: along the vertical of a slope of 0.3 by 0.6 that is sqrt(1 + 0.09 + 0.36) as much."""
+    work = with_ruts(new_work(1), rut_grid(np.zeros(3), np.zeros((1, 2)), 2.0))
+    work.ruts[..., 0], work.ruts[..., 1] = 0.010, 0.006
+    rows = work.wheels.reshape(1, -1, GROUP)
+    ground, rut = WHEEL.first["ground"], WHEEL.first["rut"]
+    rows[0, [ground, ground + 1, ground + 2]] = np.array([1.5, 0.3, -0.6])[:, None]
+    read_ruts(work, 0)
+    assert rows[0, ground] == pytest.approx(1.5 - 0.006 * np.sqrt(1.45))
+    assert rows[0, rut] == pytest.approx(0.010) and rows[0, rut + 1] == pytest.approx(0.006)
+
+
 def test_a_drive_whose_drive_before_did_not_end_does_not_end(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
     lost = dataclasses.replace(STRAIGHT, legs=(Leg(20.0),))
     result = predict(yutu2, slope(), STRAIGHT, ruts=True, before=lost)

@@ -94,6 +94,32 @@ def test_states_are_those_of_all_rows(
     assert rims[0].to_numpy() == pytest.approx(rims[1].to_numpy(), abs=1e-6, nan_ok=True)  # at rest noise
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("column", "share", "stands"),
+    [("angle", 0.9, True), ("angle", 1.1, False), ("rate", 0.9, True), ("rate", 1.1, False), ("speed", 1e-6, False)],
+)
+def test_a_wheel_that_turns_to_either_side_is_no_rest(
+    yutu2: Rover, column: str, share: float, stands: bool, sign: float
+) -> None:
+    """Nine blocks, in the fifth of which one wheel turns by a share of 3 deg, or of 5 % of the highest rate.
+
+    The first has none before it, and a block is left out between two that rest: of an even rest 2 and the last stay,
+    of one that is broken the block that breaks it and its neighbours, too.
+    """
+    count = 9 * rests.BLOCK
+    inside = np.clip((np.arange(count) - 4 * rests.BLOCK) / rests.BLOCK, 0.0, 1.0)
+    rate = 0.05 * np.degrees(yutu2.max_speed_m_s / yutu2.wheel.shearing_radius_m)
+    turning = sign * share * {"angle": 3.0 * inside, "rate": rate * (inside % 1 > 0), "speed": inside % 1}[column]
+    form = {"angle": "angle_{}_deg", "rate": "rate_{}_deg_s", "speed": "speed_{}_m_s"}[column]
+    rows = {form.format(wheel): np.zeros(count) for wheel in yutu2.wheels}
+    rows[form.format("ML")] = turning
+    kept = rests.RowsKept("sent.csv", yutu2)
+    kept.add({"time_s": 0.1 * np.arange(count), **rows})
+    blocks = np.unique(np.rint(10.0 * kept.joined()["time_s"]).astype(int) // rests.BLOCK)
+    assert blocks.tolist() == ([0, 1, 8] if stands else [0, 1, 3, 4, 5, 8])
+
+
 def test_how_long_a_rover_stands_moves_no_state(drive: pd.DataFrame, yutu2: Rover) -> None:
     """Half an hour of noise between two drives, and none."""
     long, short = (found(csv(table), yutu2).rows for table in (stood(drive, STOOD), drive))

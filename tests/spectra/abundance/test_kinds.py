@@ -15,7 +15,9 @@ from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.kinds import (
     FREEDOM,
     KindModel,
+    dark_or_weathered,
     embedded_kinds,
+    features_of_rows,
     find_kind,
     find_kinds,
     learn_kinds,
@@ -46,6 +48,34 @@ def test_probabilities_are_those_of_scipys_t_law() -> None:
         partly = np.full((1, 9), np.nan)
         partly[0, used] = values[used]
         np.testing.assert_allclose(law.probabilities(partly, np.zeros((1, 9)))[0], wanted, rtol=1e-9)
+
+
+def test_features_and_their_errors_by_hand() -> None:
+    """Steps of 0.1 but for the level, 0.2, with errors of 0.004: sigma / (sqrt(n) R) of n channels every 5 nm, and that
+    of the level beside it; `visible` is ln 0.5 less 35 % of `blue`."""
+    reflectance = np.where((CHANNELS > 650.0) & (CHANNELS < 850.0), 0.2, 0.1)
+    spectrum = Spectrum("step", CHANNELS, reflectance, np.full(CHANNELS.size, 0.004))
+    features, errors = spectral_features(spectrum)
+    assert features == pytest.approx([np.log(0.2), np.log(0.5), 0.65 * np.log(0.5), *[np.log(0.5)] * 6])
+    level = 0.004 / 0.2 / np.sqrt(21)
+    counts = np.array([11, 15, 25, 25, 29, 31, 43, 33])
+    assert errors[0] == pytest.approx(level)
+    assert errors[1:] == pytest.approx(np.hypot(0.004 / 0.1 / np.sqrt(counts), level))
+
+
+def test_dark_or_weathered_rows_are_those_that_each_is_found_to_be() -> None:
+    band = np.exp(-0.5 * ((CHANNELS - 930.0) / 90.0) ** 2) + 0.8 * np.exp(-0.5 * ((CHANNELS - 1900.0) / 220.0) ** 2)
+    rows = np.stack([
+        red().reflectance, 0.45 * np.exp(-0.6 * band), 0.05 + 0.0 * band, 0.3 * np.exp(-0.9 * band),
+        2.0 * red().reflectance, 0.15 * np.exp(-0.3 * band),
+    ])  # fmt: skip
+    rows = rows * (1.0 + 1e-4 * np.random.default_rng(0).normal(size=rows.shape))
+    errors = 1e-4 * rows
+    found = dark_or_weathered(*features_of_rows(CHANNELS, rows, errors))
+    told = find_kinds([Spectrum(str(k), CHANNELS, *pair) for k, pair in enumerate(zip(rows, errors, strict=True))])
+    named = ("dark-rock-powder", "weathered-soil", "solid-rock")
+    assert found.tolist() == [one.kind in named or one.is_weathered for one in told]
+    assert found[0] and 0 < found.sum() < len(found)
 
 
 def test_many_are_as_each() -> None:

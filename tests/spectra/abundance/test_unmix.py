@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.estimate import _widened, estimate_series
 from lunarsci.spectra.abundance.mixing import (
     METHODS,
     Absorbance,
@@ -229,6 +229,16 @@ def test_a_mineral_that_is_absent_comes_out_as_such() -> None:
     found = one(made(shares_of_two), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002)
     assert found.fractions[2].low == 0
     assert found.fractions[2].fraction < 0.02
+
+
+def test_an_interval_is_no_narrower_than_it_must_be_on_either_side() -> None:
+    """By hand: wide enough, too narrow above, below, on both sides, and at 0 and 1."""
+    mean = np.array([0.5, 0.5, 0.5, 0.5, 0.05, 0.95])
+    low = mean - np.array([0.3, 0.3, 0.1, 0.1, 0.01, 0.01])
+    high = mean + np.array([0.3, 0.1, 0.3, 0.1, 0.01, 0.01])
+    found = _widened(low, high, mean, np.full(6, 0.2))
+    assert found[0] == pytest.approx([0.2, 0.2, 0.3, 0.3, 0.0, 0.75])
+    assert found[1] == pytest.approx([0.8, 0.7, 0.8, 0.7, 0.25, 1.0])
 
 
 def test_known_mixtures_teach_the_powders_of_the_others() -> None:

@@ -63,6 +63,20 @@ def test_slopes_are_finite_differences(key: str) -> None:
     assert line.slope(x) == pytest.approx(numeric, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("key", "sigma_nm", "expected"),
+    [
+        # The larger of the authors' error, in nm where the line was made the other way round, and that on RELAB.
+        ("fo_bc1000", 0.0, 5.7 / 0.384),
+        ("fo_bc1000", 4.0, np.hypot(5.7, 4.0) / 0.384),
+        ("fs_trend_bc2000", 0.0, 9.11),
+        ("fs_trend_bc2000", 10.0, np.hypot(9.11, 10.0 / 2.5)),
+    ],
+)
+def test_sigma_at_hand_computed_points(key: str, sigma_nm: float, expected: float) -> None:
+    assert regressions()[key].sigma(1060.0, sigma_nm) == pytest.approx(expected, rel=1e-9)
+
+
 def test_sigma_is_the_scatter_of_draws() -> None:
     """Centre drawn about its value, regression about its line."""
     rng = np.random.default_rng(1)

@@ -3,6 +3,7 @@
 import builtins
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from rasterio.transform import from_bounds
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.origin.catalogue import Crater
 from lunarsci.spectra.origin.composition import Composition
-from lunarsci.spectra.origin.mineral_map import ring_values, with_maps
+from lunarsci.spectra.origin.mineral_map import _looks_like_degrees, ring_values, with_maps
 
 MOON = CRS.from_proj4("+proj=longlat +R=1737400 +no_defs")
 POLAR = CRS.from_proj4("+proj=stere +lat_0=-90 +lon_0=0 +R=1737400 +units=m +no_defs")
@@ -234,3 +235,14 @@ def test_without_rasterio_it_says_what_to_install(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(ParameterError, match=r"lunarsci\[cubes\]"):
         with_maps([crater(-45, 10)], files)
+
+
+@pytest.mark.parametrize("to_edge", [0.5, -0.5])
+@pytest.mark.parametrize("side", range(4))
+def test_bounds_are_degrees_where_the_moon_has_such_places(side: int, to_edge: float) -> None:
+    """From -180 to 360 deg and from pole to pole, to a degree beyond at each side."""
+    bounds = np.array([-181.0, -91.0, 361.0, 91.0])
+    inward = np.array([1.0, 1.0, -1.0, -1.0])
+    bounds += 5.0 * inward * (np.arange(4) != side) + to_edge * inward * (np.arange(4) == side)
+    dataset: Any = SimpleNamespace(bounds=tuple(bounds))
+    assert _looks_like_degrees(dataset) == (to_edge > 0)

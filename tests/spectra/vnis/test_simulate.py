@@ -14,7 +14,15 @@ from lunarsci.spectra.photometry.correction import correction_factor
 from lunarsci.spectra.photometry.phase import Geometry, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
-from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation, draw, scene_radiance, simulate
+from lunarsci.spectra.vnis.simulation.instrument import (
+    SHAPE,
+    Instrument,
+    Simulation,
+    _half_plane,
+    draw,
+    scene_radiance,
+    simulate,
+)
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
 from lunarsci.spectra.vnis.simulation.template import HALF_IMAGE, _views
@@ -247,6 +255,18 @@ def test_blobs_lie_beside_the_rock() -> None:
 def test_a_shadow_over_everything_in_view_is_refused() -> None:
     with pytest.raises(ParameterError, match="covers the whole"):
         simulate(replace(PLAIN, shadow_fraction=0.9999, shadow_shape="half-plane"))
+
+
+def test_a_half_plane_of_shadow_lies_to_the_side_that_is_drawn() -> None:
+    """Its edge is straight and lies across the angle, which turns from more samples to more lines."""
+    size = SHAPE[0] * SHAPE[1]
+    for angle, (samples, lines) in ((0.0, (1.0, 0.0)), (90.0, (0.0, 1.0)), (210.0, (-np.sqrt(0.75), -0.5))):
+        depth = _half_plane(np.radians(angle))
+        deep = np.zeros(size, dtype=bool)
+        deep[np.argsort(depth + np.zeros(SHAPE), axis=None)[-size // 3 :]] = True
+        line, sample = np.mgrid[: SHAPE[0], : SHAPE[1]]
+        along = (samples * sample + lines * line).ravel()
+        assert along[deep].min() >= along[~deep].max() - 1e-9
 
 
 def test_texture_has_mean_1_and_its_spread_and_is_smooth() -> None:
