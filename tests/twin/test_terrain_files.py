@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.height_units import HeightUnit
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility
@@ -207,7 +208,8 @@ def test_the_unit_of_an_option_is_that_of_the_ground(tmp_path: Path, longji_soil
     """A rise of 0.02 a node of 0.5 m, in ft: tan 0.04 x 0.3048."""
     rows = 0.02 * np.arange(40.0)[None, :] * np.ones((40, 1))
     dem = geotiff(tmp_path / "t.tif", rows)
-    for unit, metres in (("ft", 0.3048), ("cm", 0.01), (None, 1.0)):
+    units: list[tuple[HeightUnit | None, float]] = [("ft", 0.3048), ("cm", 0.01), (None, 1.0)]
+    for unit, metres in units:
         driven, seen = (
             read_drive_inputs(None, None, str(dem), height_unit=unit),
             terrain(str(dem), height_unit=unit),
