@@ -126,7 +126,7 @@ def moved(start: Any, end: Any, first: Any, second: Any) -> FloatArray:
 def name_of(wkt: str) -> str:
     """What a well-known text calls its system."""
     found = re.match(r'\s*\w+\["([^"]*)"', wkt)
-    return found.group(1) if found else "unnamed"
+    return found.group(1).strip() if found else "unnamed"
 
 
 def carried(crs: str, onto: str, x_m: float, y_m: float, heading_deg: float) -> tuple[float, float, float]:

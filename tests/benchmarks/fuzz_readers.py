@@ -291,10 +291,39 @@ def shares_of_swath() -> bytes:
 CRATERS = b"name,latitude_deg,longitude_deg,diameter_km\nA,0.5,0.9,10\nB,0.6,1.0,8\n"
 
 
-def tiff(layers: Mapping[str, np.ndarray]) -> bytes:
+def tiff(layers: Mapping[str, np.ndarray], spacing: float = 0.5, crs: str = "") -> bytes:
     from lunarsci.grids import geotiff_bytes
 
-    return geotiff_bytes(layers, (0.0, 0.0, 0.5), synthetic=True)
+    return geotiff_bytes(layers, (0.0, 0.0, spacing), synthetic=True, crs=crs)
+
+
+PDS3 = b"""PDS_VERSION_ID = PDS3\r
+RECORD_TYPE = FIXED_LENGTH\r
+FILE_RECORDS = 8\r
+RECORD_BYTES = 16\r
+^IMAGE = "spoilt.img"\r
+OBJECT = IMAGE\r
+  LINES = 8\r
+  LINE_SAMPLES = 8\r
+  SAMPLE_TYPE = LSB_INTEGER\r
+  SAMPLE_BITS = 16\r
+  UNIT = METER\r
+  SCALING_FACTOR = 0.5\r
+  OFFSET = 1737400.\r
+  MISSING_CONSTANT = -32768\r
+END_OBJECT = IMAGE\r
+OBJECT = IMAGE_MAP_PROJECTION\r
+  MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"\r
+  A_AXIS_RADIUS = 1737.4 <km>\r
+  CENTER_LATITUDE = 0. <deg>\r
+  CENTER_LONGITUDE = 180. <deg>\r
+  MAP_SCALE = 20. <m/pix>\r
+  LINE_PROJECTION_OFFSET = 79999.5 <pix>\r
+  SAMPLE_PROJECTION_OFFSET = 3.5 <pix>\r
+END_OBJECT = IMAGE_MAP_PROJECTION\r
+END\r
+"""
+"""A label of heights about 53 deg north, made up in the manner of an orbiter's."""
 
 
 def cube_readers() -> dict[str, Reader]:
@@ -475,6 +504,12 @@ def ground() -> Any:
     return build_terrain("SYNTHETIC", 0.0, 0.0, 0.5, np.zeros((8, 8)), read_soil("longji"))
 
 
+def in_degrees() -> bytes:
+    """Heights on degrees of the Moon."""
+    rasterio = import_module("rasterio")
+    return tiff({"height_m": np.eye(8)}, 0.001, rasterio.crs.CRS.from_user_input("+proj=longlat +R=1737400").to_wkt())
+
+
 def ground_readers() -> dict[str, Reader]:
     found = ground_files()
 
@@ -488,6 +523,9 @@ def ground_readers() -> dict[str, Reader]:
 
     return {
         **{f"terrain {suffix}": Reader(terrain, [f"spoilt{suffix}"], [data]) for suffix, data in found.items()},
+        "terrain in degrees": Reader(terrain, ["spoilt.tif"], [in_degrees()]),
+        "terrain PDS3": Reader(terrain, ["spoilt.lbl", "spoilt.img"],
+                               [PDS3 + BETWEEN + np.arange(64, dtype="<i2").tobytes()]),
         "elevation": Reader(of_path("images.elevation:read_elevation"), ["spoilt.npz"], [found[".npz"]]),
         "layer": Reader(layer, ["spoilt.asc"], [found[".asc"]]),
         "keep-outs": Reader(of_file("twin.ground.keep_out:read_keep_outs"), ["spoilt.geojson"],
@@ -771,7 +809,7 @@ PARTS = (spectra_readers, cube_readers, picture_readers, ground_readers, soil_re
 
 SPECTRA = "spectra .csv, spectra .txt, spectra .ecsv, spectra .fits, spectra .tab, spectra splib, spectra .sli"
 PICTURES = "picture png, picture tiff, picture jpeg"
-GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif"
+GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif, terrain in degrees, terrain PDS3"
 SOILS = "soil, belief, soil map, soil samples, TOML"
 CUBES = "cube ENVI, cube M3, cube GeoTIFF, cube NetCDF 4, cube NetCDF 3, cube NetCDF swath, VNIS cube"
 READ_BY = {

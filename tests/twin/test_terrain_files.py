@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError, LunarSciWarning, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.height_units import HeightUnit
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility
 from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, read_terrain, write_terrain
 from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+from lunarsci.twin.jobs.plan import plan as find_path
 from lunarsci.twin.jobs.terrain import terrain
 from lunarsci.twin.rover import build_rover
 
@@ -192,6 +194,8 @@ def test_a_plan_in_the_file_s_own_x_and_y_is_taken_along(named: bool, tmp_path: 
     assert (moved.x_m, moved.y_m) == pytest.approx((0.0, 0.0), abs=0.05)
     assert moved.heading_deg == pytest.approx(np.degrees(np.arctan2(1.0, 0.5)), abs=0.01)
     assert moved.exclusion_zones[0].y_m - moved.y_m == pytest.approx(10.0, abs=1e-3)
+    with pytest.raises(ParameterError, match=r"outside the map, .* of 'stereographic about .*, 60\.0000 deg'"):
+        find_path(str(dem), start=(x, y, 45.0), target=(0.0, 0.0))
     plan.write_text(PLAN.format(crs="", x=5.0, y=5.0, heading=45.0, zone=15.0))
     assert read_drive_inputs(plan, None, str(dem)).plan.heading_deg == 45.0, "on the ground as it is: as written"
     earth = rasterio.crs.CRS.from_user_input("EPSG:32633").to_wkt()
@@ -204,7 +208,8 @@ def test_the_unit_of_an_option_is_that_of_the_ground(tmp_path: Path, longji_soil
     """A rise of 0.02 a node of 0.5 m, in ft: tan 0.04 x 0.3048."""
     rows = 0.02 * np.arange(40.0)[None, :] * np.ones((40, 1))
     dem = geotiff(tmp_path / "t.tif", rows)
-    for unit, metres in (("ft", 0.3048), ("cm", 0.01), (None, 1.0)):
+    units: list[tuple[HeightUnit | None, float]] = [("ft", 0.3048), ("cm", 0.01), (None, 1.0)]
+    for unit, metres in units:
         driven, seen = (
             read_drive_inputs(None, None, str(dem), height_unit=unit),
             terrain(str(dem), height_unit=unit),

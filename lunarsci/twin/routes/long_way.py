@@ -17,7 +17,7 @@ from lunarsci.twin.ground.hazards import COST_CAP, Traversability
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.routes.arc_search import FINEST_M
-from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, check_free, plan_path, search_margin_m
+from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, beyond, check_free, plan_path, search_margin_m
 from lunarsci.twin.routes.search_ground import Window, drive_arcs, search_ground
 from lunarsci.twin.rover import Rover
 
@@ -114,10 +114,7 @@ def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -
     )
     ny, nx = surface.demand.shape
     if not (0 <= row < ny and 0 <= column < nx):
-        raise ParameterError(
-            f"the {name} x {place[0]:g} m, y {place[1]:g} m lies outside the map, which goes from x "
-            f"{terrain.x_m[0]:g} to {terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m"
-        )
+        raise ParameterError(f"the {name} x {place[0]:g} m, y {place[1]:g} m lies {beyond(terrain)}")
     check_free(surface, name, row, column)
 
 

@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.projections import name_of
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Leg, Plan
@@ -319,16 +321,22 @@ def _nodes(surface: Traversability, poses: FloatArray) -> tuple[IntArray, IntArr
     )
 
 
+def beyond(terrain: Terrain) -> str:
+    """That a place is outside the map, and where that is, for a message."""
+    of = f" of '{name_of(terrain.crs)}'" if terrain.crs else ""
+    return (
+        f"outside the map, which goes from x {terrain.x_m[0]:g} to {terrain.x_m[-1]:g} m and from y "
+        f"{terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}"
+    )
+
+
 def _check_place(surface: Traversability, name: str, place: tuple[float, float, float]) -> None:
     x, y, _ = place
     if not all(map(math.isfinite, place)):
         raise ParameterError(f"the {name} is {place}; give finite numbers")
     terrain = surface.terrain
     if not (terrain.x_m[0] <= x <= terrain.x_m[-1] and terrain.y_m[0] <= y <= terrain.y_m[-1]):
-        raise ParameterError(
-            f"the {name} x {x:g} m, y {y:g} m lies outside the map, which goes from x {terrain.x_m[0]:g} to "
-            f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m"
-        )
+        raise ParameterError(f"the {name} x {x:g} m, y {y:g} m lies {beyond(terrain)}")
     column, row = (
         round((value - first) / terrain.spacing_m) for value, first in ((x, terrain.x0_m), (y, terrain.y0_m))
     )
