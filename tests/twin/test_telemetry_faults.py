@@ -4,6 +4,8 @@ import dataclasses
 import re
 from collections.abc import Callable
 from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,7 +21,7 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.telemetry.checks import WheelPace, check_slips
 from lunarsci.twin.telemetry.lag import Lag, check_lag, without_lag
-from lunarsci.twin.telemetry.positions import usable_headings
+from lunarsci.twin.telemetry.positions import check_attitude, usable_headings
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, states_of
@@ -537,6 +539,38 @@ def test_a_heading_hangs_over_ten_rows_or_a_turn_that_its_error_cannot_hide(
     expected = np.where((number > 8) & (number < 9 + left_out), np.nan, yaw)
     assert kept == pytest.approx(expected, nan_ok=True)
     assert [entry.count for entry in findings.entries] == [left_out][: min(left_out, 1)]
+
+
+@pytest.mark.parametrize("name", ["roll_deg", "pitch_deg"])
+@pytest.mark.parametrize(
+    ("stood_deg", "measured_deg", "said"),
+    [
+        (0.5, 1.9, None),
+        (0.5, -0.8, None),
+        (0.5, 2.1, "1.6 deg off"),
+        (-2.0, -3.1, None),
+        (-2.0, -0.7, "1.3 deg off"),
+        (10.0, 15.9, None),
+        (10.0, 3.9, "6.1 deg off the terrain's in the median: another"),
+        (4.0, -4.0, "it has the other sign"),
+        (20.0, 0.35, "it looks like rad"),
+    ],
+)
+def test_attitude_differs_from_the_terrains_by_60_percent_of_a_slope_or_a_degree_and_a_half(
+    name: str, stood_deg: float, measured_deg: float, said: str | None
+) -> None:
+    """Of slopes above 1 deg, and of others. In the median: two rows of nine are wild, and two have no value."""
+    stood, measured = np.full(9, stood_deg), np.full(9, measured_deg)
+    measured[[1, 2, 6, 7]] = 80.0, -90.0, np.nan, np.nan
+    other = np.zeros(9)
+    columns = {"roll_deg": other, "pitch_deg": other} | {name: np.append(measured, 70.0)}
+    paths = np.column_stack([other] * 3 + ([stood, other] if name == "roll_deg" else [other, stood]) + [other])
+    sent: Any = SimpleNamespace(**columns)
+    held: Any = SimpleNamespace(paths=paths)
+    findings = Findings("sent.csv")
+    with nullcontext() if said is None else pytest.warns(LunarSciWarning, match=f"{name} is .*{said}"):
+        check_attitude(sent, held, np.arange(9), findings)
+    assert bool(findings.doubt) == (said is not None)
 
 
 BENDS = Plan(name="more bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(2.5, 0.25)), speed_m_s=0.05)

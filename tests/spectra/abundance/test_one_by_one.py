@@ -11,7 +11,7 @@ import pytest
 from lunarsci.spectra_data import make_abundance_calibration as script
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.abundance.band_depth import too_shallow
+from lunarsci.spectra.abundance.band_depth import depth_at_1um, too_shallow
 from lunarsci.spectra.abundance.end_members import embedded_end_members, without_siblings
 from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.mixing import HapkeSurface
@@ -239,6 +239,32 @@ def test_without_an_absorption_there_are_no_shares(depth: float, told: bool) -> 
         [found] = estimate_each([Spectrum("line", NM, line)], MAFIC)
         assert not found.determined and not found.in_domain
         assert found.status.startswith("not determined: no absorption near 1 um deep enough")
+
+
+def test_the_depth_near_1_um_and_its_error_by_hand() -> None:
+    """ln R on a line at 750 and 1060 nm, 0.25 below it at 940 nm, and 0.05 below it from 1180 nm on.
+
+    The line between the first two lies highest. At 940 nm, 190 of 310 nm on, the error is that of the dip and 19/31 of
+    that at 1060 nm; each holds that of the level, as features are relative to it. Errors of windows of 11 and 12
+    channels.
+    """
+    nm = NM[NM != 1000.0]
+    middle = np.select(
+        [nm < 850, nm < 1000, nm < 1150, nm < 1400, nm < 1700, nm < 2100], [750, 940, 1060, 1250, 1525, 1955], 2300
+    )
+    ln = -1.5 + 2e-4 * (middle - 750.0) - 0.25 * (middle == 940) - 0.05 * (middle > 1060)
+    found = depth_at_1um(Spectrum("steps", nm, np.exp(ln), np.full(nm.size, 0.003)))
+    level, dip, right = (
+        0.003 / np.exp(own) / np.sqrt(count) for own, count in ((-1.5, 11), (-1.5 + 0.038 - 0.25, 12), (-1.438, 12))
+    )
+    sigma = np.sqrt(dip**2 + level**2 + (19 / 31) ** 2 * (right**2 + level**2))
+    assert found == pytest.approx((0.25, sigma))
+    # Tops of 0.1 at 1060 and 1525 nm, between which 0.2 are missing at 1250 nm, 190 of 465 nm on.
+    ln = -1.5 + 0.1 * np.isin(middle, [1060, 1525]) - 0.2 * (middle == 1250)
+    found = depth_at_1um(Spectrum("tops", nm, np.exp(ln), np.full(nm.size, 0.003)))
+    left, dip, right = (0.003 / np.exp(own) / np.sqrt(n) for own, n in ((-1.4, 12), (-1.7, 15), (-1.4, 16)))
+    parts = np.hypot([dip, left, right], level) * [1.0, 275 / 465, 190 / 465]
+    assert found == pytest.approx((0.3, np.sqrt((parts**2).sum())))
 
 
 def test_a_rock_like_a_chondrite_gets_no_ratio_of_that_class() -> None:

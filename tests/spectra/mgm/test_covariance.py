@@ -11,7 +11,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.batch import problem_of
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
-from lunarsci.spectra.mgm.laplace import bounded_covariances
+from lunarsci.spectra.mgm.laplace import _one_sided, bounded_covariances
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 
 
@@ -111,3 +111,15 @@ def test_a_fixed_parameter_has_no_error_and_the_others_do_not_follow_it() -> Non
     model = replace(model_of_two(), lower=np.array([-np.inf, -0.5]), upper=np.array([np.inf, -0.5]))
     covariance = bounded_covariance(np.array([[4.0, 1.5], [1.5, 2.0]]), np.zeros(2), np.array([0.0, -0.5]), model)
     assert np.allclose(covariance, [[0.25, 0.0], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("bend", [0.3, 40.0])
+@pytest.mark.parametrize("steep", [-2.0, 0.0, 0.7, 8.0, 29.0, 31.0, 300.0])
+def test_the_mean_square_beside_a_bound_is_that_of_quadrature(steep: float, bend: float) -> None:
+    """Of exp(-slope t - bend t^2 / 2), t from 0 on, also where its tail is nearly exponential."""
+    slope, wide = steep * np.sqrt(bend), 12.0 / (np.sqrt(bend) * max(1.0, steep / 4.0))
+    wide += 2.0 * max(-steep, 0.0) / np.sqrt(bend)
+    t, weight = np.polynomial.legendre.leggauss(400)
+    t = 0.5 * wide * (t + 1.0)
+    weight = weight * np.exp(-slope * t - 0.5 * bend * t**2)
+    assert _one_sided(slope, bend) == pytest.approx(weight @ t**2 / weight.sum(), rel=2e-4)
