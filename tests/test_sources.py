@@ -39,7 +39,7 @@ SETTINGS = {
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/loads/alternating.py: ALIKE",
         "twin/plans/limits.py: MOST", "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
         "twin/telemetry/positions.py: READINGS", "twin/telemetry/wheel_motion.py: UNITS"),
-    "the source stands in each of the entries": ("spectra/indices.py: INDICES",),
+    "the source stands in each of the entries": ("constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
     "places in rows, not numbers of the world": (
         "spectra/band_choice.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
     "where something is drawn or told, or how finely": (

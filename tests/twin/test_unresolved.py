@@ -9,13 +9,22 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from lunarsci.regolith.soil import Soil, read_soil
+from lunarsci.regolith.wheel import read_wheel
+from lunarsci.twin.ground.height_errors import fractal_power
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import write_terrain
-from lunarsci.twin.ground.unresolved import lunar_relief, relief_of_kind, unresolved_grain, with_unresolved
+from lunarsci.twin.ground.unresolved import (
+    lunar_relief,
+    relief_of_kind,
+    roughness_of_map,
+    unresolved_grain,
+    with_unresolved,
+)
 from lunarsci.twin.jobs.predict import predict
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Leg, Plan
 
+WHEEL = read_wheel("yutu2")
 PLACES = np.array([[0.0, 0.0], [6.0, 0.0]])
 
 
@@ -68,10 +77,10 @@ def test_what_nodes_show_is_left_out_and_the_rest_is_as_rough_as_the_law_says() 
 
     Roughness that changes from place to place by a normal logarithm of spread s has a mean square of exp(2 s^2).
     """
-    _, apart = lunar_relief()
+    apart = 0.4
     found = np.zeros((2, 16, 16))
     for seed in range(24):
-        grain = unresolved_grain(16, 1.0, seed).astype(float)
+        grain = unresolved_grain(16, 1.0, seed, (0.0, apart)).astype(float)
         assert np.abs(grain[::16, ::16]).max() < 1e-5
         for number, lag in enumerate((4, 8)):
             squares = (np.roll(grain, -lag, 0) - grain) ** 2
@@ -89,7 +98,7 @@ def test_nodes_are_as_close_as_a_wheel_is_large_and_the_map_stays_as_it_is() -> 
     laid[:, 9:] = hard.vector()
     rough = dataclasses.replace(rough, soil=laid)
     rough.height_m[0, 0] = np.nan
-    finer, told = with_unresolved(rough, PLACES, 0.15, 0.2)
+    finer, told = with_unresolved(rough, PLACES, WHEEL, 0.2)
     assert told is not None and told.spacing_m == 5.0 and finer.spacing_m == 5.0 / 64 and finer.errors is not None
     x, y = np.array([-1.3, 0.0, 4.7, 7.2]), np.array([0.4, -2.0, 3.3, 0.0])
     assert finer.height_at(x, y) == pytest.approx(math.tan(math.radians(4.0)) * y, abs=1e-9)
@@ -98,11 +107,36 @@ def test_nodes_are_as_close_as_a_wheel_is_large_and_the_map_stays_as_it_is() -> 
     assert row[np.searchsorted(finer.x_m, -1.0), 3] == soft.cohesion_pa
     assert row[np.searchsorted(finer.x_m, 6.0), 3] == pytest.approx(3000.0)
     assert row[at, 3] == pytest.approx(0.5 * (soft.cohesion_pa + 3000.0), rel=0.02)
-    as_it_is, nothing = with_unresolved(rough, PLACES, 5.0, 0.2)
-    assert as_it_is is rough and nothing is None
+    near = coarse(0.9, 4.0)
+    as_it_is, nothing = with_unresolved(near, PLACES, dataclasses.replace(WHEEL, radius_m=0.9), 0.2)
+    assert as_it_is is near and nothing is None
     # Three sigma of what lies between nodes are then a step that a wheel climbs.
     relief, _ = lunar_relief()
-    assert 3.0 * math.sqrt(relief.at_one_m * told.deciding_m ** (2.0 * relief.hurst)) == pytest.approx(0.2)
+    rougher = math.exp(roughness_of_map(rough)[0])
+    assert 3.0 * rougher * math.sqrt(relief.at_one_m * told.deciding_m ** (2.0 * relief.hurst)) == pytest.approx(0.2)
+
+
+def test_a_map_tells_how_rough_its_ground_is() -> None:
+    """Fractal ground by the law, and twice or a third of it: the mean of the logarithm moves half-way and more there.
+
+    A normal prior of variance p and one reading of variance r meet at p / (p + r) of the way; the Student law that
+    stands for the reading pulls less, the farther it is off. A level map tells nothing.
+    """
+    relief, apart = lunar_relief()
+    prior = apart**2 + 0.45**2
+    random, shape = np.random.default_rng(6), (256, 256)
+    waves = np.fft.fft2(random.standard_normal(shape)) * np.sqrt(fractal_power(shape, 2.0, relief))
+    ground = np.fft.ifft2(waves).real
+    means = []
+    for factor in (1.0 / 3.0, 1.0, 2.0):
+        laid = build_terrain("law", 0.0, 0.0, 2.0, factor * ground, read_soil("longji"))
+        mean, sd = roughness_of_map(laid)
+        means.append(mean)
+        assert 0.25 < sd < math.sqrt(prior)
+        assert mean == pytest.approx(prior / (prior + 0.25) * math.log(factor), abs=0.25)
+    assert means[0] < means[1] < means[2]
+    assert roughness_of_map(coarse(5.0, 4.0))[0] == pytest.approx(0.0, abs=1e-9)
+    assert roughness_of_map(coarse(5.0, 4.0))[1] == pytest.approx(math.sqrt(prior), rel=0.01)
 
 
 def verdict_on(tmp_path: Path, slope_deg: float, tilt_deg: float):  # type: ignore[no-untyped-def]
@@ -124,4 +158,4 @@ def test_a_verdict_that_hangs_on_ground_nobody_saw_is_not_determined(tmp_path: P
     assert close.verdict.verdict == "not-determined" and close.untrusted.startswith("not-determined: it hangs on")
     why = close.verdict.reasons[0]
     assert "nodes 5 m apart" in why and f"every {close.unresolved.deciding_m:.2g} m" in why
-    assert 0.05 < close.verdict.failed / 64 < 0.95
+    assert 0.05 < close.verdict.failed / 64 < 0.75

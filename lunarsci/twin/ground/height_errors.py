@@ -130,11 +130,11 @@ def likely_ground(
     for k, (size, width) in enumerate(zip(sizes, widths, strict=True)):
         share = np.clip(1.0 - np.abs(level - k), 0.0, None)
         ground, error = _spectra(filled.shape, spacing_m, relief, size, width)
-        passed = ground / (ground + error) * _mean_over(footprint_m, spacing_m, filled.shape)
+        passed = ground / (ground + error) * mean_over(footprint_m, spacing_m, filled.shape)
         smooth = np.fft.ifft2(passed * np.fft.fft2(filled - middle)).real + middle
         mean += share * smooth[MARGIN:-MARGIN, MARGIN:-MARGIN]
         ground, error = _spectra(white.shape, spacing_m, relief, size, width)
-        left = np.sqrt(ground * error / (ground + error)) * _mean_over(footprint_m, spacing_m, white.shape)
+        left = np.sqrt(ground * error / (ground + error)) * mean_over(footprint_m, spacing_m, white.shape)
         grain[..., k] = np.fft.ifft2(left * white).real
     common = _common_modes(_everywhere(np.nan_to_num(common_m), known), known)
     return np.where(away <= FILLED_M, mean, np.nan), HeightErrors(
@@ -235,7 +235,7 @@ def _power(relief: Relief, spacing: float) -> float:
     return float(relief.at_one_m / (2.0 * integral) / spacing**2)
 
 
-def _mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArray:
+def mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArray:
     """What a mean over a square of this width leaves of each wave of a torus. [-]"""
     along, across = (np.sinc(width * np.fft.fftfreq(n, spacing)) for n in shape)
     return np.asarray(along[:, None] * across)

@@ -2,8 +2,9 @@
 
 A map from orbit shows no ground between its nodes, and a rover meets it. Differences of lunar heights over a distance l
 have the variance c l^(2 H), and medians of slope and exponent are known for maria and highlands down to 17 m. That the
-law goes on to the size of a wheel is assumed. What a smooth surface through nodes of that spacing does not show of such
-ground is laid on nodes as close as a wheel is large; how rough it is changes from place to place between the two kinds.
+law goes on to the size of a wheel is assumed. How rough the ground is beside the law the map's own heights tell, as far
+as a map that may be smoothed can. What a smooth surface through nodes of that spacing does not show of such ground is
+laid on nodes as close as a wheel is large; how rough it is changes from place to place by what is not known of it.
 """
 
 import dataclasses
@@ -13,19 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power
+from lunarsci.regolith.wheel import Wheel
+from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
 from lunarsci.twin.ground.terrain import Terrain
 
 BASELINE_M = 17.0
 """Shortest distance over which slopes were measured from orbit: Rosenburg et al. (2011), 10.1029/2010JE003716. [m]"""
 MARIA, HIGHLANDS = (2.0, 0.76), (7.5, 0.95)
 """Median slope of the ground over 17 m [deg], and median Hurst exponent [-]: Rosenburg et al. (2011), as above."""
+WITHIN_KIND = 0.45
+"""Standard deviation of ln of the size of differences within maria or highlands; assumed."""
+OF_A_MAP, DEGREES = 0.5, 4.0
+"""How well a map tells it: standard deviation of a Student law with so many degrees of freedom. Maps are smoothed, and
+one that is level throughout tells little; assumed."""
+LAGS = (2, 4)
+"""Nodes over which a map's second differences are looked at: over one node matching and resampling smooth; assumed."""
 ALIKE_M = 10.0
 """Distance over which the ground stays about as rough; assumed. [m]"""
 MARGIN_M, MARGIN_SHARE = 10.0, 0.2
 """About a plan, and of its length, on which finer nodes are laid: drives stray less. Assumed."""
 MOST_NODES = 4_000_000
 """Of the finer grid; beyond them nodes lie wider apart."""
+NORMAL_MEDIAN_SQUARE = 0.4549
+"""Median of the square of a standard normal number, by definition."""
 OBSTACLE_SIGMAS = 3.0
 """Of what lies between nodes, that make an obstacle; assumed."""
 
@@ -61,45 +72,87 @@ class Unresolved:
 
 
 def with_unresolved(
-    terrain: Terrain, places_m: FloatArray, wheel_radius_m: float, step_m: float, seed: int = 0
+    terrain: Terrain, places_m: FloatArray, wheel: Wheel, step_m: float, seed: int = 0
 ) -> tuple[Terrain, Unresolved | None]:
     """A terrain about planned places (n, 2) on nodes no wider than a wheel's radius, with what it does not show.
 
     As it is, and None, where its own nodes are as close. `step_m` is what a wheel climbs.
     """
-    factor = 2 ** max(0, math.ceil(math.log2(terrain.spacing_m / wheel_radius_m) - 1e-9))
+    factor = 2 ** max(0, math.ceil(math.log2(terrain.spacing_m / wheel.radius_m) - 1e-9))
     rows, columns = _about(terrain, places_m)
     while factor > 1 and (rows.stop - rows.start) * (columns.stop - columns.start) * factor**2 > MOST_NODES:
         factor //= 2
     if factor == 1:
         return terrain, None
     finer = _finer(terrain, rows, columns, factor)
-    grain = unresolved_grain(factor, finer.spacing_m, seed)
+    rougher = roughness_of_map(terrain)
+    grain = unresolved_grain(factor, finer.spacing_m, seed, rougher, wheel.width_m)
     errors = HeightErrors(
         common=np.zeros((*finer.height_m.shape, 0), np.float32),
         level=np.zeros(finer.height_m.shape, np.float32),
         grain=np.stack([grain, grain], axis=-1),
     )
     relief, _ = lunar_relief()
-    deciding = (step_m / (OBSTACLE_SIGMAS * math.sqrt(relief.at_one_m))) ** (1.0 / relief.hurst)
+    rms_at_one_m = math.sqrt(relief.at_one_m) * math.exp(rougher[0])
+    deciding = (step_m / (OBSTACLE_SIGMAS * rms_at_one_m)) ** (1.0 / relief.hurst)
     told = Unresolved(terrain.spacing_m, float(np.sqrt(np.median(grain.astype(float) ** 2)) / 0.6745), deciding)
     return dataclasses.replace(finer, errors=errors), told
 
 
-def unresolved_grain(factor: int, spacing_m: float, seed: int) -> "np.ndarray[tuple[int, ...], np.dtype[np.float32]]":
-    """Fractal ground less the cubic spline through every so many nodes of it, on a torus. (512, 512) [m]"""
+def unresolved_grain(
+    factor: int, spacing_m: float, seed: int, rougher: tuple[float, float], footprint_m: float = 0.0
+) -> "np.ndarray[tuple[int, ...], np.dtype[np.float32]]":
+    """Fractal ground less the cubic spline through every so many nodes of it, on a torus. (512, 512) [m]
+
+    It is as much `rougher` than the law, in the logarithm, as that mean and standard deviation say, alike over 10 m.
+    What a wheel meets of it is the mean over a square of its width, `footprint_m`.
+    """
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     random = np.random.default_rng([seed, 31])
-    relief, apart = lunar_relief()
+    relief, _ = lunar_relief()
     shape = (GRAIN_NODES, GRAIN_NODES)
     waves = np.fft.fft2(random.standard_normal(shape)) * np.sqrt(fractal_power(shape, spacing_m, relief))
     ground = np.fft.ifft2(waves).real
     kind = gaussian_filter(random.standard_normal(shape), min(ALIKE_M / spacing_m, GRAIN_NODES / 8), mode="wrap")
     nodes = np.mgrid[:GRAIN_NODES, :GRAIN_NODES] / factor
     shown = map_coordinates(ground[::factor, ::factor], nodes, order=3, mode="grid-wrap")
-    rougher = np.exp(apart * (kind - kind.mean()) / kind.std())
-    return np.asarray(rougher * (ground - shown), dtype=np.float32)
+    size = np.exp(rougher[0] + rougher[1] * (kind - kind.mean()) / kind.std())
+    met = np.fft.ifft2(np.fft.fft2(size * (ground - shown)) * mean_over(footprint_m, spacing_m, shape)).real
+    return np.asarray(met, dtype=np.float32)
+
+
+def roughness_of_map(terrain: Terrain) -> tuple[float, float]:
+    """How much rougher than the law the ground is, by the map's second differences: mean and sd of the logarithm.
+
+    Those of fractal ground over a distance l have the variance c l^(2 H) (4 - 2^(2 H)). Their median counts, so that
+    craters and rocks do not stand for the ground. Beforehand it is as rough as the law says, give or take the two kinds
+    and what differs within them.
+    """
+    relief, apart = lunar_relief()
+    away = np.linspace(-5.0, 5.0, 1001)
+    density = -0.5 * away**2 / (apart**2 + WITHIN_KIND**2)
+    found = [size for lag in LAGS if (size := _second_differences(terrain, lag, relief)) > 0]
+    if found:
+        off = (away - float(np.mean(np.log(found)))) / OF_A_MAP
+        density -= 0.5 * (DEGREES + 1.0) * np.log1p(off**2 / DEGREES)
+    weight = np.exp(density - density.max())
+    mean = float(weight @ away / weight.sum())
+    return mean, math.sqrt(float(weight @ (away - mean) ** 2 / weight.sum()))
+
+
+def _second_differences(terrain: Terrain, lag: int, relief: Relief) -> float:
+    """Their size in that of the law; 0 where there are too few, or where the map is level."""
+    height, squares = terrain.height_m, []
+    for one in (height, height.T):
+        if len(one) > 2 * lag:
+            bent = one[2 * lag :] - 2.0 * one[lag:-lag] + one[: -2 * lag]
+            squares.append(bent[np.isfinite(bent)] ** 2)
+    together = np.concatenate(squares) if squares else np.empty(0)
+    if together.size < 10:
+        return 0.0
+    law = relief.at_one_m * (lag * terrain.spacing_m) ** (2.0 * relief.hurst) * (4.0 - 2.0 ** (2.0 * relief.hurst))
+    return math.sqrt(float(np.median(together)) / NORMAL_MEDIAN_SQUARE / law)
 
 
 def _about(terrain: Terrain, places_m: FloatArray) -> tuple[slice, slice]:

@@ -310,7 +310,7 @@ def _rough(inputs: "DriveInputs", seed: int) -> "tuple[DriveInputs, Unresolved |
         return inputs, None
     rover, step = inputs.rover, read_mobility(inputs.description, inputs.rover).max_step_m
     places = planned_places(inputs.plan, rover)
-    terrain, unresolved = with_unresolved(inputs.terrain, places, rover.wheel.radius_m, step, seed)
+    terrain, unresolved = with_unresolved(inputs.terrain, places, rover.wheel, step, seed)
     return replace(inputs, terrain=terrain, rough=unresolved is not None), unresolved
 
 

@@ -27,6 +27,8 @@ from lunarsci.twin.plans.limits import Limit, check_limits
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.ensemble import Prediction
 
+MOST_DRAWS = 0.75
+"""Of the draws of unseen ground that must fail for a no-go: a quarter of such plans would have kept. Assumed."""
 MOST = 0.95
 """Of the drives that keep each limit, where no other risk is accepted; assumed."""
 
@@ -203,11 +205,11 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
 def undecided(verdict: Verdict, plain: Verdict, unresolved: Unresolved) -> Verdict:
     """A no-go of drives on drawn ground, beside the verdict of drives on what the terrain's nodes show.
 
-    It stays where these are no-go, too, or where 95 % of the draws fail. Between, the ground that nobody has seen
-    decides, and the verdict is `not-determined`.
+    It stays where these are no-go, too, or where three quarters of the draws fail. Between, the ground that nobody has
+    seen decides, and the verdict is `not-determined`.
     """
     share = verdict.failed / verdict.members
-    if plain.verdict == "no-go" or share >= MOST:
+    if plain.verdict == "no-go" or share >= MOST_DRAWS:
         return verdict
     why = (
         f"it hangs on ground that nodes {unresolved.spacing_m:g} m apart do not show: {percent(share)} of the drives "
