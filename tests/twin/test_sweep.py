@@ -71,9 +71,10 @@ def test_a_climb_takes_the_energy_of_its_height_for_every_mass_and_speed_alone_o
     assert energy[0] == pytest.approx(energy[1], rel=0.03) and energy[2] == pytest.approx(energy[3], rel=0.03)
 
 
-def test_a_design_like_the_rover_is_the_prediction_of_the_rover(mission: Path) -> None:
+@pytest.mark.parametrize(("gravity", "g"), [(None, 1.622), ("mars", 3.71)])
+def test_a_design_like_the_rover_is_the_prediction_of_the_rover(mission: Path, gravity: str | None, g: float) -> None:
     """One mission of two plans is the sum of both; pull per weight is that of `regolith forces`."""
-    given = {"terrain": str(mission / "level.csv"), "soil": "longji", "sample": 0.2}
+    given = {"terrain": str(mission / "level.csv"), "soil": "longji", "sample": 0.2, "gravity": gravity}
     soils = {"sweep": ("friction_angle_deg=30:45:4",)}
     plans = [mission / "plan.toml", mission / "back.toml"]
     [row] = sweep(plans, vary=("wheel.radius_m=0.15:0.15:1",), **given, **soils).rows()
@@ -85,7 +86,7 @@ def test_a_design_like_the_rover_is_the_prediction_of_the_rover(mission: Path) -
         limit.p95 for one in alone for limit in one.verdict.limits if limit.quantity == "slip_ratio"
     )
     assert row["kept_share"] == 1.0
-    curve = lunarsci.wheel_forces(load=135.0 * 1.622 / 6, slip="0:0.6:7", soil="longji", friction_angle=37.5)
+    curve = lunarsci.wheel_forces(load=135.0 * g / 6, slip="0:0.6:7", soil="longji", friction_angle=37.5)
     pull = curve.to_dict()["traction"]["pull_per_weight_at_20"]
     assert row["pull_per_weight_at_20"] == pytest.approx(pull, rel=1e-9)
 

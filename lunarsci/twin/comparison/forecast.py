@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, text
@@ -47,6 +48,7 @@ class Forecast:
     plan, time_s, distance_m, planned, paths, states, halted, recorded, outcome : as of `Prediction`, but x and y of the
         paths are its `places_m`, which hold what the twin's physics is off by.
     discrepancy : that part of them, and of the states; None where there is none.
+    gravity_m_s2 : that was driven under; the Moon's in folders of older versions. [m/s2]
     """
 
     origin: str
@@ -68,6 +70,7 @@ class Forecast:
     outcome: IntArray
     soil: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: DrawnDiscrepancy | None = None
+    gravity_m_s2: float = LUNAR_GRAVITY.value
 
     @property
     def members(self) -> int:
@@ -92,6 +95,7 @@ def forecast_of(
         rover_sha256=rover_sha256,
         wheels=rover.wheels,
         wheel_radius_m=rover.wheel.radius_m,
+        gravity_m_s2=rover.gravity_m_s2,
         terrain=terrain.name,
         synthetic=terrain.synthetic,
         soils=soils,
@@ -113,6 +117,7 @@ def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], byte
             "sha256": forecast.rover_sha256,
             "wheels": list(forecast.wheels),
             "wheel_radius_m": forecast.wheel_radius_m,
+            "gravity_m_s2": forecast.gravity_m_s2,
         },
         "terrain": {"name": forecast.terrain, "synthetic": forecast.synthetic},
         "soils": forecast.soils,
@@ -203,6 +208,7 @@ def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.Dat
         rover_sha256=str(rover["sha256"]),
         wheels=wheels,
         wheel_radius_m=float(rover["wheel_radius_m"]),
+        gravity_m_s2=float(rover.get("gravity_m_s2", LUNAR_GRAVITY.value)),
         terrain=str(document["terrain"]["name"]),
         synthetic=bool(document["terrain"]["synthetic"]),
         soils=str(document["soils"]),

@@ -95,6 +95,7 @@ def try_design(inputs: Sequence[Any], values: dict[str, float], drive: Drive) ->
     """
     try:
         rover = build_rover(varied_description(inputs[0].description, values), varied=True)
+        rover = replace(rover, gravity_m_s2=inputs[0].rover.gravity_m_s2)
         check_design(rover, inputs[0].description.assumed)
         plans = [varied_plan(one.plan, values) for one in inputs]
         for plan in plans:

@@ -112,6 +112,7 @@ class ChosenDrive(TerrainSurvey):
         choice = self.choice
         return {
             **TerrainSurvey.to_dict(self),
+            "gravity_m_s2": self.site.rover.gravity_m_s2,
             "soil": self.soils.record(),
             "choice": {
                 "risk": choice.risk,

@@ -178,7 +178,7 @@ def compare(
     if asked.plan is not None:
         inputs |= _check_plan(read_input(asked.plan), forecast)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
-    built = build_rover(description)
+    built = replace(build_rover(description), gravity_m_s2=forecast.gravity_m_s2)
     table = read_drive_states(source, built)
     driven = ground_name(written_in(source.name, table.table, GROUND))
     if driven and driven != ground_name(forecast.terrain):

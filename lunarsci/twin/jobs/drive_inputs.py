@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.height_units import HeightUnit
@@ -62,8 +63,10 @@ class DriveInputs:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What there is to say about how the terrain was read, and about files of another rover or ground."""
-        return (*self.check.read_as, *self.check.remarks)
+        """What there is to say of gravity, of how the terrain was read, and of files of another rover or ground."""
+        pull = self.rover.gravity_m_s2
+        other = [f"under a gravity of {pull:g} m/s²"] if pull != LUNAR_GRAVITY.value else []
+        return (*other, *self.check.read_as, *self.check.remarks)
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""

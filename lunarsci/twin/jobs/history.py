@@ -19,7 +19,18 @@ SOURCES = [
     "Bhattacharyya (1946), Sankhya 7, 401",
     "Kullback & Leibler (1951), Ann. Math. Stat. 22, 79, 10.1214/aoms/1177729694",
 ]
-KEPT = ("states", "sha256", "parent_sha256", "forgotten", "plan", "rover", "ground", "values", "outliers")
+KEPT = (
+    "states",
+    "sha256",
+    "parent_sha256",
+    "forgotten",
+    "plan",
+    "rover",
+    "ground",
+    "gravity_m_s2",
+    "values",
+    "outliers",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -95,6 +95,7 @@ class PlannedMission(TerrainSurvey):
         reached = [one.target.name for one in driven.targets if one.fate == "reached"]
         return {
             **TerrainSurvey.to_dict(self),
+            "gravity_m_s2": self.site.rover.gravity_m_s2,
             "soil": self.soils.record(),
             "mission": {
                 "name": mission.name,
