@@ -888,7 +888,7 @@ NO_FILE = {
     *("assemblage", "band_minerals", "bands", "board", "bound", "composition", "dictionary", "fix", "fixes", "index",
       "interpolation", "kind", "lateral_modulus", "mast", "modes", "name", "products", "sizes", "source", "spectrum",
       "id", "sweep", "target", "tie", "time", "title", "vary"),
-    *("annulus", "classes", "gardening", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
+    *("annulus", "classes", "gardening", "gravity", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
     *("images dem terrain", "spectra simulate soil"),
 }  # fmt: skip
 """Parameters with a text that names no file to read; with the command where others of that name do."""

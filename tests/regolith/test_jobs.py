@@ -83,7 +83,7 @@ def test_figures_of_traction_are_those_of_their_definitions() -> None:
     assert efficiencies[0] is None and found.best_efficiency == max(filter(None, efficiencies))
 
 
-@pytest.mark.filterwarnings("ignore:the soil. friction_angle_deg 5")
+@pytest.mark.filterwarnings("ignore:the soil. friction_angle_deg is 5")
 def test_a_wheel_that_cannot_pull_climbs_nothing_and_has_no_efficiency() -> None:
     found = wheel_forces(load=30.0, slip="0:0.3:4", cohesion=0.0, friction_angle=5.0).traction
     assert found is not None and found.pull_at_20_n < 0
