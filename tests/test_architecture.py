@@ -13,7 +13,6 @@ SHARED = {
     "errors",
     "constants",
     "provenance",
-    "questions",
     "arrays",
     "atomic",
     "blocks",

@@ -102,6 +102,10 @@ class Law:
         return np.degrees(np.arctan(np.exp(transform))) if self.of == "ln tan" else np.asarray(transform)
 
 
+LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "1.6 kPa of Yutu-2, some 6 kPa of the Mars Exploration Rovers; width assumed")
+"""Load of a wheel over its radius times its width; assumed."""
+
+
 @cache
 def default_prior() -> Mapping[str, Law]:
     """The laws of `priors.toml`, by parameter in the order of `PARAMETERS`."""

@@ -12,28 +12,23 @@ from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
-from lunarsci.questions import Question, question
 from lunarsci.regolith.prior import default_prior
+from lunarsci.regolith.questions import Question, question
 from lunarsci.tables import table_hashes
 
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
 OTHER_UNITS: dict[str, dict[str, float]] = {
-    "stiffness_kpa_m_n": {
-        "Pa/m^N": 1e-3,
-        "MPa/m^N": 1e3,
-        "psi/in^N": 271.4,
-        "a digit too many": 0.1,
-        "a digit missing": 10.0,
-    },
-    "cohesion_pa": {"kPa": 1e3, "psi": 6894.76, "a digit too many": 0.1, "a digit missing": 10.0},
+    "stiffness_kpa_m_n": {"Pa/m^N": 1e-3, "MPa/m^N": 1e3, "psi/in^N": 271.4, "tenths of kPa/m^N": 0.1,
+                          "tens of kPa/m^N": 10.0},
+    "cohesion_pa": {"kPa": 1e3, "psi": 6894.76, "tenths of Pa": 0.1, "tens of Pa": 10.0},
     "friction_angle_deg": {"rad": 57.29578},
     "shear_modulus_mm": {"cm": 10.0, "m": 1e3, "in": 25.4},
     "external_friction_angle_deg": {"rad": 57.29578},
     "lateral_modulus_mm": {"cm": 10.0, "m": 1e3, "in": 25.4},
-}
+}  # fmt: skip
 """Other units of soil parameters with their size in the unit of the name: by definition (1 in = 25.4 mm, 1 lbf/in2 =
-6894.76 Pa)."""
+6894.76 Pa). Tenths and tens are of a digit too many, or one that is missing."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,13 +130,13 @@ def read_soil(soil: str) -> Soil:
 def warn_of_unusual(soil: Soil, called: str) -> None:
     """Warn of values that would be likely in another unit, or that no lunar soil has."""
     for asked in unusual(soil, called):
-        warnings.warn(str(asked), LunarSciWarning, stacklevel=3)
+        warnings.warn(asked.doubt, LunarSciWarning, stacklevel=3)
 
 
 def unusual(soil: Soil, called: str = "soil") -> list[Question]:
     """What to ask of a soil, by the laws of `priors.toml`."""
     asked = (
-        question(f"{called}: {name}", getattr(soil, name), law.median, law.ln_density, OTHER_UNITS.get(name, {}))
+        question(f"{called}: {name}", getattr(soil, name), law, OTHER_UNITS.get(name, {}))
         for name, law in default_prior().items()
     )
     return [one for one in asked if one is not None]

@@ -247,3 +247,42 @@ def test_gravity_is_an_option_and_stands_in_the_result(run: Run, tmp_path: Path)
         assert mean == pytest.approx(135.0 * g, rel=0.01)
     wrong = run("twin", "predict", plan, "--gravity", "pluto")
     assert wrong.code == 2 and "--gravity" in wrong.err[0] and "moon, mars, earth" in wrong.err[0]
+
+
+def test_heights_in_km_are_asked_about_and_an_option_answers(run: Run, tmp_path: Path) -> None:
+    """A slope of 12 deg whose heights are in km without a word of it: 12 m rise to 12 mm, and the drive seems level."""
+    plan, ground = tmp_path / "plan.toml", tmp_path / "slope.asc"
+    start = "[start]\nx_m = 10.0\ny_m = 10.0\n"
+    plan.write_text(f'name = "a"\n{start}[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n')
+    rows = [" ".join(f"{1e-3 * np.tan(np.radians(12.0)) * 0.5 * x:.9f}" for x in range(60))] * 60
+    ground.write_text("ncols 60\nnrows 60\nxllcorner 0\nyllcorner 0\ncellsize 0.5\n" + "\n".join(rows) + "\n")
+    drive = ("twin", "predict", plan, "--terrain", ground, "--soil", "longji", "--exact-terrain", *QUICK)
+    asked = run(*drive)
+    result = json.loads(asked.out)["result"]
+    assert asked.code == 3 and result["verdict"] == "not-determined"
+    [question] = result["questions"]
+    assert (question["likely_unit"], question["option"]) == ("km", "--height-unit m")
+    assert (
+        asked.err[-1].startswith("not-determined: median slope") and "is it in km? (--height-unit m)" in asked.err[-1]
+    )
+    for answer, tilt in ((("--height-unit", "m"), 0.012), (("--as-written",), 0.012), (("--height-unit", "km"), 12.0)):
+        told = json.loads(run(*drive, *answer).out)["result"]
+        assert told["questions"] == [] and told["verdict"] in ("go", "no-go")
+        [found] = [limit["p50"] for limit in told["limits"] if limit["quantity"] == "tilt_deg"]
+        assert found == pytest.approx(tilt, abs=1.0)
+
+
+def test_unknown_clearance_is_null_in_json(run: Run, tmp_path: Path) -> None:
+    """A hole between the wheels: they have ground all the way, and the belly does not."""
+    plan, ground = tmp_path / "plan.toml", tmp_path / "hole.csv"
+    plan.write_text('name = "a"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.4\n')
+    nodes = ((0.1 * x, 0.1 * y) for x in range(-20, 31) for y in range(-20, 21) if (x, y) != (2, 0))
+    ground.write_text("x_m,y_m,height_m\n" + "".join(f"{x:.1f},{y:.1f},0\n" for x, y in nodes))
+    done = run("twin", "predict", plan, "--terrain", ground, "--soil", "longji", *QUICK)
+    result = json.loads(done.out)["result"]
+    [clearance] = [limit for limit in result["limits"] if limit["quantity"] == "clearance_m"]
+    assert done.code == 3 and result["verdict"] == "no-go" and result["outcomes"] == {"finished": 1}
+    assert clearance["min"] is None and not clearance["ok"]
+    assert any(
+        "height of the ground below the body is not known in 1 of 1 drives" in text for text in result["reasons"]
+    )

@@ -45,7 +45,7 @@ def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
     file = tmp_path / "soil.toml"
     text = "\n".join(f"{k} = {v}" for k, v in known_soils()["longji"].items() if k not in ("source", "assumed"))
     file.write_text(text.replace("friction_angle_deg = 42.0", "friction_angle_deg = 0.733"))
-    with pytest.warns(LunarSciWarning, match=r"friction_angle_deg is 0\.733, where .* is it in rad\?") as told:
+    with pytest.warns(LunarSciWarning, match=r"friction_angle_deg is 0\.733, where .* usual; is it in rad\?$") as told:
         read_soil(str(file))
     assert len(told) == 1
     file.write_text(text)
@@ -56,7 +56,7 @@ def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("given", [{"stiffness": 1.4e6}, {"cohesion": 5.2e5}, {"friction_angle": 0.6}])
 def test_an_option_of_other_units_is_told(given: dict[str, float]) -> None:
-    with pytest.warns(LunarSciWarning, match=r"the soil: .* usual; is (it in|there a digit)"):
+    with pytest.warns(LunarSciWarning, match=r"the soil: .* usual; is it in"):
         lunarsci.wheel_forces(load=36.5, slip=0.2, **given)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

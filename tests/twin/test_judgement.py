@@ -133,3 +133,41 @@ def test_wheels_that_hang_or_carry_too_much_are_counted(driven: Prediction) -> N
     assert "carries nothing" in load_notes(found)[0] and "more than twice" in load_notes(found)[1]
     nothing = check_loads(dataclasses.replace(driven, recorded=np.zeros_like(recorded)))
     assert (nothing.least_n, nothing.most_n, nothing.hanging_members) == (None, None, 0)
+
+
+@pytest.mark.parametrize("given", [(), (Limit("tilt_deg", "deg", 20.0, "test", False),)])
+def test_limits_that_a_plan_leaves_out_are_the_rovers_own(driven: Prediction, given: tuple[Limit, ...]) -> None:
+    """Half the slip that the law holds for, a third of the wheels' 0.15 m, the 20 deg of the file, 10 deg and 5 cm."""
+    states = driven.states.copy()
+    states[:, 5, 2, SLIP] = 0.55
+    verdict = judge(limited(dataclasses.replace(driven, states=states), *given))
+    own = {"slip_ratio": 0.3, "side_slip_deg": 10.0, "sinkage_m": 0.05, "tilt_deg": 20.0, "clearance_m": 0.05}
+    judged = {limit.quantity: limit for limit in verdict.limits}
+    assert {name: judged[name].limit for name in own} == pytest.approx(own)
+    left_out = set(own) - {limit.quantity for limit in given}
+    for name in left_out:
+        assert judged[name].source.startswith("the rover's own, as the plan has none: ") and judged[name].assumed
+    [note] = [note for note in verdict.notes if "the rover's own" in note]
+    assert set(note.partition(": ")[2].replace(",", "").split()[::2]) == left_out
+    assert verdict.verdict == "no-go" and verdict.failed == 20
+    assert any(reason.startswith("slip_ratio: p95 0.55 exceeds") for reason in verdict.reasons)
+
+
+def test_a_verdict_does_not_rest_on_states_beyond_the_wheel_model(driven: Prediction) -> None:
+    """Of 20 x 11 x 6 states 66 slip by 0.7, which are 5 %; with one that sinks by 0.14 m of 0.15 m they are more.
+
+    A wheel in the air has no force, which is known.
+    """
+    lax = {"slip_ratio": 1.0, "side_slip_deg": 90.0, "sinkage_m": 0.15, "tilt_deg": 90.0, "clearance_m": 0.001}
+    limits = [Limit(name, "", value, "test", False) for name, value in lax.items()]
+    states = driven.states.copy()
+    states[..., SINKAGE], states[..., SLIP] = 0.01, 0.1
+    states[:10, ..., SINKAGE] = 0.0
+    states[19, :, :, SLIP] = 0.7
+    at_most = judge(limited(dataclasses.replace(driven, states=states), *limits))
+    assert at_most.validity.beyond_share == pytest.approx(0.05) and at_most.verdict == "go"
+    states[18, 0, 0, SINKAGE] = 0.14
+    beyond = judge(limited(dataclasses.replace(driven, states=states), *limits))
+    assert beyond.verdict == "no-go" and beyond.reasons == (
+        "5.1 % of the wheel states are beyond the wheel model, at most 5.0 % may be",
+    )

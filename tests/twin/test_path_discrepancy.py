@@ -212,3 +212,16 @@ def test_sinkage_is_scored_by_its_mean(driven: Prediction) -> None:
         share = after.quantities["sinkage_m"]
         assert 0.15 < share.scale < 0.35 and share.degrees > 4.5
         assert (after.along, after.across) == (before.along, before.across)
+
+
+def test_no_draw_goes_beyond_what_a_quantity_can_have(many: Prediction) -> None:
+    """Of a law as wide as three times the way: slip, side slip and sinkage reach their ends, and go no farther."""
+    quantities = {name: VarianceLaw(10.0, 30.0) for name in FIRST.quantities}
+    wide = dataclasses.replace(
+        FIRST, along=VarianceLaw(10.0, 30.0), across=VarianceLaw(10.0, 30.0), quantities=quantities
+    )
+    states = with_discrepancy(many, wide, seed=3).states
+    bounded = ("slip_ratio", "side_slip_deg", "sinkage_m")
+    slip, side, sinkage = (np.abs(states[..., STATE_COLUMNS.index(name)]) for name in bounded)
+    assert (slip.max(), side.max(), sinkage.max()) == pytest.approx((1.0, 90.0, many.rover.wheel.radius_m))
+    assert states[..., STATE_COLUMNS.index("sinkage_m")].min() >= 0.0

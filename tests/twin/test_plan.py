@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciError, ParameterError
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.plans.path import curvature_at
 from lunarsci.twin.plans.plan import Leg, check_plan, parse_sweep, read_plan
@@ -166,3 +167,16 @@ def test_the_rover_file_is_checked() -> None:
     without = dataclasses.replace(good, tables={k: v for k, v in good.tables.items() if k != "mass"})
     with pytest.raises(DataError, match="mass"):
         build_rover(without)
+
+
+@pytest.mark.parametrize(("limit", "says"), [
+    ("slip_ratio = 30.0", "write a share, 0.3 for 30 %"), ("tilt_deg = 95.0", "another unit than degrees"),
+    ("side_slip_deg = 100.0", "another unit than degrees"), ("battery_charge = 20.0", "write a share"),
+    ("sinkage_m = 50.0", "radius of 0.15 m; is it in mm"), ("clearance_m = 50.0", "0.3 m on level ground; is it in mm"),
+])  # fmt: skip
+def test_a_limit_that_its_quantity_cannot_have_names_the_likely_unit(tmp_path: Path, limit: str, says: str) -> None:
+    """The belly of Yutu-2 is 0.05 m above its origin, whose wheels of 0.15 m stand 0.10 m below."""
+    path = tmp_path / "plan.toml"
+    path.write_text(f"[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.0\n[limits]\n{limit}\n")
+    with pytest.raises(LunarSciError, match=re.escape(says)):
+        check_plan(read_plan(path), build_rover("yutu2"))

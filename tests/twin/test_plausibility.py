@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.questions import SLIPS, log_normal, question
+from lunarsci.regolith.prior import Law
+from lunarsci.regolith.questions import SLIPS, question
 from lunarsci.regolith.soil import known_soils
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.jobs.predict import predict
@@ -21,15 +22,15 @@ QUICK = {"time_step": 0.2, "sample": 0.25}
 
 def test_another_unit_must_be_a_hundred_times_likelier() -> None:
     """Of a normal logarithm about ln 1, sd 1, a reading 10 times less is likelier by exp((z^2 - (z - ln 10)^2) / 2)."""
-    law, tenth = log_normal(1.0, 1.0), {"tenths": 0.1}
+    law, tenth = Law("ln", 1.0, 1.0), {"tenths": 0.1}
     edge = (math.log(1.0 / SLIPS) + 0.5 * math.log(10.0) ** 2) / math.log(10.0)
-    below, above = (question("x", math.exp(edge + step), 1.0, law, tenth) for step in (-1e-6, 1e-6))
+    below, above = (question("x", math.exp(edge + step), law, tenth) for step in (-1e-6, 1e-6))
     assert below is None and above is not None and above.likely_unit == "tenths" and "is it in tenths?" in str(above)
-    assert question("x", 0.0, 1.0, law, tenth) is None
+    assert question("x", 0.0, law, tenth) is None
     # Without another unit only what is rarer than a slip anywhere in six decades, with odds of 0.01, is asked about.
     rare = math.sqrt(-2.0 * math.log(SLIPS / (6.0 * math.log(10.0)) * math.sqrt(2.0 * math.pi)))
-    assert question("x", math.exp(rare - 1e-6), 1.0, law, {}) is None
-    asked = question("x", math.exp(rare + 1e-6), 1.0, law, {})
+    assert question("x", math.exp(rare - 1e-6), law, {}) is None
+    asked = question("x", math.exp(rare + 1e-6), law, {})
     assert asked is not None and "is it meant so?" in str(asked)
 
 

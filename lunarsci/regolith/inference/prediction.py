@@ -103,11 +103,8 @@ def predict_forces(
     said = errors or MeasurementErrors()
     best = values_of(posterior.prior, posterior.mode)
     soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
-    share, depth, forces = (
-        shares_at(posterior.verdict.model_error, posterior.taught, states),
-        np.empty((draws, len(load))),
-        [],
-    )
+    share = shares_at(posterior.verdict.model_error, posterior.taught, states)
+    depth, forces = np.empty((draws, len(load))), []
     given = None if sinkage_m is None else np.broadcast_to(np.asarray(sinkage_m, dtype=float), load.shape)
     for k, soil in enumerate(soils):
         moved = states[:, :2] + random.standard_normal((len(load), 2)) * _spread(said, states)

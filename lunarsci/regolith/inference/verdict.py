@@ -8,11 +8,12 @@ from scipy.special import chdtri
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.questions import log_normal, question
 from lunarsci.regolith.belief import FitVerdict
+from lunarsci.regolith.belief_history import NINETY_FIVE
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.inference.problem import LEAST_SHARE, JointProblem, error_covariance, part_of
-from lunarsci.regolith.prior import values_of
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, values_of
+from lunarsci.regolith.questions import question
 from lunarsci.regolith.states import WheelStates
 
 CEILINGS = (0.35, 0.15, 0.15)
@@ -28,13 +29,8 @@ GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
 no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
 assumed."""
-PRESSURE_PA, PRESSURE_SD = 3000.0, 0.9
-"""Load of a wheel over its radius times its width, and the standard deviation of its logarithm: 1.6 kPa of Yutu-2, some
-6 kPa of the Mars Exploration Rovers; assumed."""
 LOAD_UNITS = {"kN": 1e3, "mN": 1e-3}
 """In newtons, by definition."""
-NEAR_END = 1.96
-"""Standard deviations to the nearer end of a 95 % interval, by definition; assumed normal."""
 DECISIVE = 12.0
 """By how much -2 ln posterior must be better for another reading of a column to count: odds of 400. Assumed."""
 HUBER, MOST_STATES = 3.0, 60
@@ -184,7 +180,7 @@ def _strange(mode: Mode) -> list[str]:
     return [
         f"{problem.names[k]} is {values[k]:.3g}, {abs(off[k]):.1f} standard deviations of its prior from "
         f"{problem.prior[problem.names[k]].median:g}"
-        for k in np.flatnonzero(np.abs(off) - NEAR_END * sd > STRANGE)
+        for k in np.flatnonzero(np.abs(off) - NINETY_FIVE * sd > STRANGE)
     ]
 
 
@@ -194,9 +190,8 @@ def _loads(mode: Mode) -> list[str]:
     known = loads[np.isfinite(loads) & (loads > 0)]
     if not known.size:
         return []
-    usual = PRESSURE_PA * wheel.radius_m * wheel.width_m
-    law, median = log_normal(usual, PRESSURE_SD), float(np.median(known))
-    asked = question("median normal_force_n", median, usual, law, LOAD_UNITS, "give newtons")
+    law = replace(LOAD_PRESSURE_PA, median=LOAD_PRESSURE_PA.median * wheel.radius_m * wheel.width_m)
+    asked = question("median normal_force_n", float(np.median(known)), law, LOAD_UNITS, "give newtons")
     return [] if asked is None else [str(asked)]
 
 

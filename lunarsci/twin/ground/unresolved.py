@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import NORMAL_MAD, FloatArray
 from lunarsci.regolith.wheel import Wheel
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
 from lunarsci.twin.ground.terrain import Terrain
@@ -35,8 +35,6 @@ MARGIN_M, MARGIN_SHARE = 10.0, 0.2
 """About a plan, and of its length, on which finer nodes are laid: drives stray less. Assumed."""
 MOST_NODES = 4_000_000
 """Of the finer grid; beyond them nodes lie wider apart."""
-NORMAL_MEDIAN_SQUARE = 0.4549
-"""Median of the square of a standard normal number, by definition."""
 OBSTACLE_SIGMAS = 3.0
 """Of what lies between nodes, that make an obstacle; assumed."""
 
@@ -95,7 +93,7 @@ def with_unresolved(
     relief, _ = lunar_relief()
     rms_at_one_m = math.sqrt(relief.at_one_m) * math.exp(rougher[0])
     deciding = (step_m / (OBSTACLE_SIGMAS * rms_at_one_m)) ** (1.0 / relief.hurst)
-    told = Unresolved(terrain.spacing_m, float(np.sqrt(np.median(grain.astype(float) ** 2)) / 0.6745), deciding)
+    told = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), deciding)
     return dataclasses.replace(finer, errors=errors), told
 
 
@@ -143,16 +141,16 @@ def roughness_of_map(terrain: Terrain) -> tuple[float, float]:
 
 def _second_differences(terrain: Terrain, lag: int, relief: Relief) -> float:
     """Their size in that of the law; 0 where there are too few, or where the map is level."""
-    height, squares = terrain.height_m, []
+    height, found = terrain.height_m, []
     for one in (height, height.T):
         if len(one) > 2 * lag:
             bent = one[2 * lag :] - 2.0 * one[lag:-lag] + one[: -2 * lag]
-            squares.append(bent[np.isfinite(bent)] ** 2)
-    together = np.concatenate(squares) if squares else np.empty(0)
+            found.append(bent[np.isfinite(bent)])
+    together = np.concatenate(found) if found else np.empty(0)
     if together.size < 10:
         return 0.0
     law = relief.at_one_m * (lag * terrain.spacing_m) ** (2.0 * relief.hurst) * (4.0 - 2.0 ** (2.0 * relief.hurst))
-    return math.sqrt(float(np.median(together)) / NORMAL_MEDIAN_SQUARE / law)
+    return NORMAL_MAD * float(np.median(np.abs(together))) / math.sqrt(law)
 
 
 def _about(terrain: Terrain, places_m: FloatArray) -> tuple[slice, slice]:

@@ -15,7 +15,7 @@ from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.questions import Question
+    from lunarsci.regolith.questions import Question
     from lunarsci.twin.ground.unresolved import Unresolved
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
     from lunarsci.twin.jobs.soils import Soils
@@ -189,7 +189,7 @@ class PredictedDrives(Result):
             "energy": energy_record(prediction),
             "power": None if self.power is None else power_record(prediction, self.power),
             "physics": self._physics(),
-            "questions": [asked.to_dict() for asked in self.questions],
+            "questions": [asdict(asked) for asked in self.questions],
             "unresolved": None if self.unresolved is None else asdict(self.unresolved),
             "terrain_errors": None if self.terrain_shares is None else asdict(self.terrain_shares),
             "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from lunarsci.questions import Question, log_normal, question
-from lunarsci.regolith.inference.verdict import PRESSURE_PA, PRESSURE_SD
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
+from lunarsci.regolith.questions import Question, question
 from lunarsci.regolith.soil import known_soils, read_soil, unusual
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.unresolved import lunar_relief
@@ -16,9 +16,8 @@ SLOPE_SD = 1.0
 walls."""
 HEIGHT_UNITS = {"km": 1e3, "cm": 1e-2, "mm": 1e-3}
 """In metres, by definition; feet and decimetres make slopes that the Moon has, too."""
-BELLY_RADII, BELLY_SD = 2.1, 0.3
-"""Height of the belly above level ground, in radii of the wheels, and the standard deviation of its logarithm: 1.5 to
-2.4 of Lunokhod, Sojourner, the Mars Exploration Rovers, Curiosity and Yutu-2; assumed."""
+BELLY_RADII = Law("ln", 2.1, 0.3, "1.5 to 2.4 of Lunokhod, Sojourner, MER, Curiosity and Yutu-2; assumed")
+"""Height of the belly above level ground, in radii of the wheels; assumed."""
 MASS_UNITS = {"g": 1e-3, "t": 1e3}
 """In kilograms, by definition."""
 
@@ -32,8 +31,8 @@ def terrain_questions(terrain: Terrain) -> list[Question]:
         return []
     relief, _ = lunar_relief()
     usual = math.sqrt(relief.at_one_m * 2.0 * math.log(2.0)) * terrain.spacing_m ** (relief.hurst - 1.0)
-    median, law = float(np.median(known)), log_normal(usual, SLOPE_SD)
-    asked = question("median slope of the terrain [m/m]", median, usual, law, HEIGHT_UNITS, "--height-unit m")
+    law, median = Law("ln", usual, SLOPE_SD), float(np.median(known))
+    asked = question("median slope of the terrain [m/m]", median, law, HEIGHT_UNITS, "--height-unit m")
     # Ground may be as level as it will: only another unit makes it doubtful.
     return [asked] if asked is not None and asked.likely_unit else []
 
@@ -42,15 +41,11 @@ def rover_questions(rover: Rover) -> list[Question]:
     """Whether its belly is as high, and its wheels as loaded, as those of rovers are."""
     wheel, asked = rover.wheel, []
     pressure = rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels) / (wheel.radius_m * wheel.width_m)
-    law = log_normal(PRESSURE_PA, PRESSURE_SD)
-    asked.append(question("weight over the wheels' radius x width [Pa]", pressure, PRESSURE_PA, law, MASS_UNITS))
+    asked.append(question("weight over the wheels' radius x width [Pa]", pressure, LOAD_PRESSURE_PA, MASS_UNITS))
     if rover.body is not None:
         level = rover.body.belly_z_m - float(rover.wheel_positions_m[:, 2].min()) + wheel.radius_m
         if level > 0:
-            belly = log_normal(BELLY_RADII, BELLY_SD)
-            asked.append(
-                question("belly over the ground [wheel radii]", level / wheel.radius_m, BELLY_RADII, belly, {})
-            )
+            asked.append(question("belly over the ground [wheel radii]", level / wheel.radius_m, BELLY_RADII, {}))
     return [one for one in asked if one is not None]
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.ground.unresolved import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
@@ -144,11 +145,8 @@ class Verdict:
 
 
 def headword(verdict: Verdict) -> str:
-    """The verdict as a title has it.
-
-    `not-determined` is NOT DETERMINED.
-    """
-    return verdict.verdict.upper() if verdict.verdict == "no-go" else verdict.verdict.upper().replace("-", " ")
+    """The verdict as a title has it: GO, NO-GO or NOT DETERMINED."""
+    return verdict.verdict.upper().replace("NOT-", "NOT ")
 
 
 def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
@@ -184,11 +182,15 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     found = validity(prediction)
-    reasons += _over_unknown(prediction, judged) + _beyond_model(found)
+    touches = False
+    if any(one.quantity == "clearance_m" for one in judged):
+        least, unknown = clearance(prediction)
+        touches, reasons = bool((least[prediction.reached] < 0).any()), reasons + _over_unknown(prediction, unknown)
+    reasons += _beyond_model(found)
     return Verdict(
         verdict="no-go" if reasons else "go",
         reasons=tuple(reasons),
-        notes=(*accepted, *_notes(prediction, judged, found)),
+        notes=(*accepted, *_notes(prediction, judged, found, touches)),
         limits=judged,
         endpoint=endpoint_spread(prediction) if finished.any() else None,
         outcomes=outcomes,
@@ -219,11 +221,9 @@ def undecided(verdict: Verdict, plain: Verdict, unresolved: Unresolved) -> Verdi
     return dataclasses.replace(verdict, verdict="not-determined", reasons=(why, *verdict.reasons))
 
 
-def _over_unknown(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
-    """Where the body is over ground whose height nobody knows."""
-    if not any(one.quantity == "clearance_m" for one in judged):
-        return []
-    unknown = (clearance(prediction)[1] > 0) & prediction.reached
+def _over_unknown(prediction: Prediction, share: FloatArray) -> list[str]:
+    """Where some of the body is over ground whose height nobody knows; `share` is of `clearance`."""
+    unknown = (share > 0) & prediction.reached
     if not unknown.any():
         return []
     member, sample = np.unravel_index(int(unknown.argmax()), unknown.shape)
@@ -336,7 +336,7 @@ def _nearness(judgement: Judgement) -> str:
     return f"{at}: {'beyond' if judgement.exceeding else 'nearest to'} what is allowed"
 
 
-def _notes(prediction: Prediction, judged: tuple[Judgement, ...], found: Validity) -> tuple[str, ...]:
+def _notes(prediction: Prediction, judged: tuple[Judgement, ...], found: Validity, touches: bool) -> tuple[str, ...]:
     notes = []
     if prediction.terrain.synthetic:
         notes.append("the terrain is synthetic; the verdict says nothing about a real site")
@@ -346,15 +346,9 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], found: Validit
         notes.append(f"limits that the plan leaves out are the rover's own: {', '.join(own)}")
     given, lacking = [limit.quantity for limit in prediction.plan.limits], not_judged(prediction)
     notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
-    return (*notes, *_clearance_notes(prediction, judged), *validity_notes(found), *_broken(prediction, judged))
-
-
-def _clearance_notes(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
-    """That the chassis touches, where the clearance is limited."""
-    if not any(one.quantity == "clearance_m" for one in judged):
-        return []
-    touches = (clearance(prediction)[0][prediction.reached] < 0).any()
-    return ["the chassis would touch the ground; the drives go on as if it did not"] if touches else []
+    if touches:
+        notes.append("the chassis would touch the ground; the drives go on as if it did not")
+    return (*notes, *validity_notes(found), *_broken(prediction, judged))
 
 
 def _broken(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:

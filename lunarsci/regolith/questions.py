@@ -6,9 +6,10 @@ asked. A number that no unit explains is asked about where it is rarer than a sl
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lunarsci.regolith.prior import Law
 
 SLIPS = 0.01
 """Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed."""
@@ -36,43 +37,32 @@ class Question:
     likely_unit: str
     option: str
 
-    def __str__(self) -> str:
-        likely = f"; is it in {self.likely_unit}?" if self.likely_unit else "; is it meant so?"
-        likely = f"; is there {self.likely_unit}?" if self.likely_unit.startswith("a digit") else likely
-        return f"{self.quantity} is {self.value:.3g}, where about {self.usual:.3g} is usual{likely} ({self.option})"
+    @property
+    def doubt(self) -> str:
+        """What to ask, without what settles it."""
+        likely = f"is it in {self.likely_unit}?" if self.likely_unit else "is it meant so?"
+        return f"{self.quantity} is {self.value:.3g}, where about {self.usual:.3g} is usual; {likely}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """For a result."""
-        return asdict(self)
+    def __str__(self) -> str:
+        return f"{self.doubt} ({self.option})"
 
 
 def question(
-    quantity: str,
-    value: float,
-    usual: float,
-    ln_density: Callable[[float], float],
-    units: Mapping[str, float],
-    option: str = AS_WRITTEN,
+    quantity: str, value: float, law: Law, units: Mapping[str, float], option: str = AS_WRITTEN
 ) -> Question | None:
     """What to ask of a number; None where it is most likely as it is written. 0 has no unit.
 
     Parameters
     ----------
-    usual : the middle of what such numbers are.
-    ln_density : of a number, over a variable that grows with its logarithm.
+    law : of what such numbers are.
     units : the others by name, each with the size of one of them in the unit that is meant.
     option : what settles it.
     """
     if not value:
         return None
-    own, readings = ln_density(value), {name: ln_density(value * size) for name, size in units.items()}
+    own, readings = law.ln_density(value), {name: law.ln_density(value * size) for name, size in units.items()}
     likely = max(readings, key=lambda name: readings[name], default="")
     explained = bool(likely) and math.log(SLIPS) + readings[likely] > own
     if not explained and own > math.log(SLIPS) - math.log(DECADES * math.log(10.0)):
         return None
-    return Question(quantity, value, usual, likely if explained else "", option)
-
-
-def log_normal(median: float, sd: float) -> Callable[[float], float]:
-    """ln density of the logarithm of numbers above 0, of this median, with this standard deviation."""
-    return lambda value: -0.5 * (math.log(value / median) / sd) ** 2 - math.log(sd * math.sqrt(2.0 * math.pi))
+    return Question(quantity, value, law.median, likely if explained else "", option)
