@@ -9,9 +9,9 @@ the clock is. The filter carries the state as a linear function of the constants
 pass. The smoother is that of Rauch, Tung & Striebel (1965, 10.2514/3.3166).
 """
 
-import dataclasses
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ CONSTANTS = (
     "slip", "glide", "turn", "slip_on_slope", "side_slip_on_slope", "turn_share", "left_of_turn", "ahead_of_turn",
     "rim_scale", "lever_ahead_m", "lever_left_m", "heading_offset_rad", "heading_drift_rad", "lag_s",
 )  # fmt: skip
-"""Deviations that stay the same, ahead and left as shares, turn in 1/m; coefficients of `Nodes.effect`; ln of the true
+"""Deviations that stay the same: in the direction of the drive and to the left as shares, turn in 1/m; coefficients of `Nodes.effect`; ln of the true
 over the measured rim speed; the localised point on the rover, ahead and to the left of its origin; error of headings
 at the begin, and its growth until the end; how much later positions and headings are than their times say. Two more
 for each halt: how far the rover slides there, ahead and to the left [m]."""
@@ -43,6 +43,8 @@ POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; assumed. [m]"""
 BEND_M = 5.0
 """Radius of the turn in which slip makes the turn deviate as much again as on a straight way; assumed. [m]"""
+MOST_PARTS = 8
+"""Of a halt with positions, in which the rover may slide each; more are taken together."""
 FARTHEST_S = 60.0
 """How far the motion is taken to go on before and behind the drive, at the speeds of its ends. [s]"""
 
@@ -95,11 +97,19 @@ class Nodes:
 
     @property
     def halts(self) -> list[tuple[int, int]]:
-        """First and last node of each halt: the wheels stand, and the rover drives before and behind. (h,)"""
+        """First and last node of each halt: the wheels stand, and the rover drives before and behind. (h,)
+
+        One with positions is several, from one to the next of them, `MOST_PARTS` at most.
+        """
         still = np.concatenate([[False], (self.way_m == 0.0) & (self.loose == 0.0), [False]])
         firsts, lasts = np.flatnonzero(still[1:] & ~still[:-1]), np.flatnonzero(still[:-1] & ~still[1:])
-        end = len(self.time_s) - 1
-        return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True) if a > 0 and b < end]
+        end, result = len(self.time_s) - 1, list[tuple[int, int]]()
+        for first, last in zip(firsts, lasts, strict=True):
+            if first > 0 and last < end:
+                inside = first + 1 + np.flatnonzero(self.fixed[first + 1 : last])
+                inside = inside[:: len(inside) // MOST_PARTS + 1]
+                result += pairwise([int(first), *map(int, inside), int(last)])
+        return result
 
     @property
     def bend(self) -> FloatArray:
@@ -111,9 +121,20 @@ class Nodes:
         return np.hypot(1.0, BEND_M * np.divide(turned, self.way_m, out=np.zeros_like(turned), where=self.way_m > 0))
 
     @property
+    def heads(self) -> FloatArray:
+        """Speed ahead as a share of the rims': 1 forwards, -1 backwards, 0 where it turns on the spot. (n - 1,)"""
+        moved = self.twist[:, 0] * np.diff(self.time_s)
+        return np.asarray(np.clip(np.divide(moved, self.way_m, out=np.zeros_like(moved), where=self.way_m > 0), -1, 1))
+
+    @property
     def constants(self) -> int:
         """How many unknown constants there are."""
         return len(CONSTANTS) + 2 * len(self.halts)
+
+
+def at_nodes(between: FloatArray) -> FloatArray:
+    """Means at nodes of what is known between them. (n - 1, ...) to (n, ...)"""
+    return np.asarray(0.5 * (np.concatenate([between[:1], between]) + np.concatenate([between, between[-1:]])))
 
 
 def dead_reckoned(nodes: Nodes) -> FloatArray:
@@ -196,8 +217,8 @@ def step_inputs(nodes: Nodes) -> FloatArray:
     """Way ahead and left, and turn, that constants of 1 add to each step. (n - 1, 3, k)"""
     steps, effects = np.diff(nodes.time_s), nodes.effects
     result = np.zeros((len(steps), 3, nodes.constants))
-    for row in range(3):
-        result[:, row, row] = nodes.way_m
+    for row, share in enumerate((nodes.heads, 1.0, 1.0)):
+        result[:, row, row] = nodes.way_m * share
     result[:, :, 3:SCALE] = nodes.way_m[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
     result[:, :, SCALE] = nodes.twist * steps[:, None]
     for number, (first, last) in enumerate(nodes.halts):
@@ -433,8 +454,3 @@ def smoothed_back(model: Model, run: Run) -> Run:
             covariance[k] += gain @ (covariance[k + 1] - ahead) @ np.swapaxes(gain, 1, 2)
             covariance[k] = 0.5 * (covariance[k] + np.swapaxes(covariance[k], 1, 2))
     return run
-
-
-def without(nodes: Nodes, fix_m: FloatArray, yaw_rad: FloatArray) -> Nodes:
-    """The same nodes with other positions and headings. (n, 2), (n,)"""
-    return dataclasses.replace(nodes, fix_m=fix_m, yaw_rad=yaw_rad)

@@ -24,8 +24,6 @@ LEAST_SCATTER, FINEST_M = 0.05, 5e-4
 """The same, and a standard error [m], below which errors of positions are not believed; assumed."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
-SPARSE = 0.02
-"""Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +85,7 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, findings: Fi
         ),
     }
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
-        if probable <= HELD or (one.name == "encoder scale" and abs(one.mean) < 3.0 * one.sigma / len(text)):
+        if probable <= HELD or not one.said:
             continue
         if one.slide < 0:
             what, done = text[one.name]
@@ -136,7 +134,7 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
 
 
 def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say errors of positions that nobody can believe, a scatter that they do not explain, and too few positions.
+    """Say errors of positions that nobody can believe, and a scatter that they do not explain.
 
     What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
     """
@@ -152,9 +150,3 @@ def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     if scatter > WORST_SCATTER:
         what = f"positions scatter with a reduced chi-square of {scatter:.1f} about the motion"
         findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
-    if smoothed.change.information[0] < SPARSE:
-        count = int(fixed.sum())
-        what = (
-            f"{count} positions over {float(nodes.way_m.sum()):.3g} m by the wheels do not tell how fast slip changes"
-        )
-        findings.add("sparse positions", what, "errors of slip rest on what is assumed of it", count=count)

@@ -13,7 +13,7 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, Reference
+from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, Reference, at_nodes
 from lunarsci.twin.telemetry.nuisances import Priors
 from lunarsci.twin.telemetry.odometry import ground_velocities, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
@@ -153,7 +153,7 @@ def motion_at(
     lost: BoolArray = ~known & known.any(axis=1, keepdims=True)
     if lost.any():
         along, _ = wheel_rows(rover, np.radians(steered))
-        rim = np.where(lost, np.einsum("nwi,ni->nw", along, about(nodes, nodes.twist)), rim)
+        rim = np.where(lost, np.einsum("nwi,ni->nw", along, at_nodes(nodes.twist)), rim)
     sign, scale = np.where(rim < 0, -1.0, 1.0), math.exp(smoothed.posterior.mean[SCALE])
     rim = sign * np.maximum(scale * np.abs(np.nan_to_num(rim)), CREEP_M_S)
     return Motion(
@@ -228,27 +228,20 @@ def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: Flo
 def turn_effect(nodes: Nodes) -> FloatArray:
     """Deviations for coefficients of 1 where slopes are not known: what turns do alone. (n, 3, 5)"""
     effect, pace = np.zeros((len(nodes.time_s), 3, len(EFFECTS))), pace_at(nodes)
-    turn = np.divide(about(nodes, nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
+    turn = np.divide(at_nodes(nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
     effect[:, 2, 2] = effect[:, 1, 3] = effect[:, 0, 4] = turn
     return effect
 
 
-def about(nodes: Nodes, between: FloatArray) -> FloatArray:
-    """Means at nodes of what is known between them, (n - 1, ...)."""
-    rows = np.arange(len(nodes.time_s))
-    before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(between) - 1)
-    return np.asarray(0.5 * (between[before] + between[after]))
-
-
 def pace_at(nodes: Nodes) -> FloatArray:
     """Mean speed of the rims at the nodes. (n,) [m/s]"""
-    return about(nodes, nodes.way_m / np.diff(nodes.time_s))
+    return at_nodes(nodes.way_m / np.diff(nodes.time_s))
 
 
 def twist_at(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
     """Velocity ahead, to the left, and turn at the nodes. (n, 3) [m/s, m/s, rad/s]"""
     scale = 1.0 + smoothed.posterior.mean[SCALE]
-    return np.asarray(scale * about(nodes, nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
+    return np.asarray(scale * at_nodes(nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
 
 
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
@@ -281,7 +274,7 @@ def wheel_velocities(rover: Rover, nodes: Nodes, smoothed: Smoothed, held: Presc
     off_x, off_y = ground_velocities(rover, held, smoothed.state[:, :2])
     twist, onto = twist_at(nodes, smoothed), np.zeros((len(nodes.time_s), 4, 4))
     onto[:, [0, 1, 2], [0, 1, 2]] = pace_at(nodes)[:, None]
-    onto[:, :3, 3], onto[:, 3, 3] = about(nodes, nodes.twist), 1.0
+    onto[:, :3, 3], onto[:, 3, 3] = at_nodes(nodes.twist), 1.0
     return WheelVelocities(
         v_x=off_x + np.einsum("nwi,ni->nw", along, twist),
         v_y=off_y + np.einsum("nwi,ni->nw", across, twist),

@@ -16,7 +16,10 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.telemetry.filter import CONSTANTS, DRIFT, LAG, LEVER, OFFSET, SCALE, SLIDES, Nodes, Run
 
 MEAN_SIGMA = (0.3, 0.1, 0.05)
-"""Of the constant deviations, ahead and left as shares, turn in 1/m: wide; assumed."""
+"""Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
+LEVEL, LEVEL_SIGMA = -0.03, (0.07, 0.03)
+"""Deviation ahead on level ground, and its standard deviation and that to the left, as of slips on soils drawn from the
+default priors: 0.03, 16 to 84 % from -0.04 to 0.11; the latter is assumed."""
 EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02, 0.02)
 """Of the coefficients: slip grows about as the slope is steep, side slip about twice so, and a rover that steers turns
 about as its wheels say; assumed, as wide as soils drawn from the default priors differ (0.4 to 2.2, 0.8 to 5, -0.1 to
@@ -24,14 +27,15 @@ about as its wheels say; assumed, as wide as soils drawn from the default priors
 SKID_SIGMA = (0.4, 0.2, 0.1)
 """Of the last three for a rover that steers by its sides' speeds: its tracks are up to twice as far apart as its
 wheels, and turn about places that lie off its axles (Mandow et al. 2007, 10.1109/IROS.2007.4399139). [-, m, m]"""
-RIM_SIGMA = 0.025
+RIM_SIGMA = 0.03
 """Of ln of a wheel's rolling radius on soil, between shell and grousers, over that of its file; assumed."""
 POINT_M, CLOCK_S, STANDS_M = 0.01, 0.1, 2e-4
 """How well the localised point [m] and the clock [s] are usually known, and a rover stands at a halt [m]; assumed."""
 ELSEWHERE_M, DRIFTS_RAD, LATE_S, SLIDES_M = 0.3, math.radians(5.0), 1.5, 0.3
 """Standard deviation of the localised point, the drift, the lag and the slide where there is one; assumed."""
-RARE = math.log(0.03)
-"""ln of the odds of each hypothesis beforehand; assumed."""
+RARE, OFTEN = math.log(0.05), math.log(3.0)
+"""ln of the odds of each hypothesis beforehand, and of that it is the encoders that differ from the commands, as a motor
+that is controlled turns as told; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,6 +49,7 @@ class Hypothesis:
     mean, sigma : their prior if it holds.
     ln_odds : beforehand.
     slide : which halt it concerns, -1 for none.
+    said : whether it is worth a word where it holds.
     """
 
     name: str
@@ -53,6 +58,7 @@ class Hypothesis:
     mean: float = 0.0
     ln_odds: float = RARE
     slide: int = -1
+    said: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,14 +96,24 @@ class Priors:
         mean, sigma = plain.mean, plain.sigma
         if skids:
             sigma[5:SCALE] = SKID_SIGMA
+        mean[0], sigma[:2] = LEVEL, LEVEL_SIGMA
         heading = float(np.nanmedian(nodes.yaw_sigma_rad))
         sigma[SCALE], sigma[LEVER], sigma[[OFFSET, DRIFT]], sigma[LAG] = RIM_SIGMA, POINT_M, heading, CLOCK_S
         sigma[SLIDES:] = STANDS_M
         hypotheses = [
+            Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0], said=False),
+            Hypothesis(name="much side slip", members=(1,), sigma=MEAN_SIGMA[1], said=False),
             Hypothesis(name="lever arm", members=(9, 10), sigma=ELSEWHERE_M),
             Hypothesis(name="heading drift", members=(DRIFT,), sigma=DRIFTS_RAD),
             Hypothesis(name="lag", members=(LAG,), sigma=LATE_S),
-            Hypothesis(name="encoder scale", members=(SCALE,), sigma=RIM_SIGMA, mean=-math.log(told_share), ln_odds=0.0),
+            Hypothesis(
+                name="encoder scale",
+                members=(SCALE,),
+                sigma=RIM_SIGMA,
+                mean=-math.log(told_share),
+                ln_odds=OFTEN,
+                said=abs(math.log(told_share)) > RIM_SIGMA,
+            ),
         ]
         for number in range(len(nodes.halts)):
             members = (SLIDES + 2 * number, SLIDES + 2 * number + 1)

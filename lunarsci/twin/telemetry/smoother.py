@@ -26,6 +26,7 @@ from lunarsci.twin.telemetry.filter import (
     Model,
     Nodes,
     Reference,
+    at_nodes,
     filtered,
     linearised,
     smoothed_back,
@@ -47,7 +48,7 @@ UNKNOWN = 0.02
 """The same where the slopes are not known; assumed."""
 WIDTH = 1.7
 """How widely it is believed, in ln; assumed."""
-WALKS, WALK_ODDS = (0.0, 0.01, 0.02, 0.04, 0.08), (0.4, 0.15, 0.15, 0.15, 0.15)
+WALKS, WALK_ODDS = (0.0, 0.01, 0.02, 0.04, 0.08), (0.2, 0.2, 0.2, 0.2, 0.2)
 """Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
 by some centimetres a root metre; assumed. [m / sqrt(m)]"""
 COARSE = np.array([0.1, 0.1, 0.05])
@@ -57,6 +58,8 @@ ORDER = (2, 1, 0)
 DRAWN = 12
 STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
+FAR = 20.0
+"""Mahalanobis distance squared from which on a measurement is looked at alone; assumed: once in 22 000 by chance."""
 FREEDOM = 4.0
 """Of Student's law of the errors of positions and headings (Gelman et al. 2013, ch. 17: few degrees, as 4)."""
 
@@ -133,7 +136,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: Reference |
     believed = _believed(nodes)
     amplitude, length, walk = COARSE.copy(), np.full(3, LENGTHS_M[1]), 0.0
     if reference is None:
-        reference = _round(nodes, Reference.first(nodes), SlipProcess.fixed(amplitude, length), priors)[0]
+        reference = _round(nodes, Reference.first(nodes), SlipProcess.fixed(amplitude, length), priors)
     sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
     if priors.hypotheses:
         usual = Assumptions(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
@@ -221,7 +224,7 @@ class Smoothed:
     Attributes
     ----------
     state, covariance : mean and covariance of the state and, behind it, of the constants. (n, 11 + k), ...
-    effect, bend : `Nodes.effects`, and `Nodes.bend` about the nodes. (n, 3, 5), (n,)
+    effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
     squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
     yaw_squared_distance : the same of each heading. (n,)
@@ -233,6 +236,7 @@ class Smoothed:
     state: FloatArray
     covariance: FloatArray
     effect: FloatArray
+    heads: FloatArray
     bend: FloatArray
     change: SlipProcess
     squared_distance: FloatArray
@@ -254,6 +258,7 @@ class Smoothed:
         picks = np.zeros((len(self.state), 4, self.state.shape[1]))
         for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
             picks[:, row, k] = picks[:, row, mean] = 1.0
+        picks[:, 0, MEANS[0]] = self.heads
         picks[:, 2, AHEAD[2]] = self.bend
         picks[:, :3, EFFECTS] = self.effect
         picks[:, 3, SIZE + SCALE] = 1.0
@@ -289,9 +294,11 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | Non
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
         reference = start or Reference.first(nodes)
+        if robust and start is None:
+            reference = _without_far_ones(nodes, reference, priors)
         for number in range(ROUNDS):
             tried = change or SlipProcess.coarse()
-            reference, _ = _round(nodes, reference, tried, priors, robust=robust)
+            reference = _round(nodes, reference, tried, priors, robust=robust)
             if change is None and number == ROUNDS - 3:
                 change = change_of(nodes, priors, reference)
         state, covariance, posterior = _averaged(nodes, reference, change, priors)
@@ -303,7 +310,8 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | Non
         state=state,
         covariance=covariance,
         effect=nodes.effects,
-        bend=np.append(nodes.bend, nodes.bend[-1]),
+        heads=at_nodes(nodes.heads),
+        bend=at_nodes(nodes.bend),
         change=change,
         squared_distance=squared,
         yaw_squared_distance=_yaw_squared_distances(nodes, off, spread, reference.yaw_weight),
@@ -335,22 +343,53 @@ def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: Refer
 
 def _round(
     nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors, *, robust: bool = False
-) -> tuple[Reference, Posterior]:
-    """The motion about a reference, as the next one."""
+) -> Reference:
+    """The motion about a reference, as the next one, with weights by Student's law where it is `robust`."""
+    state, covariance, constants = _about(nodes, reference, change, priors)
+    fix_weight, yaw_weight = reference.fix_weight, reference.yaw_weight
+    if robust:
+        fix_weight, yaw_weight = _weights(nodes, *_residuals(nodes, reference, state, covariance))
+    return Reference(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+
+
+def _about(
+    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
     model = Model.about(nodes, reference, change.middle)
     run = smoothed_back(model, filtered(model))
     (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
-    columns = run.columns[:, 0]
-    state = columns[..., 0] + columns[..., 1:] @ found.mean
-    fix_weight, yaw_weight = reference.fix_weight, reference.yaw_weight
-    if robust:
-        onto = _onto(columns[..., 1:])
-        whole = onto @ found.covariance @ np.swapaxes(onto, 1, 2)
-        whole[:, :SIZE, :SIZE] += run.covariance[:, 0]
-        constants = np.broadcast_to(found.mean, (len(state), len(found.mean)))
-        off, spread = _residuals(nodes, reference, np.hstack([state, constants]), whole)
-        fix_weight, yaw_weight = _weights(nodes, off, spread)
-    return Reference(state=state, constants=found.mean, fix_weight=fix_weight, yaw_weight=yaw_weight), found
+    onto = _onto(run.columns[:, 0, :, 1:])
+    covariance = onto @ found.covariance @ np.swapaxes(onto, 1, 2)
+    covariance[:, :SIZE, :SIZE] += run.covariance[:, 0]
+    state = onto @ found.mean
+    state[:, :SIZE] += run.columns[:, 0, :, 0]
+    return state, covariance, found.mean
+
+
+def _without_far_ones(nodes: Nodes, reference: Reference, priors: Priors) -> Reference:
+    """Weights to begin with: the position that is farthest from where all others put it hardly counts, then the next.
+
+    Student's law has several modes. Where a wrong position counts as much as any at first, its neighbours may end as
+    the odd ones.
+    """
+    fix_weight, yaw_weight = reference.fix_weight.copy(), reference.yaw_weight.copy()
+    for _ in range(len(nodes.time_s)):
+        reference = Reference(state=reference.state, constants=reference.constants, fix_weight=fix_weight,
+                              yaw_weight=yaw_weight)  # fmt: skip
+        state, covariance, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
+        off, spread = _residuals(nodes, reference, state, covariance)
+        fixes = np.nan_to_num(_squared_distances(nodes, off, spread, fix_weight)[0])
+        headings = np.nan_to_num(_yaw_squared_distances(nodes, off, spread, yaw_weight))
+        fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
+        reference = Reference(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+        if max(fixes.max(), headings.max()) < FAR:
+            return reference
+        far = fixes >= max(FAR, fixes.max())
+        fix_weight = np.where(far, (FREEDOM + 2.0) / (FREEDOM + fixes), fix_weight)
+        far = headings >= max(FAR, 0.5 * headings.max())
+        yaw_weight = np.where(far, (FREEDOM + 1.0) / (FREEDOM + headings), yaw_weight)
+    return reference
 
 
 def _onto(columns: FloatArray) -> FloatArray:
