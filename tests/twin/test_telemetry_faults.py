@@ -20,7 +20,6 @@ from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.telemetry.checks import WheelPace, check_slips
-from lunarsci.twin.telemetry.lag import Lag, check_lag, without_lag
 from lunarsci.twin.telemetry.positions import check_attitude, usable_headings
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
@@ -618,10 +617,3 @@ def test_a_lag_of_many_seconds_is_found_by_turns(later_s: float, yutu2: Rover) -
     found = states(csv(as_sent(yutu2, BENDS, later_s).telemetry), yutu2, BENDS)
     assert found.lag.found and "lag" in found.findings.doubt and abs(found.lag.lag_s - later_s) < 2.0
     assert found.lag.farthest_s > abs(later_s)
-
-
-def test_a_lag_of_less_than_a_centimetre_is_no_doubt() -> None:
-    findings = Findings("sent.csv")
-    with pytest.warns(LunarSciWarning, match="--lag 0.50"):
-        check_lag(Lag(lag_s=0.5, sigma_s=0.05, speed_m_s=0.01), findings)
-    assert findings.entries and not findings.doubt

@@ -156,7 +156,7 @@ def states(
     Raises DataError for telemetry that cannot be used.
     """
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.telemetry.positions import with_positions, without_lag
+    from lunarsci.twin.telemetry.positions import with_positions
     from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
     from lunarsci.twin.telemetry.sinkage import with_sinkage
     from lunarsci.twin.telemetry.states import states_of
@@ -176,8 +176,7 @@ def states(
         located = read_positions(fixes)
         located = located._replace(time_s=located.time_s - sent.start_s)
         sent = with_positions(sent, located, fixes.name, findings)
-    sent = without_lag(sent, asked.lag, findings)
-    drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None)
+    drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None, asked.lag)
     if asked.track is not None:
         drive = with_sinkage(drive, _read_track(known, asked.track), known.terrain)
     return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)

@@ -10,7 +10,7 @@ pass. The smoother is that of Rauch, Tung & Striebel (1965, 10.2514/3.3166).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ CONSTANTS = (
 """Deviations that stay the same: in the direction of the drive and to the left as shares, turn in 1/m; coefficients of `Nodes.effect`; ln of the true
 over the measured rim speed; the localised point on the rover, ahead and to the left of its origin; error of headings
 at the begin, and its growth until the end; how much later positions and headings are than their times say. Two more
-for each halt: how far the rover slides there, ahead and to the left [m]."""
+for each of `Nodes.slides`: how far the rover or its positions move there, ahead and to the left [m]."""
 MEANS, EFFECTS = (11, 12, 13), (14, 15, 16, 17, 18)
 """Places of the first ones behind the state."""
 SCALE, LEVER, OFFSET, DRIFT, LAG, SLIDES = 8, slice(9, 11), 11, 12, 13, 14
@@ -43,6 +43,8 @@ POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; assumed. [m]"""
 BEND_M = 5.0
 """Radius of the turn in which slip makes the turn deviate as much again as on a straight way; assumed. [m]"""
+LINEAR_S = 0.5
+"""Lag up to which the motion is linear in one; a longer one is put back, and what is left found anew; assumed. [s]"""
 MOST_PARTS = 8
 """Of a halt with positions, in which the rover may slide each; more are taken together."""
 FARTHEST_S = 60.0
@@ -71,6 +73,7 @@ class Nodes:
     yaw_rad, yaw_sigma_rad : headings, NaN where there is none. (n,)
     effect : deviations ahead, left and turn for coefficients of 1; None where nothing is known. (n, 3, 5)
     chain : of the errors of positions; None where they are independent.
+    jumps : first and last node of ways on which positions may shift whatever the wheels do.
     """
 
     time_s: FloatArray
@@ -84,6 +87,7 @@ class Nodes:
     yaw_sigma_rad: FloatArray
     effect: FloatArray | None = None
     chain: ErrorChain | None = None
+    jumps: tuple[tuple[int, int], ...] = ()
 
     @property
     def fixed(self) -> BoolArray:
@@ -112,6 +116,11 @@ class Nodes:
         return result
 
     @property
+    def slides(self) -> list[tuple[int, int]]:
+        """First and last node of each way on which the rover, or its positions, may move aside: halts and jumps."""
+        return [*self.halts, *self.jumps]
+
+    @property
     def bend(self) -> FloatArray:
         """How much more the turn deviates than on a straight way: slip changes a turn the more, the more it turns.
 
@@ -129,7 +138,7 @@ class Nodes:
     @property
     def constants(self) -> int:
         """How many unknown constants there are."""
-        return len(CONSTANTS) + 2 * len(self.halts)
+        return len(CONSTANTS) + 2 * len(self.slides)
 
 
 def at_nodes(between: FloatArray) -> FloatArray:
@@ -138,15 +147,12 @@ def at_nodes(between: FloatArray) -> FloatArray:
 
 
 def dead_reckoned(nodes: Nodes) -> FloatArray:
-    """Poses along measured headings, or where there are none turned as the wheels say, through the first position.
-
-    (n, 11)
-    """
+    """Poses along headings, or where there are none turned as the wheels say, through the first position. (n, 11)"""
     count = len(nodes.time_s)
     steps = np.diff(nodes.time_s)
     turned = np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
     known = np.isfinite(nodes.yaw_rad)
-    off = np.interp(np.arange(count), np.flatnonzero(known), (nodes.yaw_rad - turned)[known]) if known.any() else 0.0
+    off = np.interp(nodes.time_s, nodes.time_s[known], (nodes.yaw_rad - turned)[known]) if known.any() else 0.0
     yaw = turned + off
     middle = 0.5 * (yaw[1:] + yaw[:-1])
     ahead, left = nodes.twist[:, 0] * steps, nodes.twist[:, 1] * steps
@@ -186,11 +192,31 @@ class Reference:
     fix_weight: FloatArray
     yaw_weight: FloatArray
 
+    def widened(self, nodes: Nodes) -> "Reference":
+        """The same for nodes with more constants."""
+        more = nodes.constants - len(self.constants)
+        return replace(self, constants=np.append(self.constants, np.zeros(more)))
+
     @classmethod
     def first(cls, nodes: Nodes) -> "Reference":
         """Dead reckoning without any error."""
         one = np.ones(len(nodes.time_s))
         return cls(state=dead_reckoned(nodes), constants=np.zeros(nodes.constants), fix_weight=one, yaw_weight=one)
+
+
+def lag_of_turns(nodes: Nodes) -> float:
+    """The lag at which wheels turn as headings do, 0 where it is so short that the motion is linear in it. [s]"""
+    steps = np.diff(nodes.time_s)
+    known, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
+    times, yaw = nodes.time_s[known], nodes.yaw_rad[known]
+    farthest = min(0.5 * FARTHEST_S, 0.25 * float(times[-1] - times[0]))
+    inside = (times >= times[0] + farthest) & (times <= times[-1] - farthest)
+    if inside.sum() < 3 or np.ptp(turned) == 0.0:
+        return 0.0
+    lags = np.arange(-farthest, farthest, 0.5 * LINEAR_S)
+    left = [float(np.var(yaw[inside] - np.interp(times[inside] - lag, nodes.time_s, turned))) for lag in lags]
+    lag = float(lags[int(np.argmin(left))])
+    return lag if abs(lag) > LINEAR_S else 0.0
 
 
 STRETCH = 256
@@ -221,7 +247,7 @@ def step_inputs(nodes: Nodes) -> FloatArray:
         result[:, row, row] = nodes.way_m * share
     result[:, :, 3:SCALE] = nodes.way_m[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
     result[:, :, SCALE] = nodes.twist * steps[:, None]
-    for number, (first, last) in enumerate(nodes.halts):
+    for number, (first, last) in enumerate(nodes.slides):
         share = steps[first:last] / steps[first:last].sum()
         for row in range(2):
             result[first:last, row, SLIDES + 2 * number + row] = share

@@ -1,7 +1,8 @@
 """What the smoothed motion says of its telemetry: which hypotheses hold, and which positions fit no motion."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,6 +17,8 @@ HELD = 0.5
 HARDLY = 0.25
 """Weight below which a position or a heading is said to be left out; assumed. By Student's law it is then 4.5 standard
 errors off."""
+MOST_JUMPS = 8
+"""Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
 WORST_SCATTER = 4.0
@@ -41,11 +44,12 @@ class Lag:
     probable: float
 
     @classmethod
-    def of(cls, posterior: Posterior, priors: Priors) -> "Lag":
-        """From the constants of a drive."""
+    def of(cls, posterior: Posterior, priors: Priors, put_back_s: float) -> "Lag":
+        """From the constants of a drive in which so much was put back."""
         number = [one.name for one in priors.hypotheses].index("lag")
         sigma = math.sqrt(posterior.covariance[LAG, LAG])
-        return cls(lag_s=float(posterior.mean[LAG]), sigma_s=sigma, probable=float(posterior.probable[number]))
+        probable = 1.0 if put_back_s else float(posterior.probable[number])
+        return cls(lag_s=put_back_s + float(posterior.mean[LAG]), sigma_s=sigma, probable=probable)
 
     @property
     def found(self) -> bool:
@@ -57,7 +61,7 @@ class Lag:
         return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.found}
 
 
-def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, findings: Findings) -> None:
+def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
     """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
     mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
 
@@ -76,8 +80,12 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, findings: Fi
             "the motion is without the drift",
         ),
         "lag": (
-            f"the rover moves {value(LAG, 's')} later than its wheels say",
-            f"positions and headings are put back; --lag {mean[LAG]:.2f} does so too",
+            f"the rover moves {lag.lag_s:.3g} +- {lag.sigma_s:.2g} s later than its wheels say",
+            f"positions and headings are put back, as --lag {lag.lag_s:.2f} does",
+        ),
+        "constant side slip": (
+            f"the rover glides by {value(1, 'deg', math.degrees(1.0))} all the way, positive to the left",
+            "kept; a heading that is off throughout looks the same",
         ),
         "encoder scale": (
             f"the rims turn {math.exp(mean[SCALE]):.3f} +- {sigma[SCALE]:.3f} times as far as their encoders say",
@@ -85,24 +93,37 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, findings: Fi
         ),
     }
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
+        probable = lag.probable if one.name == "lag" else probable
         if probable <= HELD or not one.said:
             continue
         if one.slide < 0:
             what, done = text[one.name]
             findings.add(one.name, what, f"{done} (probability {probable:.3g})")
             continue
-        first, last = nodes.halts[one.slide]
-        times = nodes.time_s[[first, last]]
+        times = nodes.time_s[list(nodes.slides[one.slide])]
         ways = [SLIDES + 2 * one.slide + step for step in (0, 1)]
+        halted = one.slide < len(nodes.halts)
         what = (
             f"the rover moves {value(ways[0], 'm')} ahead and {value(ways[1], 'm')} to the left between {times[0]:.6g} "
-            f"and {times[1]:.6g} s while its wheels stand: it slid, or positions are of another frame from then on"
+            f"and {times[1]:.6g} s "
+            + ("while its wheels stand: it slid" if halted else "beside what its wheels roll: it slipped suddenly")
+            + ", or positions are of another frame from then on"
         )
-        findings.add(one.name, what, "the motion holds it, and slips are found on either side", time_s=float(times[0]))
+        done = "the motion holds it, and slips are found on either side"
+        findings.add(one.name, what, done, time_s=float(times[0]), doubt=not halted)
 
 
 def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
     return np.asarray(nodes.fixed & (smoothed.fix_weight < HARDLY))
+
+
+def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
+    """Nodes whose positions may shift beside those that hardly count: from the one before each, or to the one behind."""
+    fixes, out = np.flatnonzero(nodes.fixed), _left_out(smoothed, nodes)[nodes.fixed]
+    ways = [pair for pair, odd in zip(pairwise(fixes), out[1:] | out[:-1], strict=True) if odd]
+    moved = (nodes.way_m[first:last].any() for first, last in ways)
+    jumps = tuple((int(a), int(b)) for (a, b), rolls in zip(ways, moved, strict=True) if rolls)
+    return replace(nodes, jumps=jumps[:MOST_JUMPS])
 
 
 def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:

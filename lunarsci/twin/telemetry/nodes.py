@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
+SAME_S = 1e-3
+"""Times that differ by less are one. [s]"""
 MOST_NODES = 30_000
 """That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
@@ -44,30 +46,68 @@ def turning(rim_m_s: FloatArray) -> BoolArray:
     return np.asarray((rim_m_s != 0).any(axis=1))
 
 
-def denser(
-    telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray, gaps: BoolArray
-) -> tuple[Telemetry, WheelMotion, FloatArray, BoolArray]:
+class Rows(NamedTuple):
+    """Rows of telemetry, how the wheels moved between them, how they were steered (n, wheels) [rad], and gaps. (n - 1,)"""
+
+    telemetry: Telemetry
+    wheels: WheelMotion
+    steering_rad: FloatArray
+    gaps: BoolArray
+
+
+MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
+"""Columns of `Telemetry` that are by the clock of the positions."""
+
+
+def _at_times(rows: Rows, times: FloatArray, measured_s: FloatArray) -> Rows:
+    """The same at more times, with positions, headings and attitude at those that are given for each old row.
+
+    Wheels turn evenly between rows.
+    """
+    old = rows.telemetry
+    step = np.clip(np.searchsorted(old.time_s, times[:-1], side="right") - 1, 0, len(old.time_s) - 2)
+    inside = (measured_s >= times[0]) & (measured_s <= times[-1])
+    columns: dict[str, Any] = {"time_s": times}
+    for field in dataclasses.fields(old):
+        values = getattr(old, field.name)
+        if isinstance(values, np.ndarray) and field.name != "time_s":
+            measured = field.name in MEASURED
+            at, some = (measured_s[inside], values[inside]) if measured else (old.time_s, values)
+            columns[field.name] = np.full((len(times), *values.shape[1:]), np.nan)
+            columns[field.name][np.searchsorted(times, at)] = some
+    between = {name: getattr(rows.wheels, name)[step] for name in ("rim_m_s", "measured", "trusted")}
+    steered = np.column_stack([np.interp(times, old.time_s, column) for column in rows.steering_rad.T])
+    return Rows(replace(old, **columns), replace(rows.wheels, **between), steered, rows.gaps[step])
+
+
+def denser(rows: Rows) -> Rows:
     """The same with rows between those that are far apart, but over gaps: the ground changes within a wheel's way.
 
-    Wheels turn evenly between rows; positions, headings and attitude are blank in the new ones.
+    Positions, headings and attitude are blank in the new ones.
     """
-    way = mean_speed(wheels.rim_m_s) * np.diff(telemetry.time_s)
-    parts = np.where(gaps, 1, np.maximum(np.rint(way / NODE_M), 1)).astype(int)
+    times = rows.telemetry.time_s
+    way = mean_speed(rows.wheels.rim_m_s) * np.diff(times)
+    parts = np.where(rows.gaps, 1, np.maximum(np.rint(way / NODE_M), 1)).astype(int)
     if (parts == 1).all():
-        return telemetry, wheels, steering_rad, gaps
-    step = np.repeat(np.arange(len(parts)), parts)
+        return rows
     own = np.append(0, np.cumsum(parts))
-    count = own[-1] + 1
-    times = np.interp(np.arange(count), own, telemetry.time_s)
-    columns: dict[str, Any] = {"time_s": times}
-    for field in dataclasses.fields(telemetry):
-        values = getattr(telemetry, field.name)
-        if isinstance(values, np.ndarray) and field.name != "time_s":
-            columns[field.name] = np.full((count, *values.shape[1:]), np.nan)
-            columns[field.name][own] = values
-    between = {name: getattr(wheels, name)[step] for name in ("rim_m_s", "measured", "trusted")}
-    steered = np.column_stack([np.interp(times, telemetry.time_s, column) for column in steering_rad.T])
-    return dataclasses.replace(telemetry, **columns), dataclasses.replace(wheels, **between), steered, gaps[step]
+    dense = np.interp(np.arange(own[-1] + 1), own, times)
+    dense[own] = times
+    return _at_times(rows, dense, times)
+
+
+def put_back(rows: Rows, lag_s: float) -> Rows:
+    """With positions, headings and attitude at the time of the wheels that made them: a lag earlier.
+
+    Those that are then before the first row or after the last one are left out.
+    """
+    if lag_s == 0.0:
+        return rows
+    times = rows.telemetry.time_s
+    at = times - lag_s
+    nearest = times[np.clip(np.searchsorted(times, at - SAME_S), 0, len(times) - 1)]
+    at = np.where(np.abs(nearest - at) < SAME_S, nearest, at)
+    return _at_times(rows, np.union1d(times, at[(at >= times[0]) & (at <= times[-1])]), at)
 
 
 def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
@@ -78,10 +118,9 @@ def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
     )
 
 
-def nodes_of(
-    telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
-) -> tuple[Nodes, IndexArray]:
+def nodes_of(sent: Rows, twist: FloatArray, way_m: FloatArray) -> tuple[Nodes, IndexArray]:
     """Nodes and the rows they are. Raises DataError for more of them than there is to be memory for."""
+    telemetry, wheels, _, gaps = sent
     drives, rests = _drives(wheels, twist), ~turning(wheels.rim_m_s)
     stage = np.floor(way_m / NODE_M)
     chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
@@ -222,7 +261,7 @@ def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: Flo
     moved = np.where(nodes.way_m[:, None] > 0, 0.5 * (shape[1:] + shape[:-1]), 0.0)
     effect = turn_effect(nodes)
     effect[:, :, :2] = slope_effect(rover, held, stiffness)
-    return dataclasses.replace(nodes, twist=nodes.twist + moved, fix_m=nodes.fix_m - sway_m, effect=effect)
+    return replace(nodes, twist=nodes.twist + moved, fix_m=nodes.fix_m - sway_m, effect=effect)
 
 
 def turn_effect(nodes: Nodes) -> FloatArray:

@@ -31,7 +31,7 @@ RIM_SIGMA = 0.03
 """Of ln of a wheel's rolling radius on soil, between shell and grousers, over that of its file; assumed."""
 POINT_M, CLOCK_S, STANDS_M = 0.01, 0.1, 2e-4
 """How well the localised point [m] and the clock [s] are usually known, and a rover stands at a halt [m]; assumed."""
-ELSEWHERE_M, DRIFTS_RAD, LATE_S, SLIDES_M = 0.3, math.radians(5.0), 1.5, 0.3
+ELSEWHERE_M, DRIFTS_RAD, LATE_S, SLIDES_M = 0.3, math.radians(5.0), 3.0, 0.3
 """Standard deviation of the localised point, the drift, the lag and the slide where there is one; assumed."""
 RARE, OFTEN = math.log(0.05), math.log(3.0)
 """ln of the odds of each hypothesis beforehand, and of that it is the encoders that differ from the commands, as a motor
@@ -48,7 +48,7 @@ class Hypothesis:
     members : which constants.
     mean, sigma : their prior if it holds.
     ln_odds : beforehand.
-    slide : which halt it concerns, -1 for none.
+    slide : which of `Nodes.slides` it concerns, -1 for none.
     said : whether it is worth a word where it holds.
     """
 
@@ -102,7 +102,7 @@ class Priors:
         sigma[SLIDES:] = STANDS_M
         hypotheses = [
             Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0], said=False),
-            Hypothesis(name="much side slip", members=(1,), sigma=MEAN_SIGMA[1], said=False),
+            Hypothesis(name="constant side slip", members=(1,), sigma=MEAN_SIGMA[1]),
             Hypothesis(name="lever arm", members=(9, 10), sigma=ELSEWHERE_M),
             Hypothesis(name="heading drift", members=(DRIFT,), sigma=DRIFTS_RAD),
             Hypothesis(name="lag", members=(LAG,), sigma=LATE_S),
@@ -115,9 +115,10 @@ class Priors:
                 said=abs(math.log(told_share)) > RIM_SIGMA,
             ),
         ]
-        for number in range(len(nodes.halts)):
+        for number in range(len(nodes.slides)):
             members = (SLIDES + 2 * number, SLIDES + 2 * number + 1)
-            hypotheses.append(Hypothesis(name="slide at a halt", members=members, sigma=SLIDES_M, slide=number))
+            name = "slide at a halt" if number < len(nodes.halts) else "position shift"
+            hypotheses.append(Hypothesis(name=name, members=members, sigma=SLIDES_M, slide=number))
         return cls(mean=mean, sigma=sigma, hypotheses=tuple(hypotheses))
 
     def under(self, held: BoolArray) -> tuple[FloatArray, FloatArray, float]:

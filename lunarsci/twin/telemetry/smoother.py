@@ -48,7 +48,7 @@ UNKNOWN = 0.02
 """The same where the slopes are not known; assumed."""
 WIDTH = 1.7
 """How widely it is believed, in ln; assumed."""
-WALKS, WALK_ODDS = (0.0, 0.01, 0.02, 0.04, 0.08), (0.2, 0.2, 0.2, 0.2, 0.2)
+WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
 """Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
 by some centimetres a root metre; assumed. [m / sqrt(m)]"""
 COARSE = np.array([0.1, 0.1, 0.05])
@@ -294,7 +294,7 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | Non
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
         reference = start or Reference.first(nodes)
-        if robust and start is None:
+        if robust and (reference.fix_weight == 1.0).all():
             reference = _without_far_ones(nodes, reference, priors)
         for number in range(ROUNDS):
             tried = change or SlipProcess.coarse()
@@ -440,7 +440,10 @@ def _averaged(
     covariance = (covariance + np.einsum("mni,mnj->nij", apart, apart)) / many
     middle = np.mean([one.ln_likelihood for one in found])
     held = np.mean([one.probable for one in found], axis=0)
-    return mean, covariance, Posterior(mean[-1, SIZE:], covariance[-1, SIZE:, SIZE:], float(middle), held)
+    weights = np.concatenate([reference.fix_weight, reference.yaw_weight])
+    # Student's law is a normal one of an unknown scale, which has a prior of its own.
+    ln_likelihood = float(middle + 0.5 * FREEDOM * (np.log(weights) - weights + 1.0).sum())
+    return mean, covariance, Posterior(mean[-1, SIZE:], covariance[-1, SIZE:, SIZE:], ln_likelihood, held)
 
 
 def _yaw_squared_distances(nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,14 +27,16 @@ from lunarsci.twin.telemetry.checks import (
     steering_angles,
     time_gaps,
 )
-from lunarsci.twin.telemetry.filter import Nodes
-from lunarsci.twin.telemetry.findings_of_drive import Lag, left_out_of, say_constants, say_left_out, say_scatter
+from lunarsci.twin.telemetry.filter import LAG, LINEAR_S, Nodes, lag_of_turns
+from lunarsci.twin.telemetry.findings_of_drive import Lag, left_out_of, say_constants, say_left_out, say_scatter, shifted
 from lunarsci.twin.telemetry.nodes import (
+    Rows,
     denser,
     mean_speed,
     motion_at,
     nodes_of,
     on_ground,
+    put_back,
     slips_of,
     turn_effect,
     wheel_velocities,
@@ -42,8 +44,9 @@ from lunarsci.twin.telemetry.nodes import (
 from lunarsci.twin.telemetry.nuisances import Priors
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
-from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
+from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
+from lunarsci.twin.telemetry.readings import as_meant
 from lunarsci.twin.telemetry.smoother import Smoothed, SlipProcess, smooth
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, of_one_motion, wheel_motion
 
@@ -51,6 +54,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+MOST_LAGS = 3
+"""Times that a lag is put back and looked for again."""
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
 UNEVEN = 0.2
@@ -135,15 +140,19 @@ class DriveStates:
 
 
 def states_of(
-    telemetry: Telemetry, rover: Rover, terrain: Terrain, findings: Findings, plan: Plan | None = None
+    telemetry: Telemetry,
+    rover: Rover,
+    terrain: Terrain,
+    findings: Findings,
+    plan: Plan | None = None,
+    lag_s: float = 0.0,
 ) -> DriveStates:
     """Slip and side slip of every wheel, at most once between two positions.
 
     They are those of the moment of a row, not means about it. The motion is found by `smooth`; the twin, held to it on
     the terrain, gives the velocity of each wheel in its contact plane, whatever the suspension does, and how slopes and
     loads make the rover slip, in proportions that the data tell. Errors are those of the smoothed velocities, averaged
-    over how fast slip may change; they do not hold errors that all positions or headings share, such as a heading that
-    is off throughout, nor those of the terrain.
+    over how fast slip may change and over what `nuisances` lists; they do not hold those of the terrain.
 
     Parameters
     ----------
@@ -151,6 +160,8 @@ def states_of(
     terrain : the ground before the drive; its soil only says how the rover stands, not how it slips.
     findings : takes what is found wrong.
     plan : what was to be driven; None does not compare.
+    lag_s : how much later positions, headings and attitude are known to be than the columns of the wheels; what is left
+        of a lag is found. [s]
 
     Raises DataError for telemetry that cannot be used, or that is not in the frame or the units it should be.
     """
@@ -166,12 +177,12 @@ def states_of(
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
     telemetry = usable_positions(telemetry, way, findings)
     telemetry = usable_headings(telemetry, turned, findings)
-    check_frame(telemetry, twist, findings)
+    telemetry = as_meant(telemetry, twist, findings, skids=not rover.steered_mask.any())
     pace = None
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
         pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
-    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
+    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, lag_s, findings)
     return dataclasses.replace(found, pace=pace)
 
 
@@ -183,16 +194,25 @@ def _along_the_ground(
     steering_rad: FloatArray,
     gaps: BoolArray,
     schedule: Schedule | None,
+    lag_s: float,
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     between = np.column_stack([telemetry.time_s[:-1][gaps], telemetry.time_s[1:][gaps]])
-    dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
-    twist, way = _way(rover, dense, wheels, steering, schedule)
-    bare, rows = nodes_of(dense, wheels, twist, way, gaps)
-    priors = Priors.of_drive(bare, skids=not rover.steered_mask.any(), told_share=wheels.told_share)
-    bare = dataclasses.replace(bare, effect=turn_effect(bare))
-    first = smooth(bare, SlipProcess.coarse(), priors)
+    sent = Rows(telemetry, wheels, steering_rad, gaps)
+    found = _first_motion(sent, rover, schedule, lag_s)
+    if far_s := lag_of_turns(found.nodes):
+        # Of two lags, none and the one that turns tell, the more probable one is taken.
+        found = max(found, _first_motion(sent, rover, schedule, lag_s + far_s), key=lambda one: one.ln_likelihood)
+    for _ in range(MOST_LAGS):
+        if abs(left := float(found.smoothed.posterior.mean[LAG])) < LINEAR_S:
+            break
+        found = _first_motion(sent, rover, schedule, found.lag_s + left)
+    bare, rows, first, priors = found.nodes, found.rows, found.smoothed, found.priors
+    dense, wheels, steering, gaps = found.sent
+    if (tried := shifted(first, bare)).jumps:
+        bare, priors = tried, _priors_of(tried, rover, wheels)
+        first = smooth(bare, SlipProcess.coarse(), priors, first.reference.widened(bare))
     motion = motion_at(rover, dense, bare, first, wheels, steering, rows, np.zeros((1, 2)))
     stood = prescribed_loads(rover, terrain, motion)
     sway = sway_m(rover, stood.paths)
@@ -200,7 +220,8 @@ def _along_the_ground(
     smoothed = smooth(nodes, None, priors, first.reference)
     motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
-    say_constants(smoothed, nodes, priors, findings)
+    lag = Lag.of(smoothed.posterior, priors, found.lag_s - lag_s)
+    say_constants(smoothed, nodes, priors, lag, findings)
     say_left_out(smoothed, nodes, findings)
     say_scatter(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
@@ -215,8 +236,38 @@ def _along_the_ground(
         gaps=between,
         left_out=left_out_of(smoothed, bare),
         findings=findings,
-        lag=Lag.of(smoothed.posterior, priors),
+        lag=lag,
     )
+
+
+class _FirstMotion(NamedTuple):
+    """The motion where the ground is not known yet, with a lag put back."""
+
+    sent: Rows
+    nodes: Nodes
+    rows: IndexArray
+    smoothed: Smoothed
+    priors: Priors
+    lag_s: float
+
+    @property
+    def ln_likelihood(self) -> float:
+        """Of a measurement, as some may be put back to before the first row."""
+        nodes = self.nodes
+        return self.smoothed.posterior.ln_likelihood / float(nodes.fixed.sum() + np.isfinite(nodes.yaw_rad).sum())
+
+
+def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: float) -> _FirstMotion:
+    sent = denser(put_back(sent, lag_s))
+    twist, way = _way(rover, sent.telemetry, sent.wheels, sent.steering_rad, schedule)
+    nodes, rows = nodes_of(sent, twist, way)
+    nodes = dataclasses.replace(nodes, effect=turn_effect(nodes))
+    priors = _priors_of(nodes, rover, sent.wheels)
+    return _FirstMotion(sent, nodes, rows, smooth(nodes, SlipProcess.coarse(), priors), priors, lag_s)
+
+
+def _priors_of(nodes: Nodes, rover: Rover, wheels: WheelMotion) -> Priors:
+    return Priors.of_drive(nodes, skids=not rover.steered_mask.any(), told_share=wheels.told_share)
 
 
 def _way(

@@ -7,7 +7,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.odometry import wheel_rows
+from lunarsci.twin.telemetry.odometry import body_twist, wheel_rows
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.rests import TURNED_DEG
 
@@ -406,8 +406,10 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
     for k in np.flatnonzero(np.abs(scale) > np.maximum(3.0 * sigma, SAID)):
         what = f"wheel {rover.wheels[k]} turns {1.0 + scale[k]:.3f} +- {sigma[k]:.3f} times as far as the others say"
         findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
-    if noise > DISAGREE:
-        what = f"rims and steering of the wheels differ by {100 * noise:.2g} % from any one motion"
+    rims = wheels.rim_m_s / (1.0 + scale)
+    off_m_s = float(np.median(body_twist(rover, rims[some], steering_rad[some])[1])) / wheels.usual_m_s
+    if rover.steered_mask.any() and off_m_s > DISAGREE:
+        what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
-    return replace(wheels, rim_m_s=wheels.rim_m_s / (1.0 + scale))
+    return replace(wheels, rim_m_s=rims)
