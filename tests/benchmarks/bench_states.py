@@ -31,6 +31,7 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.telemetry.nuisances import RIM_SIGMA
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import read_track, with_sinkage
@@ -120,6 +121,16 @@ def coarser(out: Prediction, every: int) -> Prediction:
         halted=out.halted[rows],
         recorded=np.array([len(out.time_s[rows])]),
     )
+
+
+def of_other_radius(drive: SyntheticDrive, seed: int) -> SyntheticDrive:
+    """The same drive where the rover file has a radius that is off as much as radii are thought to be."""
+    table = drive.telemetry.copy()
+    factor = np.exp(RIM_SIGMA * np.random.default_rng([seed, 8]).normal())
+    for wheel in drive.prediction.rover.wheels:
+        for column in (f"angle_{wheel}_deg", f"rate_{wheel}_deg_s", f"speed_{wheel}_m_s"):
+            table[column] *= factor
+    return dataclasses.replace(drive, telemetry=table)
 
 
 def found_in(drive: SyntheticDrive, terrain: Terrain) -> DriveStates:

@@ -114,25 +114,29 @@ def test_errors_hold_the_spread_between_assumptions(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("rim_m_s", [0.05, -0.05], ids=["forwards", "backwards"])
 def test_errors_of_slips_are_those_of_drawn_velocities(rim_m_s: float) -> None:
     """Of a wheel that slips, one that skids and one that slides sideways: 200,000 velocities, so that a standard
-    deviation is known to 0.2 %. What is left with perfect sensors is added, 0.001 and 0.08 deg."""
+    deviation is known to 0.2 %. What is left with perfect sensors is added, 0.001 and 0.08 deg. ln of the scale of the
+    rims is known to 2 %: all wheels slip by so much more or less."""
     random = np.random.default_rng(4)
     along, across = random.normal(size=(1, 3, 3)), random.normal(size=(1, 3, 3))
     v_x, v_y = rim_m_s * np.array([[0.8, 1.3, 0.7]]), rim_m_s * np.array([[0.1, -0.05, 0.5]])
     root = 2e-4 * random.normal(size=(3, 3))
-    drawn = random.standard_normal((200_000, 3)) @ root.T
+    drawn, scales = random.standard_normal((200_000, 3)) @ root.T, 0.02 * random.standard_normal((200_000, 1))
 
-    def slips(by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def slips(by: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, y = v_x + by @ along[0].T, v_y + by @ across[0].T
-        travel, backwards = x / rim_m_s, np.sign(rim_m_s)
+        travel, backwards = x / rim_m_s / np.exp(scale), np.sign(rim_m_s)
         slip = np.where(travel <= 1, 1 - travel, 1 / travel - 1)
         return slip, np.degrees(np.arctan2(backwards * y, backwards * x))
 
-    velocities = WheelVelocities(v_x=v_x, v_y=v_y, along=along, across=across, covariance=(root @ root.T)[None])
+    covariance = np.zeros((1, 4, 4))
+    covariance[0, :3, :3], covariance[0, 3, 3] = root @ root.T, 0.02**2
+    velocities = WheelVelocities(v_x=v_x, v_y=v_y, along=along, across=across, covariance=covariance)
     motion: Any = SimpleNamespace(speed_m_s=np.full((1, 3), rim_m_s))
-    slip, side, slip_sigma, side_sigma = slips_of(velocities, motion)
+    slip, side, slip_sigma, side_sigma, shared = slips_of(velocities, motion)
     assert slip[0] == pytest.approx([0.2, 1 / 1.3 - 1, 0.3])
-    assert side[0] == pytest.approx(slips(np.zeros((1, 3)))[1][0])
-    expected = [np.hypot(of.std(axis=0), floor) for of, floor in zip(slips(drawn), (0.001, 0.08), strict=True)]
+    assert side[0] == pytest.approx(slips(np.zeros((1, 3)), np.zeros((1, 1)))[1][0])
+    expected = [np.hypot(of.std(axis=0), floor) for of, floor in zip(slips(drawn, scales), (0.001, 0.08), strict=True)]
     assert (expected[0] > 0.003).all() and (expected[1] > 0.3).all()
     assert slip_sigma[0] == pytest.approx(expected[0], rel=0.01)
+    assert shared[0] == pytest.approx(slips(0.0 * drawn[:10_000], scales[:10_000])[0].std(axis=0), rel=0.05)
     assert side_sigma[0] == pytest.approx(expected[1], rel=0.01)

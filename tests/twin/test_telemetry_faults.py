@@ -19,7 +19,7 @@ from lunarsci.twin.jobs.states import states as measured_states
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.telemetry.checks import WheelPace, check_slips
+from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.positions import check_attitude, usable_headings
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
@@ -81,15 +81,31 @@ def test_wheels_that_turn_as_planned_raise_no_alarm_under_the_noise(
     assert np.abs(shares).max() < 4.0 and 0.2 < float(np.std(shares)) < 1.5
 
 
-@pytest.mark.filterwarnings("ignore:sent.csv. wheels skid")
-def test_without_a_plan_wheels_are_held_against_their_own_commands(yutu2: Rover, drive: SyntheticDrive) -> None:
-    slower = drive.telemetry.copy()
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize("factor", [0.93, 1.07])
+def test_encoders_that_differ_from_their_commands_are_no_doubt(
+    factor: float, drive: SyntheticDrive, yutu2: Rover
+) -> None:
+    """Encoders may count wrongly, or motors not obey: slips hold both."""
+    other = drive.telemetry.copy()
     for name in columns("angle_{}_deg", "rate_{}_deg_s"):
-        slower[name] *= 0.93
-    with pytest.warns(LunarSciWarning, match="wheels against commands"):
-        found = states(csv(slower), yutu2, None)
-    assert found.pace is None
-    assert [entry.kind for entry in found.findings.entries if entry.doubt] == ["wheels skid"]
+        other[name] *= factor
+    found = states(csv(other), yutu2, None)
+    assert found.pace is None and not found.findings.doubt
+    assert worst(found, drive) < 3.0
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_a_radius_that_is_5_percent_off_lies_within_the_errors(
+    factor: float, drive: SyntheticDrive, yutu2: Rover
+) -> None:
+    other = drive.telemetry.copy()
+    for name in columns("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"):
+        other[name] *= factor
+    found = states(csv(other), yutu2, None)
+    assert not found.findings.doubt and worst(found, drive) < 2.6
+    own = np.sqrt(found.rows.slip_ratio_sigma**2 - found.rows.slip_ratio_shared**2)
+    assert np.median(found.rows.slip_ratio_shared) > 2.0 * np.median(own[found.rows.valid])
 
 
 def fix(table: pd.DataFrame, number: int) -> int:
@@ -177,17 +193,23 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
     ),
     "negative variance": (at_fix(5, ["xx_m2"], lambda v: -v), "bad covariance", False),
     "no covariance": (at_fix(5, ["xy_m2"], lambda v: 1.0), "bad covariance", False),
-    "errors in another unit": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e6), "errors too large", False),
+    "errors in another unit": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e6), "read as", False),
     "errors far too small": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e-4), "errors too small", True),
     "frame turned": (
         lambda t: t.assign(x_m=-t.y_m, y_m=t.x_m, yaw_deg=t.yaw_deg + 90.0), "attitude against terrain", True,
     ),
     "pitch nose up": (set_to(ALL, "pitch_deg", lambda v: -v), "attitude against terrain", True),
     "heading off": (set_to(ALL, "yaw_deg", lambda v: v + 5.0), "constant side slip", False),
-    "positions too far apart": (set_to(ALL, POSITION, lambda v: 1.05 * v), "wheels skid", True),
     "wheels of another size": (
-        set_to(ALL, columns("angle_{}_deg", "rate_{}_deg_s"), lambda v: v * 0.93), "wheels against plan", True,
+        set_to(ALL, columns("angle_{}_deg", "rate_{}_deg_s"), lambda v: v * 0.93), "wheels against plan", False,
     ),
+    "heading in rad": (set_to(ALL, "yaw_deg", np.radians), "read as: yaw_deg looks like rad", False),
+    "positions in mm": (set_to(ALL, POSITION, lambda v: 1000.0 * v), "read as: x_m and y_m look like mm", False),
+    "x and y exchanged": (lambda t: t.assign(x_m=t.y_m, y_m=t.x_m), "read as: x_m and y_m are exchanged", False),
+    "y to the right": (set_to(ALL, "y_m", lambda v: -v), "read as: y_m points to the right", False),
+    "heading to the right": (set_to(ALL, "yaw_deg", lambda v: -v), "read as: yaw_deg grows to the right", False),
+    "compass": (set_to(ALL, "yaw_deg", lambda v: 90.0 - v), r"read as: .* from y \(north\) clockwise", False),
+    "backwards": (set_to(ALL, "yaw_deg", lambda v: v + 180.0), "read as: yaw_deg points backwards", False),
 }  # fmt: skip
 # What a finding says has moved: a heading that is off is side slip, and the truth is of other wheels.
 MOVED = ("heading off", "wheels of another size", "no encoders")
@@ -200,26 +222,12 @@ def test_what_is_wrong_is_said_and_does_no_harm(name: str, drive: SyntheticDrive
     spoiled = spoil(drive.telemetry)
     with pytest.warns(LunarSciWarning, match=kind):
         found = states(csv(spoiled), yutu2)
-    entries = [entry for entry in found.findings.entries if entry.kind == kind]
+    entries = [entry for entry in found.findings.entries if entry.kind == kind.partition(":")[0]]
     assert entries and entries[0].what and entries[0].done and entries[0].count >= 1
     assert any(entry.doubt for entry in entries) is doubt
     assert bool(found.findings.doubt) is doubt
     if not doubt and name not in MOVED:
         assert worst(found, drive) < 3.8
-
-
-@pytest.mark.parametrize(
-    ("slip", "grade", "said"),
-    [(-0.004, 0.0, True), (-0.004, -0.03, False), (-0.02, -0.03, True), (-0.02, -0.1, False), (0.001, 0.05, False)],
-)
-@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
-def test_driven_wheels_do_not_skid_unless_a_slope_pushes_them(slip: float, grade: float, said: bool) -> None:
-    """As where positions are computed from the wheels, or their radius is too small."""
-    findings, way = Findings("sent.csv"), np.linspace(0.0, 5.0, 51)
-    path = np.column_stack([way, 0.0 * way, grade * way])
-    slips = slip + 0.001 * np.random.default_rng(2).standard_normal((10, 6))
-    check_slips(slips, np.ones((10, 6), dtype=bool), path, np.arange(3, 43, 4), way / 0.05, findings)
-    assert [(entry.kind, entry.doubt) for entry in findings.entries] == [("wheels skid", True)] * said
 
 
 STEERED = re.compile("steer")
@@ -229,18 +237,11 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
     ),
     "clock reset": (set_to(slice(50, None), "time_s", lambda v: v - v.iloc[0]), "time runs backwards"),
     "clock in ms": (set_to(ALL, "time_s", lambda v: 1000.0 * v), "times what rate_W_deg_s says"),
-    "heading in rad": (set_to(ALL, "yaw_deg", np.radians), "yaw_deg looks like rad"),
     "rates in rad": (set_to(ALL, columns("rate_{}_deg_s"), np.radians), "rad where degrees are wanted"),
     "angles in rad": (set_to(ALL, columns("angle_{}_deg"), np.radians), "rad where degrees are wanted"),
     "speeds in cm": (set_to(ALL, columns("speed_{}_m_s"), lambda v: 100.0 * v), "are they in cm/s"),
     "measured steering in rad": (set_to(ALL, columns("steered_{}_deg"), np.radians), "steered_W_deg looks like rad"),
-    "positions in mm": (set_to(ALL, POSITION, lambda v: 1000.0 * v), "look like mm"),
-    "x and y exchanged": (lambda t: t.assign(x_m=t.y_m, y_m=t.x_m), "x_m and y_m are exchanged"),
-    "y to the right": (set_to(ALL, "y_m", lambda v: -v), "y_m points to the right"),
-    "heading to the right": (set_to(ALL, "yaw_deg", lambda v: -v), "yaw_deg grows to the right"),
     "z down": (lambda t: t.assign(y_m=-t.y_m, yaw_deg=-t.yaw_deg), "frame with z down"),
-    "compass": (set_to(ALL, "yaw_deg", lambda v: 90.0 - v), r"from y \(north\) clockwise"),
-    "backwards": (set_to(ALL, "yaw_deg", lambda v: v + 180.0), "points backwards"),
     "no covariance at all": (set_to(ALL, ["xx_m2"], lambda v: -v), "11 have errors that are no covariance"),
     "one position": (lambda t: t.assign(x_m=t.x_m.where(t.index == 0)), "1 positions of use"),
     "wheels of another rover": (
@@ -593,14 +594,14 @@ def test_a_lag_is_said_with_its_number_and_put_back(later_s: float, yutu2: Rover
     with pytest.warns(LunarSciWarning, match=rf"lag: the rover moves .* {'later' if later_s > 0 else 'earlier'} than"):
         found = states(csv(drive.telemetry), yutu2, STEERS)
     assert found.lag.found and abs(found.lag.lag_s - later_s) < 3.0 * found.lag.sigma_s < 0.5
-    assert ("lag" in found.findings.doubt) == (later_s > 0)
+    assert not found.findings.doubt
     findings = Findings("sent.csv")
     sent = read_telemetry(InputFile("sent.csv", csv(drive.telemetry)), yutu2, findings)
-    mended = states_of(without_lag(sent, later_s, findings), yutu2, GROUND, findings, STEERS)
+    mended = states_of(sent, yutu2, GROUND, findings, STEERS, later_s)
     assert not mended.lag.found and not mended.findings.doubt
-    # Positions are at the time of their wheels: the last one of the drive at its end, not a lag later.
+    # Positions are at the time of their wheels.
     first = sent.time_s[sent.fixed][1]
-    assert np.abs(mended.telemetry.time_s[mended.telemetry.fixed] - (first - later_s)).min() < 1e-9
+    assert np.abs(mended.nodes.time_s[mended.nodes.fixed] - (first - later_s)).min() < 1e-9
 
 
 def test_honest_clocks_have_no_lag_and_one_arc_does_not_tell(yutu2: Rover) -> None:
@@ -608,12 +609,11 @@ def test_honest_clocks_have_no_lag_and_one_arc_does_not_tell(yutu2: Rover) -> No
     assert not honest.lag.found and not honest.findings.entries and honest.lag.sigma_s < 0.2
     straight = dataclasses.replace(STEERS, legs=(Leg(3.0, 0.0),))
     one_arc = states(csv(as_sent(yutu2, straight, 1.0).telemetry), yutu2, straight)
-    assert not one_arc.lag.found and one_arc.lag.sigma_s > 1.0
+    assert not one_arc.lag.found
 
 
 @pytest.mark.parametrize("later_s", [6.0, -8.0])
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 def test_a_lag_of_many_seconds_is_found_by_turns(later_s: float, yutu2: Rover) -> None:
     found = states(csv(as_sent(yutu2, BENDS, later_s).telemetry), yutu2, BENDS)
-    assert found.lag.found and "lag" in found.findings.doubt and abs(found.lag.lag_s - later_s) < 2.0
-    assert found.lag.farthest_s > abs(later_s)
+    assert found.lag.found and not found.findings.doubt and abs(found.lag.lag_s - later_s) < 0.3

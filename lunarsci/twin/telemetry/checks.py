@@ -20,11 +20,6 @@ LEAST_ROWS = 5
 MOST_FAST = 0.05
 """Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
 doubt; assumed."""
-SKIDS = ((0.015, -0.05), (0.002, -0.005))
-"""Median slip below 0 which driven wheels do not have unless a slope pushes them, with the grade down to which it does
-not: rolling on soil takes about 0.05, on level ground always something. Assumed."""
-GRADE_M, FEWEST_LEVEL = 1.0, 3
-"""Way over which the grade is taken [m], and states that tell it at least; assumed."""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
@@ -292,7 +287,7 @@ def check_pace(
     middles = 0.5 * (telemetry.time_s[1:] + telemetry.time_s[:-1])
     pace = WheelPace.of(np.where(measured, rim_m_s, np.nan), middles, rover, plan)
     if pace is not None and pace.off:
-        findings.add(AGAINST_PLAN, pace.text, pace.remedy, doubt=True)
+        findings.add(AGAINST_PLAN, pace.text, pace.remedy)
     return pace
 
 
@@ -332,43 +327,15 @@ def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, finding
         )
 
 
-def check_slips(
-    slip: FloatArray, measured: BoolArray, path_m: FloatArray, rows: IndexArray, time_s: FloatArray, findings: Findings
-) -> None:
-    """Say states that slip beyond the range of the wheel model, and wheels that skid where nothing pushes them.
+def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findings: Findings) -> None:
+    """Say states that slip beyond the range of the wheel model.
 
-    `slip` and whether it is `measured`, (m, wheels), are those of some rows of a path (n, 3) and of times (n,).
+    `slip` and whether it is `measured` are of some times. (m, wheels), (m, wheels), (m,)
     """
     fast = measured & (np.abs(slip) > VALID_SLIP)
     count, whole = int(fast.sum()), int(measured.sum())
     if count:
         what = f"{count} of {whole} states slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
         done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
-        first = float(time_s[rows[int(np.argmax(fast.any(axis=1)))]])
+        first = float(time_s[int(np.argmax(fast.any(axis=1)))])
         findings.add("fast slip", what, done, count=count, time_s=first, doubt=count > MOST_FAST * whole)
-    grade = _grade(path_m)[rows]
-    for skid, least in SKIDS:
-        driven = np.flatnonzero(measured.any(axis=1) & (grade > least))
-        means = np.where(measured, slip, 0.0)[driven].sum(axis=1) / measured[driven].sum(axis=1)
-        if len(driven) >= FEWEST_LEVEL and (middle := float(np.median(means))) < -skid:
-            findings.add(
-                "wheels skid",
-                f"the median slip is {middle:.3f} where no slope pushes the rover: driven wheels do not skid there",
-                "kept; are radius and grousers of the rover file too small, positions too far apart, or computed from "
-                "the wheels?",
-                count=len(driven),
-                time_s=float(time_s[rows[driven[0]]]),
-                doubt=True,
-            )
-            return
-
-
-def _grade(path_m: FloatArray) -> FloatArray:
-    """Rise over `GRADE_M` of way about each place of a path (n, 3), over that way; NaN where it is not known. (n,)"""
-    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m[:, :2], axis=0).T)))
-    known = np.isfinite(path_m[:, 2])
-    if not known.any():
-        return np.full(len(way), np.nan)
-    ends = [np.clip(way + side * 0.5 * GRADE_M, way[0], way[-1]) for side in (-1.0, 1.0)]
-    low, high = (np.interp(end, way[known], path_m[known, 2]) for end in ends)
-    return np.asarray((high - low) / np.maximum(ends[1] - ends[0], 1e-3))

@@ -205,7 +205,10 @@ class Reference:
 
 
 def lag_of_turns(nodes: Nodes) -> float:
-    """The lag at which wheels turn as headings do, 0 where it is so short that the motion is linear in it. [s]"""
+    """The lag at which wheels turn as headings do. [s]
+
+    0 where it is so short that the motion is linear in it, or where turns hardly tell.
+    """
     steps = np.diff(nodes.time_s)
     known, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
     times, yaw = nodes.time_s[known], nodes.yaw_rad[known]
@@ -215,8 +218,8 @@ def lag_of_turns(nodes: Nodes) -> float:
         return 0.0
     lags = np.arange(-farthest, farthest, 0.5 * LINEAR_S)
     left = [float(np.var(yaw[inside] - np.interp(times[inside] - lag, nodes.time_s, turned))) for lag in lags]
-    lag = float(lags[int(np.argmin(left))])
-    return lag if abs(lag) > LINEAR_S else 0.0
+    lag, least = float(lags[int(np.argmin(left))]), min(left)
+    return lag if abs(lag) > LINEAR_S and least < 0.5 * left[len(lags) // 2] else 0.0
 
 
 STRETCH = 256

@@ -80,7 +80,8 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, fi
             "the motion is without the drift",
         ),
         "lag": (
-            f"the rover moves {lag.lag_s:.3g} +- {lag.sigma_s:.2g} s later than its wheels say",
+            f"the rover moves {abs(lag.lag_s):.3g} +- {lag.sigma_s:.2g} s "
+            f"{'later' if lag.lag_s > 0 else 'earlier'} than its wheels say",
             f"positions and headings are put back, as --lag {lag.lag_s:.2f} does",
         ),
         "constant side slip": (

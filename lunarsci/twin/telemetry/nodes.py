@@ -110,6 +110,16 @@ def put_back(rows: Rows, lag_s: float) -> Rows:
     return _at_times(rows, np.union1d(times, at[(at >= times[0]) & (at <= times[-1])]), at)
 
 
+def within(rows: Rows, lag_s: float) -> Rows:
+    """With those positions and headings alone that have a row a lag before."""
+    times = rows.telemetry.time_s
+    outside = (times - lag_s < times[0]) | (times - lag_s > times[-1])
+    blank = {name: getattr(rows.telemetry, name).copy() for name in ("fix_m", "yaw_deg")}
+    for values in blank.values():
+        values[outside] = np.nan
+    return rows._replace(telemetry=replace(rows.telemetry, **blank))
+
+
 def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
     """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
     speed = np.hypot(twist[:, 0], twist[:, 1])

@@ -51,8 +51,9 @@ class Reading:
     ----------
     meaning : what it means, as a sentence; empty for as the names say.
     heading, place : from a column as written to what is meant. (n,) [deg], (n, 2) [m]
+    metres : of a position's unit. Positions that are many times smaller than they seem fit any motion the better; so
+        their density counts, and not that of headings, whose scatter tells nothing of a unit where a drive is straight.
     turn : what it makes of the turn that the wheels say.
-    ln_volume : ln of how much it enlarges a heading and a position.
     errors : what is meant over what is written of the errors of positions.
     ln_odds : beforehand.
     way_sigma, least_m : share of the way, and length, by which positions scatter; None takes slips and stated errors.
@@ -61,18 +62,12 @@ class Reading:
     meaning: str
     heading: Callable[[FloatArray], FloatArray] = _same
     place: Callable[[FloatArray], FloatArray] = _same
+    metres: float = 1.0
     turn: float = 1.0
     errors: float = 1.0
-    ln_volume: tuple[float, float] = (0.0, 0.0)
     ln_odds: float = STRANGE
     way_sigma: float | None = None
     least_m: float = 0.0
-
-
-def _in(unit: str, metres: float) -> Reading:
-    return Reading(
-        meaning=f"x_m and y_m look like {unit}", place=_scaled(metres), ln_volume=(0.0, 2.0 * math.log(metres))
-    )
 
 
 AS_NAMED = Reading(meaning="", ln_odds=0.0)
@@ -89,7 +84,7 @@ READINGS = (
     Reading(meaning="yaw_deg is measured from y (north) clockwise", heading=lambda yaw: 90.0 - yaw),
     Reading(meaning="yaw_deg is measured from y", heading=lambda yaw: 90.0 + yaw),
     Reading(meaning="yaw_deg points backwards", heading=lambda yaw: yaw + 180.0),
-    Reading(meaning="yaw_deg looks like rad", heading=np.degrees, ln_volume=(math.log(math.degrees(1.0)), 0.0)),
+    Reading(meaning="yaw_deg looks like rad", heading=np.degrees),
     Reading(
         meaning="x, y and yaw_deg are those of a frame with z down (x north, y east)",
         heading=_scaled(-1.0),
@@ -99,7 +94,10 @@ READINGS = (
     Reading(meaning=STEERED_RAD, turn=math.degrees(1.0)),
     Reading(meaning="errors of positions look like mm", errors=1e-3),
     Reading(meaning="errors of positions look like cm", errors=1e-2),
-    *(_in(*unit) for unit in (("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("km", 1000.0))),
+    *(
+        Reading(meaning=f"x_m and y_m look like {unit}", place=_scaled(metres), metres=metres)
+        for unit, metres in (("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("km", 1000.0))
+    ),
 )
 """What writers of telemetry do; another frame is one that no reading explains."""
 
@@ -174,9 +172,8 @@ def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, tu
     share = share - mean * way[:, None]
     yaw_sigma = math.sqrt(2.0) * math.radians(float(np.nanmedian(telemetry.yaw_deg_sigma)))
     turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (TURNS_PER_M * way) ** 2 + yaw_sigma**2)
-    volume = len(off) * (reading.ln_volume[0] + reading.ln_volume[1])
     parts = ((share[:, 0], sigma), (share[:, 1], sigma), (np.diff(yaw[rows]) - turn, turn_sigma))
-    return volume + ln_mean + sum(_ln_student(value, sigma) for value, sigma in parts)
+    return ln_mean + 2.0 * len(off) * math.log(reading.metres) + sum(_ln_student(value, sigma) for value, sigma in parts)
 
 
 def _ln_student(off: FloatArray, sigma: FloatArray) -> float:

@@ -18,7 +18,6 @@ from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedu
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
-    AGAINST_PLAN,
     WheelPace,
     check_pace,
     check_slips,
@@ -40,8 +39,9 @@ from lunarsci.twin.telemetry.nodes import (
     slips_of,
     turn_effect,
     wheel_velocities,
+    within,
 )
-from lunarsci.twin.telemetry.nuisances import Priors
+from lunarsci.twin.telemetry.nuisances import LATE_S, Priors
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
@@ -202,8 +202,12 @@ def _along_the_ground(
     sent = Rows(telemetry, wheels, steering_rad, gaps)
     found = _first_motion(sent, rover, schedule, lag_s)
     if far_s := lag_of_turns(found.nodes):
-        # Of two lags, none and the one that turns tell, the more probable one is taken.
-        found = max(found, _first_motion(sent, rover, schedule, lag_s + far_s), key=lambda one: one.ln_likelihood)
+        # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
+        common = within(sent, far_s)
+        late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))
+        gain = late.smoothed.posterior.ln_likelihood - none.smoothed.posterior.ln_likelihood
+        if gain > 0.5 * (far_s / LATE_S) ** 2:
+            found = _first_motion(sent, rover, schedule, lag_s + far_s)
     for _ in range(MOST_LAGS):
         if abs(left := float(found.smoothed.posterior.mean[LAG])) < LINEAR_S:
             break
@@ -249,12 +253,6 @@ class _FirstMotion(NamedTuple):
     smoothed: Smoothed
     priors: Priors
     lag_s: float
-
-    @property
-    def ln_likelihood(self) -> float:
-        """Of a measurement, as some may be put back to before the first row."""
-        nodes = self.nodes
-        return self.smoothed.posterior.ln_likelihood / float(nodes.fixed.sum() + np.isfinite(nodes.yaw_rad).sum())
 
 
 def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: float) -> _FirstMotion:
@@ -324,7 +322,7 @@ def _state_rows(
         rim_m_s=_rims(wheels, low, high),
         measured=trusted & sound[:, None] & ~halted[:, None],
     )
-    check_slips(result.slip_ratio, result.measured, held.paths[:, :3], chosen, nodes.time_s, findings)
+    check_slips(result.slip_ratio, result.measured, nodes.time_s[chosen], findings)
     return result
 
 
@@ -400,7 +398,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
 
 def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
     """With the rover, its ground, and why the states are doubtful, where they are."""
-    doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt and one.kind != AGAINST_PLAN]
+    doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt]
     table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
     return table.assign(doubt="; ".join(doubts)) if doubts else table
 
