@@ -92,7 +92,7 @@ def write_run(folder: Path, drive: MadeDrive, seed: int = 0, *, gps: bool = True
     folder.mkdir(parents=True, exist_ok=True)
     time, quaternion = UNIX_S + drive.time_s, _quaternions(drive)
     z = 50.0 + np.tan(drive.grade_rad) * drive.way_m
-    place = np.column_stack([drive.place_m + (EASTING_M, NORTHING_M), z])
+    place = np.column_stack([drive.place_m + np.array([EASTING_M, NORTHING_M]), z])
     rates = np.gradient(drive.angle_rad, drive.time_s, axis=0)
     wheels = ("front_left", "front_right", "rear_left", "rear_right")
     header = "time [s]," + ",".join(f"                {w}_wheel position [rad]" for w in wheels)

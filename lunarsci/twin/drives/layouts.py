@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 WHEELS = ("FL", "FR", "RL", "RR")
 """Order of the wheels in both data sets: front left, front right, back left, back right."""
 PROCESSED = "Processed_Data.csv"
+OFF_NOMINAL = {"Off_Nominal_Data", "Bad_Data"}
+"""Folders of trials that its makers do not use."""
 CAPTURED = ("time_s", "pos_x", "pos_y", "pos_z", "quat_x", "quat_y", "quat_z", "quat_w")
 CAPTURE_SIGMA_M, CAPTURE_YAW_SIGMA_DEG = 0.002, 0.3
 """Errors of motion capture, assumed: markers are found to less than a millimetre; the rest is the body that holds them
@@ -53,8 +55,8 @@ class PublicDrive:
     ----------
     name : as it was given.
     rover, gravity : that drove, by the name in lunarsci, and where.
-    table : columns as `lunarsci template telemetry` has them, time from the first row.
-    place_m, attitude_deg : measured x, y, z [m], and yaw, roll, pitch [deg] in its rows, NaN where there is none. (n, 3)
+    table : columns as `lunarsci template telemetry` has them.
+    place_m, attitude_deg : measured x, y, z [m], and yaw, roll, pitch [deg] of its rows, else NaN. (n, 3) each
     inputs : files that were read, with their SHA-256.
     read_as : how they were read, where there was a choice.
     """
@@ -85,7 +87,8 @@ class PublicDrive:
         off = place - middle
         spread = off[:, :2].T @ off[:, :2] / len(off) / HEIGHT_SIGMA_M**2
         grade = off[:, :2].T @ off[:, 2] / len(off) / HEIGHT_SIGMA_M**2
-        tilted = self._tilted()
+        up = _turned(self.attitude_deg, (0.0, 0.0, 1.0))
+        tilted = np.nanmedian(-up[:, :2] / up[:, 2:], axis=0)
         slope = np.linalg.solve(spread + np.eye(2) / ATTITUDE_SIGMA**2, grade + tilted / ATTITUDE_SIGMA**2)
         low, high = place[:, :2].min(axis=0), place[:, :2].max(axis=0)
         reach = float((high - low).max())
@@ -95,15 +98,6 @@ class PublicDrive:
         height = slope[0] * (x[None, :] - middle[0]) + slope[1] * (y[:, None] - middle[1])
         name = f"plane below {Path(self.name).name}"
         return build_terrain(name, float(x[0]), float(y[0]), spacing, height, read_soil("longji"))
-
-    def _tilted(self) -> FloatArray:
-        """Slopes of the ground along x and y by the median attitude. (2,) [-]"""
-        from scipy.spatial.transform import Rotation
-
-        known = np.isfinite(self.attitude_deg).all(axis=1)
-        yaw, roll, pitch = self.attitude_deg[known].T
-        up = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll]), degrees=True).apply((0.0, 0.0, 1.0))
-        return np.asarray(np.median(-up[:, :2] / up[:, 2:], axis=0))
 
 
 def read_public_drive(source: Any) -> PublicDrive | None:
@@ -132,7 +126,8 @@ def trials_in(path: str) -> list[str]:
     folder = Path(path)
     if not folder.is_dir() or any((folder / file).is_file() for file in LAYOUTS):
         return [path]
-    below = sorted(str(found.parent) for file in LAYOUTS for found in folder.rglob(file))
+    files = [found for file in LAYOUTS for found in folder.rglob(file)]
+    below = sorted(str(found.parent) for found in files if not OFF_NOMINAL & {*found.relative_to(folder).parts})
     if not below:
         raise DataError(f"{path}: no drive in it: neither {' nor '.join(LAYOUTS)}; name folders or files of drives")
     return below
@@ -164,7 +159,10 @@ def _captured(name: str, path: Path) -> PublicDrive:
 
 
 def _captured_angles(name: str, table: "pd.DataFrame") -> tuple[FloatArray, str]:
-    """Angles of the wheels in deg. (n, 4) `encN_rad` is in rad; `encN` alone in turns, as the data set's pages read it."""
+    """Angles of the wheels, and what they were read from. (n, 4) [deg]
+
+    `encN_rad` is in rad; the README says so of `encN`, too, but the notebooks beside it read turns.
+    """
     for form, factor, unit in (("enc{}_rad", np.degrees(1.0), "rad"), ("enc{}", 360.0, "turns")):
         names = [form.format(k) for k in range(1, 5)]
         if all(column in table for column in names):
@@ -194,9 +192,11 @@ def _with_gps(name: str, path: Path) -> PublicDrive:
     angles = np.degrees(_between(rows, encoders[:, 0], encoders[:, 1:5]))
     heading = _between(rows, poses[:, 0], attitude)
     used = np.isfinite(angles).all(axis=1) & (rows >= poses[0, 0]) & (rows <= poses[-1, 0])
+    if not used.any():
+        raise DataError(f"{name}: {ENCODERS} and {POSES} have no time in common; are they of one run?")
     read_as = (f"a run of the energy-aware navigation data set: {told}, headings of {POSES}",)
     return _drive(
-        name, "husky", rows[used], where[used], heading[used], angles[used],
+        name, "husky", rows[used] - rows[used][0], where[used], heading[used], angles[used],
         (sigma, POSE_YAW_SIGMA_DEG), files, read_as, synthetic=b"synthetic" in files[0].data[:4096],
     )  # fmt: skip
 
@@ -206,7 +206,7 @@ LAYOUTS: dict[str, Callable[[str, Path], PublicDrive]] = {PROCESSED: _captured, 
 
 
 def _rows(file: InputFile, columns: int) -> FloatArray:
-    """Numbers of a table whose header is a comment, by place, in the order of time; its names hold commas themselves."""
+    """Numbers of a table in the order of time, by place: its header is a comment, whose names hold commas."""
     lines = [line for line in text(file).splitlines() if line.strip() and not line.lstrip().startswith("#")]
     try:
         found = np.array([[float(cell) for cell in line.split(",")] for line in lines])
@@ -267,7 +267,7 @@ def _drive(
             raise DataError(f"{name}: fewer than two rows have a {what}; the drive cannot be followed")
     fixed = np.isfinite(place_m).all(axis=1)
     columns: dict[str, Any] = {
-        "time_s": time_s - time_s[0],
+        "time_s": time_s,
         "x_m": np.where(fixed, place_m[:, 0], np.nan),
         "y_m": np.where(fixed, place_m[:, 1], np.nan),
         "sigma_m": np.where(fixed, sigmas[0], np.nan),

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drives import drive_all, drive_finer
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, for_people
 from lunarsci.twin.simulation.members import SLOW, DriveSetup
+
+if TYPE_CHECKING:
+    from lunarsci.twin.telemetry.reading import Telemetry
 
 STEP_S, STEP_M = 0.1, 0.01
 """Longest step, in time and in way of the fastest rim; assumed, as the embedded plan has 0.1 s and 5 mm. [s, m]"""
@@ -42,6 +45,16 @@ class WheelTurns:
     rolled_m: FloatArray
     steered_rad: FloatArray
 
+    @classmethod
+    def of(cls, telemetry: "Telemetry", rover: Rover, begin_s: float) -> "WheelTurns":
+        """Those of telemetry from a time on: measured angles, else rates, else commanded speeds."""
+        time = telemetry.time_s - begin_s
+        columns = [_rolled_m(telemetry, rover, k) for k in range(len(rover.wheels))]
+        steered = [_filled(time, np.radians(column)) for column in telemetry.turned_deg.T]
+        whole = cls(time, np.column_stack(columns), np.column_stack(steered))
+        times = np.append(0.0, time[time > 0.0])
+        return cls(times, whole._at(times, whole.rolled_m), whole._at(times, whole.steered_rad))
+
     def commands(self, times_s: FloatArray) -> Commands:
         """Steering at the end, and mean speed of each rim, of the steps between some times. (1, steps, wheels)"""
         rolled, steered = (self._at(times_s, values) for values in (self.rolled_m, self.steered_rad))
@@ -50,6 +63,26 @@ class WheelTurns:
 
     def _at(self, times_s: FloatArray, values: FloatArray) -> FloatArray:
         return np.column_stack([np.interp(times_s, self.time_s, column) for column in values.T])
+
+
+def _filled(time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """With what is missing between values; 0 where there are none."""
+    known = np.isfinite(values)
+    return np.interp(time_s, time_s[known], values[known]) if known.any() else 0.0 * time_s
+
+
+def _rolled_m(telemetry: "Telemetry", rover: Rover, wheel: int) -> FloatArray:
+    """Way of a rim since the first row. (n,) [m]"""
+    time, radius = telemetry.time_s, rover.wheel.shearing_radius_m
+    angle, rate = np.radians(telemetry.angle_deg[:, wheel]), np.radians(telemetry.rate_deg_s[:, wheel])
+    if (known := np.isfinite(angle)).any():
+        # Angles that begin anew after each turn stay within one.
+        anew = np.ptp(angle[known]) <= 2.0 * math.pi
+        angle[known] = np.unwrap(angle[known]) if anew else angle[known]
+        return np.asarray(radius * _filled(time, angle))
+    speed = radius * rate if np.isfinite(rate).any() else telemetry.speed_m_s[:, wheel]
+    speed = _filled(time, speed)
+    return np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,24 +176,35 @@ def _stand_in(name: str, start: tuple[float, float, float], commands: Commands) 
     return Plan(name=name or "drive", legs=(leg,), speed_m_s=speed, x_m=x, y_m=y, heading_deg=heading)
 
 
+def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Speed of each wheel along and across its plane for unit velocities of the rover. (n, wheels, 3) each"""
+    x, y = rover.wheel_positions_m[:, :2].T
+    cos, sin = np.cos(steering_rad), np.sin(steering_rad)
+    return np.stack([cos, sin, x * sin - y * cos], axis=-1), np.stack([-sin, cos, x * cos + y * sin], axis=-1)
+
+
 def rigid_twist(rover: Rover, commands: Commands) -> FloatArray:
     """Velocity ahead, to the left [m/s] and turn [rad/s] that fit all rims best: the plain baseline. (steps, 3)
 
     Least squares of what each wheel rolls in its own plane; what it should not move sideways decides the rest.
     """
-    steering, speed = commands.steering_rad[0], commands.speed_m_s[0]
-    x, y = rover.wheel_positions_m[:, :2].T
-    cos, sin = np.cos(steering), np.sin(steering)
-    along = np.stack([cos, sin, x * sin - y * cos], axis=-1)
-    across = np.stack([-sin, cos, x * cos + y * sin], axis=-1)
+    along, across = wheel_rows(rover, commands.steering_rad[0])
     rows = np.concatenate([along, SIDEWAYS * across], axis=1)
-    right = np.concatenate([speed, 0.0 * speed], axis=1)
+    right = np.concatenate([commands.speed_m_s[0], 0.0 * commands.speed_m_s[0]], axis=1)
     return np.asarray(np.einsum("nik,nk->ni", np.linalg.pinv(rows), right))
 
 
-def wheels_alone(
-    rover: Rover, turns: WheelTurns, start: tuple[float, float, float], times_s: FloatArray
-) -> FloatArray:
+def slips_alone(rover: Rover, turns: WheelTurns, time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Slip ratio [-] and side slip [deg] of each wheel at a time, of a rover that moves as its wheels fit best."""
+    commands = turns.commands(np.array([time_s - 0.5 * SAMPLE_S, time_s + 0.5 * SAMPLE_S]))
+    along, across = (part[0] @ rigid_twist(rover, commands)[0] for part in wheel_rows(rover, commands.steering_rad[0]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        travel = along / commands.speed_m_s[0, 0]
+        slip = np.where(travel <= 1.0, 1.0 - travel, 1.0 / travel - 1.0)
+    return np.nan_to_num(slip), np.degrees(np.arctan2(across, np.abs(along)))
+
+
+def wheels_alone(rover: Rover, turns: WheelTurns, start: tuple[float, float, float], times_s: FloatArray) -> FloatArray:
     """Poses of a rover whose wheels do not slip: x, y, heading at some times. (n, 3) [m, m, rad]"""
     twist = rigid_twist(rover, turns.commands(times_s))
     step = np.diff(times_s)

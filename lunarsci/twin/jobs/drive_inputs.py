@@ -173,7 +173,9 @@ def read_drive_inputs(
     inputs = of_soil | inputs
     if terrain != SYNTHETIC and below is None:
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
-    check = MadeForCheck(description, built, rover is not None, surface, named is not None or below is not None, file.read_as)
+    check = MadeForCheck(
+        description, built, rover is not None, surface, named is not None or below is not None, file.read_as
+    )
     drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
     drive = _kept_out(drive, built, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
