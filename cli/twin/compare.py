@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.jobs.compare_trials import OF_TRIALS, TrialsRequest
+from lunarsci.twin.jobs.compare_trials import OF_A_PREDICTION, OF_TRIALS, TrialsRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -97,11 +97,17 @@ def compare(inputs: Inputs, request: TrialsRequest, output: Output, save: SavedB
     beside the way of the wheels without slip. A trial that cannot be read is told, and the others are scored (exit
     code 1).
     """
-    if not (Path(inputs[0]) / FORECAST).is_file():
+    if not _is_prediction(inputs, request):
         return _trials(inputs, request, output, save)
     _check_prediction(inputs, request, save)
     output.check_extra("--save", save, (".json",))
     return _drive(inputs, request, save)
+
+
+def _is_prediction(inputs: list[str], request: TrialsRequest) -> bool:
+    """Whether a folder of a prediction was named, or is meant by what is given beside it."""
+    meant = len(inputs) == 2 and any(getattr(request, name) is not None for name in OF_A_PREDICTION)
+    return meant or (Path(inputs[0]) / FORECAST).is_file()
 
 
 def _check_prediction(inputs: list[str], request: TrialsRequest, save: Path | None) -> None:

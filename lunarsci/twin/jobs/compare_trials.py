@@ -128,6 +128,7 @@ def compare_trials(
     that cannot be used is told, and the others are scored. Raises BatchError where none can.
     """
     from lunarsci.twin.drives.layouts import trials_in
+    from lunarsci.twin.jobs.drive_inputs import soil_hashes
     from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
 
     asked = request_of(TrialsRequest, request, options)
@@ -135,7 +136,7 @@ def compare_trials(
         raise RequestError(f"`{given[0]}` belongs to a prediction made before the drive, not to trials; leave it out")
     given_soil = GivenSoil.read(asked.soil or PRIORS)
     soils, found, failed = _soils(given_soil, asked), list["TrialScore"](), list[Failure]()
-    inputs, tables, names = dict[str, str](), dict[str, str](), list[str]()
+    (inputs, tables), names = soil_hashes(given_soil, None), list[str]()
     for one in [trials] if isinstance(trials, str) else trials:
         try:
             names += [name for name in trials_in(str(one)) if name not in names]
@@ -158,7 +159,7 @@ def compare_trials(
         trials=tuple(found),
         soils=(soils.kind, given_soil.name or str(given_soil.named)),
         failed=tuple(failed),
-        inputs=inputs | ({} if given_soil.file is None else {given_soil.name: given_soil.file.sha256}),
+        inputs=inputs,
         tables=tables,
         seed=asked.seed,
     )

@@ -169,7 +169,7 @@ def read_drive_inputs(
     read = read or read_plan()
     if priors and driven.of == "default" and given.file is None and not read.sweep:
         soil, given, driven = PRIORS, GivenSoil.read(PRIORS), DrivenSoil(PRIORS, "belief")
-    of_soil, tables = _soil_hashes(given, driven if soil_counts else None)
+    of_soil, tables = soil_hashes(given, driven if soil_counts else None)
     inputs = of_soil | inputs
     if terrain != SYNTHETIC and below is None:
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
@@ -269,7 +269,7 @@ def _read_ground(
     return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
 
 
-def _soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
+def soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
     """Hashes of the user's files and of own tables; of the latter only that of the soil that is `driven` on."""
     inputs, tables = ({}, {}) if given.named is None else soil_hash(given.named)
     if given.name == PRIORS:
