@@ -157,8 +157,7 @@ def read_drive_inputs(
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
-    description, below = read_rover(rover or DEFAULT_ROVER), None if named else below
-    terrain = named or (SYNTHETIC if below is None else below.name)
+    description, terrain = read_rover(rover or DEFAULT_ROVER), named or (SYNTHETIC if below is None else below.name)
     built, given = on_gravity(build_rover(description), gravity), GivenSoil.read(soil)
     ruts = _meets_ruts(ruts, before is not None, given)
     file, surface, driven = _read_ground(terrain, given, height_unit, below)
@@ -173,9 +172,7 @@ def read_drive_inputs(
     inputs = of_soil | inputs
     if terrain != SYNTHETIC and below is None:
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
-    check = MadeForCheck(
-        description, built, rover is not None, surface, named is not None or below is not None, file.read_as
-    )
+    check = MadeForCheck(description, built, rover is not None, surface, (named or below) is not None, file.read_as)
     drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
     drive = _kept_out(drive, built, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
