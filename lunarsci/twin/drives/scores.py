@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import ParameterError
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.comparison.checks import ALL, check_bands, check_end, region_ellipse
@@ -14,6 +15,7 @@ from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.matched import MatchedObservations, match_observations
 from lunarsci.twin.drives.replay import WheelTurns, replayed, slips_alone
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.lanes import outcome_texts
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -106,6 +108,8 @@ def score_trial(
     """
     start = (float(motion.x_m[0]), float(motion.y_m[0]), float(motion.yaw_deg[0]))
     prediction = replayed(rover, terrain, turns, start, soils.samples, name=name, seed=seed)
+    if not prediction.finished.any():
+        raise ParameterError(f"no predicted drive came to its end: {'; '.join(outcome_texts(prediction.outcome))}")
     if soils.discrepancy is not None:
         prediction = _moved(prediction, soils.discrepancy, seed)
     if motion.sigmas is not None:
