@@ -158,8 +158,7 @@ def states(
     """
     from lunarsci.twin.drives.layouts import read_public_drive
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.telemetry.lag import without_lag
-    from lunarsci.twin.telemetry.positions import with_positions
+    from lunarsci.twin.telemetry.positions import with_positions, without_lag
     from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
     from lunarsci.twin.telemetry.sinkage import with_sinkage
     from lunarsci.twin.telemetry.states import states_of

@@ -1,40 +1,52 @@
-"""The motion of a rover as a state that a Kalman filter and a smoother find, for several assumptions at once.
+"""The motion of a rover as a linear state-space model with unknown constants, for several assumptions at once.
 
 The rover moves as its wheels say, but for a deviation of each of its three velocities, a share of the mean rim speed:
-a constant that is not known, what the slopes of the ground and the curvature of the way do times coefficients that are
-not known, and a stationary process along the way, Matern 3/2 (Rasmussen & Williams 2006, ch. 4; as a state-space model
-Hartikainen & Sarkka 2010, 10.1109/MLSP.2010.5589113). Positions and headings observe it. The smoother is that of Rauch,
-Tung & Striebel (1965, 10.2514/3.3166).
+a stationary process along the way, Matern 3/2 (Rasmussen & Williams 2006, ch. 4; as a state-space model Hartikainen &
+Sarkka 2010, 10.1109/MLSP.2010.5589113), and what unknown constants (`CONSTANTS`) do to it. Positions and headings
+observe the motion, and the constants too: where the localised point is on the rover, how the heading drifts, how late
+the clock is. The filter carries the state as a linear function of the constants (de Jong 1991,
+10.1214/aos/1176348140), so that their posterior, and the marginal likelihood of any prior of theirs, need no second
+pass. The smoother is that of Rauch, Tung & Striebel (1965, 10.2514/3.3166).
 """
 
-import dataclasses
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 
-SIZE = 18
-"""State: x, y, heading; deviation and its derivative along the way of ahead, left and turn; their constant parts; the
-coefficients of `Nodes.effect`; the error of positions where it is a chain."""
+SIZE = 11
+"""State: x, y, heading; deviation and its derivative along the way of ahead, left and turn; error of positions in x
+and y where they follow each other."""
 AHEAD = (3, 5, 7)
-MEANS = (9, 10, 11)
-EFFECTS = (12, 13, 14, 15)
-OFF = slice(16, 18)
-MEAN_SIGMA = (0.3, 0.1, 0.05)
-"""Of the constant deviations, ahead and left as shares, turn in 1/m: wide; assumed."""
-EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02)
-"""Of the coefficients: slip grows about as the slope is steep, side slip about twice so, and curvature changes little;
-assumed, as wide as soils drawn from the default priors differ (0.4 to 2.2, 0.8 to 5, -0.1 to 0, and -0.01 to 0 in
-drives by the twin)."""
+OFF = slice(9, 11)
+CONSTANTS = (
+    "slip", "glide", "turn", "slip_on_slope", "side_slip_on_slope", "turn_share", "left_of_turn", "ahead_of_turn",
+    "rim_scale", "lever_ahead_m", "lever_left_m", "heading_offset_rad", "heading_drift_rad", "lag_s",
+)  # fmt: skip
+"""Deviations that stay the same: in the direction of the drive and to the left as shares, turn in 1/m; coefficients of `Nodes.effect`; ln of the true
+over the measured rim speed; the localised point on the rover, ahead and to the left of its origin; error of headings
+at the begin, and its growth until the end; how much later positions and headings are than their times say. Two more
+for each halt: how far the rover slides there, ahead and to the left [m]."""
+MEANS, EFFECTS = (11, 12, 13), (14, 15, 16, 17, 18)
+"""Places of the first ones behind the state."""
+SCALE, LEVER, OFFSET, DRIFT, LAG, SLIDES = 8, slice(9, 11), 11, 12, 13, 14
+"""Places of the others among the constants."""
 START_M, START_RAD = 10.0, 1.0
 """Of a rover whose place is not known yet, in position and heading; assumed wide."""
 LOOSE_M = 1.0
 """Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
 POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; assumed. [m]"""
+BEND_M = 5.0
+"""Radius of the turn in which slip makes the turn deviate as much again as on a straight way; assumed. [m]"""
+MOST_PARTS = 8
+"""Of a halt with positions, in which the rover may slide each; more are taken together."""
+FARTHEST_S = 60.0
+"""How far the motion is taken to go on before and behind the drive, at the speeds of its ends. [s]"""
 
 
 class ErrorChain(NamedTuple):
@@ -57,7 +69,7 @@ class Nodes:
     apart : steps over which deviations keep nothing, as at a halt. (n - 1,)
     fix_m, fix_covariance_m2 : positions, NaN where there is none. (n, 2), (n, 2, 2)
     yaw_rad, yaw_sigma_rad : headings, NaN where there is none. (n,)
-    effect : deviations ahead, left and turn for coefficients of 1; None where nothing is known. (n, 3, 4)
+    effect : deviations ahead, left and turn for coefficients of 1; None where nothing is known. (n, 3, 5)
     chain : of the errors of positions; None where they are independent.
     """
 
@@ -74,13 +86,62 @@ class Nodes:
     chain: ErrorChain | None = None
 
     @property
+    def fixed(self) -> BoolArray:
+        """Nodes with a position. (n,)"""
+        return np.asarray(np.isfinite(self.fix_m).all(axis=1))
+
+    @property
     def effects(self) -> FloatArray:
-        """`effect`, 0 where nothing is known. (n, 3, 4)"""
+        """`effect`, 0 where nothing is known. (n, 3, 5)"""
         return np.zeros((len(self.time_s), 3, len(EFFECTS))) if self.effect is None else self.effect
+
+    @property
+    def halts(self) -> list[tuple[int, int]]:
+        """First and last node of each halt: the wheels stand, and the rover drives before and behind. (h,)
+
+        One with positions is several, from one to the next of them, `MOST_PARTS` at most.
+        """
+        still = np.concatenate([[False], (self.way_m == 0.0) & (self.loose == 0.0), [False]])
+        firsts, lasts = np.flatnonzero(still[1:] & ~still[:-1]), np.flatnonzero(still[:-1] & ~still[1:])
+        end, result = len(self.time_s) - 1, list[tuple[int, int]]()
+        for first, last in zip(firsts, lasts, strict=True):
+            if first > 0 and last < end:
+                inside = first + 1 + np.flatnonzero(self.fixed[first + 1 : last])
+                inside = inside[:: len(inside) // MOST_PARTS + 1]
+                result += pairwise([int(first), *map(int, inside), int(last)])
+        return result
+
+    @property
+    def bend(self) -> FloatArray:
+        """How much more the turn deviates than on a straight way: slip changes a turn the more, the more it turns.
+
+        (n - 1,)
+        """
+        turned = np.abs(self.twist[:, 2]) * np.diff(self.time_s)
+        return np.hypot(1.0, BEND_M * np.divide(turned, self.way_m, out=np.zeros_like(turned), where=self.way_m > 0))
+
+    @property
+    def heads(self) -> FloatArray:
+        """Speed ahead as a share of the rims': 1 forwards, -1 backwards, 0 where it turns on the spot. (n - 1,)"""
+        moved = self.twist[:, 0] * np.diff(self.time_s)
+        return np.asarray(np.clip(np.divide(moved, self.way_m, out=np.zeros_like(moved), where=self.way_m > 0), -1, 1))
+
+    @property
+    def constants(self) -> int:
+        """How many unknown constants there are."""
+        return len(CONSTANTS) + 2 * len(self.halts)
+
+
+def at_nodes(between: FloatArray) -> FloatArray:
+    """Means at nodes of what is known between them. (n - 1, ...) to (n, ...)"""
+    return np.asarray(0.5 * (np.concatenate([between[:1], between]) + np.concatenate([between, between[-1:]])))
 
 
 def dead_reckoned(nodes: Nodes) -> FloatArray:
-    """States along measured headings, or where there are none turned as the wheels say, through the first position."""
+    """Poses along measured headings, or where there are none turned as the wheels say, through the first position.
+
+    (n, 11)
+    """
     count = len(nodes.time_s)
     steps = np.diff(nodes.time_s)
     turned = np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
@@ -93,184 +154,303 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     state[1:, 0] = np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left)
     state[1:, 1] = np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left)
     state[:, 2] = yaw
-    first = int(np.argmax(np.isfinite(nodes.fix_m).all(axis=1)))
+    first = int(np.argmax(nodes.fixed))
     state[:, :2] += nodes.fix_m[first] - state[first, :2]
     return state
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Assumptions:
+    """How deviations change and positions err, m at a time.
+
+    Attributes
+    ----------
+    amplitude, length_m : of the deviations ahead [-], left [-] and turn [1/m]. (m, 3), (m, 3) [m]
+    walk : growth of the error that positions share, by the root of the way. (m,) [m / sqrt(m)]
+    """
+
+    amplitude: FloatArray
+    length_m: FloatArray
+    walk: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reference:
+    """What the model is linearised about: state (n, 11) and constants (k,), and how much each measurement counts.
+
+    `fix_weight` and `yaw_weight` divide the covariances of positions and headings. (n,), (n,)
+    """
+
+    state: FloatArray
+    constants: FloatArray
+    fix_weight: FloatArray
+    yaw_weight: FloatArray
+
+    @classmethod
+    def first(cls, nodes: Nodes) -> "Reference":
+        """Dead reckoning without any error."""
+        one = np.ones(len(nodes.time_s))
+        return cls(state=dead_reckoned(nodes), constants=np.zeros(nodes.constants), fix_weight=one, yaw_weight=one)
 
 
 STRETCH = 256
 """Steps whose matrices are held at a time: those of all steps of a long drive would fill the memory."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Model:
-    """The steps about a reference, for m assumptions.
+class Linear(NamedTuple):
+    """The steps and measurements about a reference.
 
-    `amplitude` and `rate` of the deviations, which forget within about 1 / rate. (m, 3) [-, -, 1/m], [1/m]
+    `pose` maps the state before a step to the pose after it (n - 1, 3, 11), `input` the constants (n - 1, 3, k), and
+    `shift` is the rest (n - 1, 3). `seen` maps state and `by` the constants to what is measured of x, y and heading at a
+    node, `value` is that measurement: (n, 3, 11), (n, 3, k), (n, 3).
     """
 
+    pose: FloatArray
+    input: FloatArray
+    shift: FloatArray
+    seen: FloatArray
+    by: FloatArray
+    value: FloatArray
+
+
+def step_inputs(nodes: Nodes) -> FloatArray:
+    """Way ahead and left, and turn, that constants of 1 add to each step. (n - 1, 3, k)"""
+    steps, effects = np.diff(nodes.time_s), nodes.effects
+    result = np.zeros((len(steps), 3, nodes.constants))
+    for row, share in enumerate((nodes.heads, 1.0, 1.0)):
+        result[:, row, row] = nodes.way_m * share
+    result[:, :, 3:SCALE] = nodes.way_m[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
+    result[:, :, SCALE] = nodes.twist * steps[:, None]
+    for number, (first, last) in enumerate(nodes.halts):
+        share = steps[first:last] / steps[first:last].sum()
+        for row in range(2):
+            result[first:last, row, SLIDES + 2 * number + row] = share
+    return result
+
+
+def linearised(nodes: Nodes, reference: Reference) -> Linear:
+    """The model about a reference."""
+    before, constants = reference.state[:-1], reference.constants
+    parts = np.zeros((len(before), 3, SIZE))
+    for row, k in enumerate(AHEAD):
+        parts[:, row, k], parts[:, row, k + 1] = nodes.way_m, 0.5 * nodes.way_m**2
+    parts[:, 2] *= nodes.bend[:, None]
+    added = step_inputs(nodes)
+    plain = nodes.twist * np.diff(nodes.time_s)[:, None]
+    full = plain + np.einsum("nij,nj->ni", parts, before) + added @ constants
+    middle = before[:, 2] + 0.5 * full[:, 2]
+    cos, sin = np.cos(middle), np.sin(middle)
+    onto = np.zeros((len(before), 3, 3))
+    onto[:, 0, 0] = onto[:, 1, 1] = cos
+    onto[:, 0, 1], onto[:, 1, 0] = -sin, sin
+    by_turn = np.einsum("nij,nj->ni", onto[:, :2, :2], np.column_stack([-full[:, 1], full[:, 0]]))
+    onto[:, :2, 2] = 0.5 * by_turn
+    onto[:, 2, 2] = 1.0
+    pose = onto @ parts
+    pose[:, [0, 1, 2], [0, 1, 2]] += 1.0
+    pose[:, :2, 2] += by_turn
+    moved = np.column_stack([cos * full[:, 0] - sin * full[:, 1], sin * full[:, 0] + cos * full[:, 1], full[:, 2]])
+    inputs = onto @ added
+    shift = before[:, :3] + moved - np.einsum("nij,nj->ni", pose, before) - inputs @ constants
+    return Linear(pose, inputs, shift, *_measured(nodes, reference, full))
+
+
+def _measured(nodes: Nodes, reference: Reference, full: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What positions and headings say of state and constants, about a reference: the last three of `Linear`."""
+    state, constants = reference.state, reference.constants
+    back, rate = _put_back(nodes, state, full, float(constants[LAG]))
+    turned = state[:, 2] + back[:, 2]
+    cos, sin = np.cos(turned), np.sin(turned)
+    arm = np.column_stack([cos * constants[9] - sin * constants[10], sin * constants[9] + cos * constants[10]])
+    count = len(state)
+    seen, by = np.zeros((count, 3, SIZE)), np.zeros((count, 3, nodes.constants))
+    seen[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    seen[:, :2, OFF] = np.eye(2)
+    apart = back[:, :2] + arm
+    seen[:, 0, 2], seen[:, 1, 2] = -apart[:, 1], apart[:, 0]
+    by[:, :2, LEVER] = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), -1, 0)
+    grown = (nodes.time_s - nodes.time_s[0]) / (nodes.time_s[-1] - nodes.time_s[0])
+    by[:, 2, OFFSET], by[:, 2, DRIFT] = 1.0, grown
+    by[:, :, LAG] = -rate
+    by[:, :2, LAG] -= rate[:, 2:] * np.column_stack([-arm[:, 1], arm[:, 0]])
+    expected = state[:, :3] + back
+    expected[:, :2] += arm + state[:, OFF]
+    expected[:, 2] += constants[OFFSET] + grown * constants[DRIFT]
+    value = np.column_stack([nodes.fix_m, nodes.yaw_rad]) - expected
+    value += np.einsum("nij,nj->ni", seen, state) + by @ constants
+    return seen, by, value
+
+
+def _put_back(nodes: Nodes, state: FloatArray, full: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
+    """How far behind the rover was a lag before each node, and its velocity there. (n, 3), (n, 3) [m, m, rad; a second]
+
+    By the velocities of wheels and deviations, not as smoothed: errors of positions would be moved along.
+    """
+    steps = np.diff(nodes.time_s)[:, None]
+    middle = state[:-1, 2] + 0.5 * full[:, 2]
+    moved = np.column_stack(
+        [
+            np.cos(middle) * full[:, 0] - np.sin(middle) * full[:, 1],
+            np.sin(middle) * full[:, 0] + np.cos(middle) * full[:, 1],
+            full[:, 2],
+        ]
+    )
+    rate = moved / steps
+    path = np.vstack([np.zeros(3), np.cumsum(moved, axis=0)])
+    path = np.vstack([path[:1] - FARTHEST_S * rate[:1], path, path[-1:] + FARTHEST_S * rate[-1:]])
+    times = np.concatenate([nodes.time_s[:1] - FARTHEST_S, nodes.time_s, nodes.time_s[-1:] + FARTHEST_S])
+    at = nodes.time_s - lag_s
+
+    def along(when: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(when, times, column) for column in path.T])
+
+    half = 0.5 * float(np.median(steps))
+    return along(at) - path[1:-1], (along(at + half) - along(at - half)) / (2.0 * half)
+
+
+class Run(NamedTuple):
+    """A filter's results: the state is `columns[..., 0]` and `columns[..., 1:]` times the constants.
+
+    columns (n, m, 11, 1 + k), covariance given the constants (n, m, 11, 11), squares (m, 1 + k, 1 + k): innovations
+    over their covariances, whose quadratic form in (1, constants) is chi-square; ln_likelihood (m,): the rest of it.
+    """
+
+    columns: FloatArray
+    covariance: FloatArray
+    squares: FloatArray
+    ln_likelihood: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """Nodes about a reference, for m assumptions."""
+
     nodes: Nodes
-    reference: FloatArray
-    amplitude: FloatArray
-    rate: FloatArray
+    reference: Reference
+    assumptions: Assumptions
+    linear: Linear
+
+    @classmethod
+    def about(cls, nodes: Nodes, reference: Reference, assumptions: Assumptions) -> "Model":
+        """The model linearised about a reference."""
+        return cls(nodes, reference, assumptions, linearised(nodes, reference))
 
     def stretches(self) -> list[tuple[int, int]]:
         """First step, and the one after the last, of each stretch."""
         count = len(self.nodes.way_m)
         return [(first, min(first + STRETCH, count)) for first in range(0, count, STRETCH)]
 
-    def steps(self, first: int, last: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrix (k, m, 18, 18), constant (k, 18) and noise (k, m, 18, 18) of some steps."""
-        nodes, rates = _between(self.nodes, first, last), self.rate
-        common, constant = _common(nodes, self.reference[first : last + 1])
-        way = nodes.way_m[:, None]
-        matrix = np.repeat(common[:, None], len(rates), axis=1)
+    def steps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
+        """Matrix (k, m, 11, 11) and noise (k, m, 11, 11) of some steps."""
+        nodes, assumed = self.nodes, self.assumptions
+        way, apart, loose = nodes.way_m[first:last, None], nodes.apart[first:last], nodes.loose[first:last]
+        matrix = np.zeros((last - first, len(assumed.walk), SIZE, SIZE))
         noise = np.zeros_like(matrix)
+        matrix[..., :3, :] = self.linear.pose[first:last, None]
         for channel, k in enumerate(AHEAD):
-            rate = rates[None, :, channel]
-            decay = np.where(nodes.apart[:, None], 0.0, np.exp(-rate * way))
+            rate = math.sqrt(3.0) / assumed.length_m[None, :, channel]
+            decay = np.where(apart[:, None], 0.0, np.exp(-rate * way))
             block = np.empty((*decay.shape, 2, 2))
             block[..., 0, 0], block[..., 0, 1] = decay * (1 + rate * way), decay * way
             block[..., 1, 0], block[..., 1, 1] = -decay * rate**2 * way, decay * (1 - rate * way)
-            still = np.zeros((len(rates), 2, 2))
-            still[:, 0, 0], still[:, 1, 1] = 1.0, rates[:, channel] ** 2
-            still *= self.amplitude[:, channel, None, None] ** 2
+            still = self._stationary(channel)
             matrix[..., k : k + 2, k : k + 2] = block
             noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
-        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + nodes.loose**2)[:, None]
-        noise[..., 2, 2] = ((nodes.loose / LOOSE_M) ** 2)[:, None]
+        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + loose**2)[:, None]
+        noise[..., 2, 2] = ((loose / LOOSE_M) ** 2)[:, None]
+        if nodes.chain is None:
+            matrix[..., OFF, OFF] = np.eye(2)
+            noise[..., OFF, OFF] = (assumed.walk**2 * way)[..., None, None] * np.eye(2)
+        else:
+            matrix[..., OFF, OFF] = nodes.chain.follows[first + 1 : last + 1, None]
+            noise[..., OFF, OFF] = nodes.chain.noise_m2[first + 1 : last + 1, None]
+        return matrix, noise
+
+    def _stationary(self, channel: int) -> FloatArray:
+        """Covariance of a deviation and its derivative. (m, 2, 2)"""
+        rate, still = math.sqrt(3.0) / self.assumptions.length_m[:, channel], np.zeros((len(self.assumptions.walk), 2, 2))
+        still[:, 0, 0], still[:, 1, 1] = 1.0, rate**2
+        return still * self.assumptions.amplitude[:, channel, None, None] ** 2
+
+    def start(self) -> tuple[FloatArray, FloatArray]:
+        """Columns (m, 11, 1 + k) and covariance (m, 11, 11) before anything is measured."""
+        nodes, many = self.nodes, len(self.assumptions.walk)
+        columns = np.zeros((many, SIZE, 1 + nodes.constants))
+        columns[:, :3, 0] = dead_reckoned(nodes)[0, :3]
+        covariance = np.zeros((many, SIZE, SIZE))
+        covariance[:, 0, 0] = covariance[:, 1, 1] = START_M**2
+        covariance[:, 2, 2] = START_RAD**2
+        for channel, k in enumerate(AHEAD):
+            covariance[:, k : k + 2, k : k + 2] = self._stationary(channel)
         if nodes.chain is not None:
-            matrix[..., OFF, OFF] = nodes.chain.follows[1:, None]
-            noise[..., OFF, OFF] = nodes.chain.noise_m2[1:, None]
-        return matrix, constant, noise
+            covariance[:, OFF, OFF] = nodes.chain.noise_m2[0]
+        return columns, covariance
+
+    def observed(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What is measured at a node: by the state, by the constants, values, and their covariance beside it."""
+        nodes, linear = self.nodes, self.linear
+        rows = [0, 1, 2] if np.isfinite(linear.value[k]).all() else np.flatnonzero(np.isfinite(linear.value[k]))
+        errors = np.zeros((3, 3))
+        share = 1.0 / self.reference.fix_weight[k] - (nodes.chain is not None)
+        errors[:2, :2] = share * nodes.fix_covariance_m2[k]
+        errors[2, 2] = nodes.yaw_sigma_rad[k] ** 2 / self.reference.yaw_weight[k]
+        return linear.seen[k, rows], linear.by[k, rows], linear.value[k, rows], errors[np.ix_(rows, rows)]
 
 
-def linearised(nodes: Nodes, reference: FloatArray, amplitude: FloatArray, length_m: FloatArray) -> Model:
-    """The steps about a reference, for several amplitudes and lengths of the changing deviations (m, 3)."""
-    return Model(nodes, reference, amplitude, math.sqrt(3.0) / length_m)
+def filtered(model: Model, *, kept: bool = True) -> Run:
+    """The filter for each of several assumptions.
 
-
-def _between(nodes: Nodes, first: int, last: int) -> Nodes:
-    """Nodes from one to another, with the steps between."""
-    columns = {name: value for name, value in ((n, getattr(nodes, n)) for n in nodes.__slots__) if value is not None}
-    if nodes.chain is not None:
-        columns["chain"] = ErrorChain(*(part[first : last + 1] for part in nodes.chain))
-    steps = {name: columns[name][first:last] for name in ("twist", "way_m", "loose", "apart")}
-    own = {name: value[first : last + 1] for name, value in columns.items() if isinstance(value, np.ndarray)}
-    return dataclasses.replace(nodes, **{**columns, **own, **steps})
-
-
-def _common(nodes: Nodes, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows of the pose, with the constant of each step, and what stays as it is; the deviations are left out."""
-    way = nodes.way_m
-    parts = _moving_parts(nodes)
-    before = reference[:-1]
-    full = nodes.twist * np.diff(nodes.time_s)[:, None] + np.einsum("nij,nj->ni", parts, before)
-    middle = before[:, 2] + 0.5 * full[:, 2]
-    cos, sin = np.cos(middle), np.sin(middle)
-    by_turn = np.stack([-sin * full[:, 0] - cos * full[:, 1], cos * full[:, 0] - sin * full[:, 1]], axis=-1)
-    matrix = np.zeros((len(way), SIZE, SIZE))
-    matrix[:, 0] = cos[:, None] * parts[:, 0] - sin[:, None] * parts[:, 1] + 0.5 * by_turn[:, :1] * parts[:, 2]
-    matrix[:, 1] = sin[:, None] * parts[:, 0] + cos[:, None] * parts[:, 1] + 0.5 * by_turn[:, 1:] * parts[:, 2]
-    matrix[:, 2] = parts[:, 2]
-    for k in (0, 1, 2, *MEANS, *EFFECTS):
-        matrix[:, k, k] = 1.0
-    matrix[:, 0, 2], matrix[:, 1, 2] = by_turn[:, 0], by_turn[:, 1]
-    after = np.zeros((len(way), SIZE))
-    after[:, 0] = before[:, 0] + cos * full[:, 0] - sin * full[:, 1]
-    after[:, 1] = before[:, 1] + sin * full[:, 0] + cos * full[:, 1]
-    after[:, 2] = before[:, 2] + full[:, 2]
-    constant = np.zeros_like(after)
-    constant[:, :3] = after[:, :3] - np.einsum("nij,nj->ni", matrix[:, :3], before)
-    return matrix, constant
-
-
-def _moving_parts(nodes: Nodes) -> FloatArray:
-    """Way ahead and left, and turn, in a step, that the deviation at its middle adds. (n - 1, 3, 18)"""
-    way, effects = nodes.way_m, nodes.effects
-    parts = np.zeros((len(way), 3, SIZE))
-    for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
-        parts[:, row, k], parts[:, row, k + 1], parts[:, row, mean] = way, 0.5 * way**2, way
-    parts[:, :, EFFECTS] = way[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
-    return parts
-
-
-def _start(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray]:
-    mean = np.zeros((len(model.rate), SIZE))
-    mean[:, :3] = dead_reckoned(nodes)[0, :3]
-    mean[:, EFFECTS] = EFFECT_MEAN
-    covariance = np.zeros((len(model.rate), SIZE, SIZE))
-    covariance[:, 0, 0] = covariance[:, 1, 1] = START_M**2
-    covariance[:, 2, 2] = START_RAD**2
-    for channel, row in enumerate(AHEAD):
-        covariance[:, row, row] = model.amplitude[:, channel] ** 2
-        covariance[:, row + 1, row + 1] = (model.amplitude[:, channel] * model.rate[:, channel]) ** 2
-    for row, sigma in zip((*MEANS, *EFFECTS), (*MEAN_SIGMA, *EFFECT_SIGMA), strict=True):
-        covariance[:, row, row] = sigma**2
-    if nodes.chain is not None:
-        covariance[:, OFF, OFF] = nodes.chain.noise_m2[0]
-    return mean, covariance
-
-
-def filtered(model: Model, *, kept: bool = True) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Filter for each of several assumptions: means (n, m, 18), covariances, and ln likelihood (m,).
-
-    Where they are not `kept`, means and covariances are those of the last node alone, (1, m, 18).
+    Where they are not `kept`, columns and covariances are those of the last node alone, (1, m, ...).
     """
-    nodes = model.nodes
-    mean, covariance = _start(nodes, model)
+    nodes, linear = model.nodes, model.linear
+    columns, covariance = model.start()
     count = len(nodes.time_s) if kept else 1
-    means, covariances = np.empty((count, *mean.shape)), np.empty((count, *covariance.shape))
-    ln_likelihood = np.zeros(len(mean))
+    all_columns, covariances = np.empty((count, *columns.shape)), np.empty((count, *covariance.shape))
+    squares, ln_likelihood = np.zeros((len(columns), columns.shape[2], columns.shape[2])), np.zeros(len(columns))
 
     def observe(k: int) -> None:
-        nonlocal mean, covariance, ln_likelihood
-        seen, values, errors = _observed(nodes, k)
-        if len(seen):
-            off = values - mean @ seen.T
+        nonlocal columns, covariance, squares, ln_likelihood
+        seen, by, value, errors = model.observed(k)
+        if len(value):
+            off = -(seen @ columns)
+            off[:, :, 0] += value
+            off[:, :, 1:] -= by
             through = seen @ covariance
             within = through @ seen.T + errors
-            gain = np.linalg.solve(within, through)
-            ln_likelihood += -0.5 * np.einsum("mi,mi->m", off, np.linalg.solve(within, off[..., None])[..., 0])
-            ln_likelihood += -0.5 * np.linalg.slogdet(within)[1]
-            mean = mean + np.einsum("mij,mi->mj", gain, off)
-            covariance = covariance - np.swapaxes(through, 1, 2) @ gain
+            inverse = np.linalg.inv(within)
+            weighed = inverse @ off
+            squares += np.swapaxes(off, 1, 2) @ weighed
+            ln_likelihood -= 0.5 * np.linalg.slogdet(within)[1]
+            columns = columns + np.swapaxes(through, 1, 2) @ weighed
+            covariance = covariance - np.swapaxes(through, 1, 2) @ inverse @ through
             covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
-        means[k if kept else 0], covariances[k if kept else 0] = mean, covariance
+        all_columns[k if kept else 0], covariances[k if kept else 0] = columns, covariance
 
     observe(0)
     for first, last in model.stretches():
-        for k, step, constant, noise in zip(range(first, last), *model.steps(first, last), strict=True):
-            mean = np.einsum("mij,mj->mi", step, mean) + constant
+        for k, step, noise in zip(range(first, last), *model.steps(first, last), strict=True):
+            columns = step @ columns
+            columns[:, :3, 0] += linear.shift[k]
+            columns[:, :3, 1:] += linear.input[k]
             covariance = step @ covariance @ np.swapaxes(step, 1, 2) + noise
             observe(k + 1)
-    return means, covariances, ln_likelihood
+    return Run(all_columns, covariances, squares, ln_likelihood)
 
 
-def _observed(nodes: Nodes, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What is measured at a node: by the state (m, 18), values, and their covariance beside it."""
-    fixed, turned = bool(np.isfinite(nodes.fix_m[k]).all()), bool(np.isfinite(nodes.yaw_rad[k]))
-    seen = np.eye(SIZE)[[0, 1] * fixed + [2] * turned]
-    errors = np.zeros((len(seen), len(seen)))
-    if fixed and nodes.chain is None:
-        errors[:2, :2] = nodes.fix_covariance_m2[k]
-    elif fixed:
-        seen[:2, OFF] = np.eye(2)
-    if turned:
-        errors[-1, -1] = nodes.yaw_sigma_rad[k] ** 2
-    return seen, np.array([*nodes.fix_m[k][: 2 * fixed], *[nodes.yaw_rad[k]] * turned]), errors
-
-
-def smoothed_back(model: Model, means: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances that know what came later too, in the place of those of `filtered`."""
+def smoothed_back(model: Model, run: Run) -> Run:
+    """Columns and covariances that know what came later too, in the place of those of `filtered`."""
+    columns, covariance, linear = run.columns, run.covariance, model.linear
     for first, last in reversed(model.stretches()):
-        matrix, constant, noise = model.steps(first, last)
+        matrix, noise = model.steps(first, last)
         for k in range(last - 1, first - 1, -1):
             step = matrix[k - first]
-            ahead = step @ covariances[k] @ np.swapaxes(step, 1, 2) + noise[k - first]
-            gain = np.swapaxes(np.linalg.solve(ahead + 1e-18 * np.eye(SIZE), step @ covariances[k]), 1, 2)
-            off = means[k + 1] - np.einsum("mij,mj->mi", step, means[k]) - constant[k - first]
-            means[k] = means[k] + np.einsum("mij,mj->mi", gain, off)
-            covariances[k] = covariances[k] + gain @ (covariances[k + 1] - ahead) @ np.swapaxes(gain, 1, 2)
-            covariances[k] = 0.5 * (covariances[k] + np.swapaxes(covariances[k], 1, 2))
-    return means, covariances
+            through = step @ covariance[k]
+            ahead = through @ np.swapaxes(step, 1, 2) + noise[k - first]
+            gain = np.swapaxes(np.linalg.solve(ahead + 1e-18 * np.eye(SIZE), through), 1, 2)
+            off = columns[k + 1] - step @ columns[k]
+            off[:, :3, 0] -= linear.shift[k]
+            off[:, :3, 1:] -= linear.input[k]
+            columns[k] += gain @ off
+            covariance[k] += gain @ (covariance[k + 1] - ahead) @ np.swapaxes(gain, 1, 2)
+            covariance[k] = 0.5 * (covariance[k] + np.swapaxes(covariance[k], 1, 2))
+    return run

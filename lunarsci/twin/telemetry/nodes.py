@@ -1,8 +1,9 @@
 """From rows of telemetry to the nodes at which the motion is found, from these to motion and slips of wheels."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.filter import EFFECTS, ErrorChain, Nodes
+from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, Reference, at_nodes
+from lunarsci.twin.telemetry.nuisances import Priors
 from lunarsci.twin.telemetry.odometry import ground_velocities, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Smoothed, believed_change, probable
@@ -151,9 +153,9 @@ def motion_at(
     lost: BoolArray = ~known & known.any(axis=1, keepdims=True)
     if lost.any():
         along, _ = wheel_rows(rover, np.radians(steered))
-        rim = np.where(lost, np.einsum("nwi,ni->nw", along, about(nodes, nodes.twist)), rim)
-    sign = np.where(rim < 0, -1.0, 1.0)
-    rim = sign * np.maximum(np.abs(np.nan_to_num(rim)), CREEP_M_S)
+        rim = np.where(lost, np.einsum("nwi,ni->nw", along, at_nodes(nodes.twist)), rim)
+    sign, scale = np.where(rim < 0, -1.0, 1.0), math.exp(smoothed.posterior.mean[SCALE])
+    rim = sign * np.maximum(scale * np.abs(np.nan_to_num(rim)), CREEP_M_S)
     return Motion(
         time_s=nodes.time_s,
         x_m=smoothed.state[:, 0] + sway_m[:, 0],
@@ -189,18 +191,24 @@ def _mean_about(values: FloatArray, rows: IndexArray) -> FloatArray:
     return result
 
 
-def on_ground(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray) -> Nodes:
+def on_ground(
+    rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, priors: Priors, reference: Reference
+) -> Nodes:
     """Nodes that know what the shape and the slopes of the ground do to the motion, from a motion that is about right.
 
     How stiff the ground is against side slip is a mean in ln over `STIFFNESSES`, weighed by how probable each makes
     positions and headings, and by how it agrees with the coefficients that it leads to: their inverse ratio.
-    `sway_m` is that of the rover's origin (see `sway_m` of `attitude`), which `held` contains. (n, 2) [m]
+
+    Parameters
+    ----------
+    sway_m : of the rover's origin (see `sway_m`), which `held` contains. (n, 2) [m]
+    priors, reference : of the motion without the ground.
     """
     ln_weight = []
     for stiffness in STIFFNESSES:
         tried = _with_effects(rover, nodes, held, sway_m, stiffness)
-        state, ln_likelihood = probable(tried, believed_change(tried))
-        along, across = np.maximum(state[list(EFFECTS[:2])], LEAST_EFFECT)
+        constants, ln_likelihood = probable(tried, believed_change(tried), priors, reference)
+        along, across = np.maximum(constants[3:5], LEAST_EFFECT)
         ln_weight.append(ln_likelihood - 0.5 * (np.log(stiffness * across / along) / AGREEMENT) ** 2)
     weight = np.exp(np.array(ln_weight) - max(ln_weight))
     mean = float(np.exp(weight @ np.log(STIFFNESSES) / weight.sum()))
@@ -210,31 +218,30 @@ def on_ground(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatAr
 def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, stiffness: float) -> Nodes:
     place = np.column_stack([held.motion.x_m, held.motion.y_m]) - sway_m
     shape = shape_effect(rover, held, place, stiffness)
-    effect = np.zeros((len(place), 3, len(EFFECTS)))
-    effect[:, :, :2] = slope_effect(rover, held, stiffness)
-    pace = pace_at(nodes)
-    turn = np.divide(about(nodes, nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
-    effect[:, 2, 2] = effect[:, 1, 3] = turn
     # A rover that stands is moved by no shape, however long the step is.
     moved = np.where(nodes.way_m[:, None] > 0, 0.5 * (shape[1:] + shape[:-1]), 0.0)
+    effect = turn_effect(nodes)
+    effect[:, :, :2] = slope_effect(rover, held, stiffness)
     return dataclasses.replace(nodes, twist=nodes.twist + moved, fix_m=nodes.fix_m - sway_m, effect=effect)
 
 
-def about(nodes: Nodes, between: FloatArray) -> FloatArray:
-    """Means at nodes of what is known between them, (n - 1, ...)."""
-    rows = np.arange(len(nodes.time_s))
-    before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(between) - 1)
-    return np.asarray(0.5 * (between[before] + between[after]))
+def turn_effect(nodes: Nodes) -> FloatArray:
+    """Deviations for coefficients of 1 where slopes are not known: what turns do alone. (n, 3, 5)"""
+    effect, pace = np.zeros((len(nodes.time_s), 3, len(EFFECTS))), pace_at(nodes)
+    turn = np.divide(at_nodes(nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
+    effect[:, 2, 2] = effect[:, 1, 3] = effect[:, 0, 4] = turn
+    return effect
 
 
 def pace_at(nodes: Nodes) -> FloatArray:
     """Mean speed of the rims at the nodes. (n,) [m/s]"""
-    return about(nodes, nodes.way_m / np.diff(nodes.time_s))
+    return at_nodes(nodes.way_m / np.diff(nodes.time_s))
 
 
 def twist_at(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
     """Velocity ahead, to the left, and turn at the nodes. (n, 3) [m/s, m/s, rad/s]"""
-    return np.asarray(about(nodes, nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
+    scale = 1.0 + smoothed.posterior.mean[SCALE]
+    return np.asarray(scale * at_nodes(nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
 
 
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
@@ -251,7 +258,7 @@ class WheelVelocities:
     ----------
     v_x, v_y : forward as the rover has it, and to the left. (n, wheels) [m/s]
     along, across : what they are per velocity of the rover (see `wheel_rows`). (n, wheels, 3)
-    covariance : of the rover's velocities. (n, 3, 3)
+    covariance : of the rover's velocities and of ln of the rims' scale. (n, 4, 4)
     """
 
     v_x: FloatArray
@@ -265,27 +272,47 @@ def wheel_velocities(rover: Rover, nodes: Nodes, smoothed: Smoothed, held: Presc
     """Velocities of the wheels where the rover moves as smoothed, held to the ground."""
     along, across = wheel_rows(rover, np.radians(held.motion.steering_deg))
     off_x, off_y = ground_velocities(rover, held, smoothed.state[:, :2])
-    twist = twist_at(nodes, smoothed)
+    twist, onto = twist_at(nodes, smoothed), np.zeros((len(nodes.time_s), 4, 4))
+    onto[:, [0, 1, 2], [0, 1, 2]] = pace_at(nodes)[:, None]
+    onto[:, :3, 3], onto[:, 3, 3] = at_nodes(nodes.twist), 1.0
     return WheelVelocities(
         v_x=off_x + np.einsum("nwi,ni->nw", along, twist),
         v_y=off_y + np.einsum("nwi,ni->nw", across, twist),
         along=along,
         across=across,
-        covariance=smoothed.deviation_covariance * pace_at(nodes)[:, None, None] ** 2,
+        covariance=onto @ smoothed.deviation_covariance @ np.swapaxes(onto, 1, 2),
     )
 
 
-def slips_of(velocities: WheelVelocities, motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Slip ratio [-], side slip [deg], and their standard errors. (n, wheels) each"""
+class Slips(NamedTuple):
+    """Slip ratio [-] and side slip [deg] with their standard errors, and the part of that of slip that all share.
+
+    (n, wheels) each
+    """
+
+    slip_ratio: FloatArray
+    side_slip_deg: FloatArray
+    slip_ratio_sigma: FloatArray
+    side_slip_deg_sigma: FloatArray
+    slip_ratio_shared: FloatArray
+
+
+def slips_of(velocities: WheelVelocities, motion: Motion) -> Slips:
+    """Slips of wheels that turn as in a motion; what is not known of the scale of their rims is an error they share."""
     rim, sign = np.abs(motion.speed_m_s), np.sign(motion.speed_m_s)
     v_x, v_y = sign * velocities.v_x, sign * velocities.v_y
     travel = v_x / rim
     slip = np.where(travel <= 1.0, 1.0 - travel, 1.0 / np.maximum(travel, 1.0) - 1.0)
     side = np.degrees(np.arctan2(v_y, np.abs(v_x)))
-    along, across, covariance = velocities.along, velocities.across, velocities.covariance
-    travel_sigma = np.sqrt(np.einsum("mwi,mij,mwj->mw", along, covariance, along)) / rim
+    across, covariance = velocities.across, velocities.covariance
+    by = np.concatenate([sign[..., None] * velocities.along / rim[..., None], -travel[..., None]], axis=-1)
     steep = np.where(slip >= 0, 1.0, (1.0 + np.minimum(slip, 0.0)) ** 2)
+    travel_sigma = np.sqrt(np.einsum("mwi,mij,mwj->mw", by, covariance, by))
+    scale_sigma = np.sqrt(np.maximum(covariance[:, 3, 3], 1e-300))[:, None]
+    shared = steep * np.abs(np.einsum("mwi,mi->mw", by, covariance[:, :, 3])) / scale_sigma
     squared = v_x**2 + v_y**2
-    weights = (across * np.abs(v_x)[..., None] - along * (np.sign(v_x) * v_y)[..., None]) / squared[..., None]
-    side_sigma = np.degrees(np.sqrt(np.einsum("mwi,mij,mwj->mw", weights, covariance, weights)))
-    return slip, side, np.hypot(steep * travel_sigma, SLIP_FLOOR), np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG)
+    weights = (across * np.abs(v_x)[..., None] - velocities.along * (np.sign(v_x) * v_y)[..., None]) / squared[..., None]
+    side_sigma = np.degrees(np.sqrt(np.einsum("mwi,mij,mwj->mw", weights, covariance[:, :3, :3], weights)))
+    return Slips(
+        slip, side, np.hypot(steep * travel_sigma, SLIP_FLOOR), np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG), shared
+    )

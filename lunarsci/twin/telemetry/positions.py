@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, samples_about
 from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.checks import check_far, ordered
-from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.checks import check_far, ordered, taken
+from lunarsci.twin.telemetry.reading import WHEEL_COLUMNS, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.rests import GAP
 
 ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
@@ -91,6 +91,28 @@ def with_positions(telemetry: Telemetry, positions: Positions, file: str, findin
         columns["fix_shared_m2"] = np.zeros((len(merged), 2, 2))
         columns["fix_shared_m2"][rows] = shared[good]
     return dataclasses.replace(telemetry, **columns)
+
+
+def without_lag(telemetry: Telemetry, lag_s: float, findings: Findings) -> Telemetry:
+    """Rows with positions, headings and attitude put back to the time of the wheels that made them: a lag earlier.
+
+    Columns of the wheels are taken to change evenly between rows. Rows before the first time or after the last one are
+    left out.
+    """
+    if lag_s == 0.0:
+        return telemetry
+    telemetry = ordered(telemetry, findings)
+    times = telemetry.time_s
+    at = times - lag_s
+    rows = np.flatnonzero((at >= times[0]) & (at <= times[-1]))
+    found = taken(telemetry, rows)
+    low, share = samples_about(times, at[rows])
+    columns: dict[str, Any] = {"time_s": at[rows]}
+    for name in WHEEL_COLUMNS:
+        before, after = (getattr(telemetry, name)[row] for row in (low, low + 1))
+        columns[name] = before + share[:, None] * (after - before)
+    rests = tuple((begin - lag_s, end - lag_s) for begin, end in telemetry.rests_s)
+    return dataclasses.replace(found, rests_s=rests, **columns)
 
 
 def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:

@@ -1,10 +1,12 @@
 """Where the rover was and how it slipped, from its wheels, its heading and localised positions.
 
-The model is that of `filter`. How fast its deviations change decides how far positions tell of the slip between them:
-each has an amplitude and a length. What positions and headings are probable for is known from the filter (its
-marginal likelihood); with what is believed beforehand it gives weights to candidates. No one of them is chosen: the
-motion is averaged over them, so that what is not known of them widens its errors. The smoother, linearised anew about
-its own result until it stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
+The model is that of `filter`, its constants and hypotheses are those of `nuisances`. How fast deviations change decides
+how far positions tell of the slip between them: each has an amplitude and a length. What positions and headings are
+probable for is known from the filter (its marginal likelihood); with what is believed beforehand it gives weights to
+candidates. No one of them is chosen: the motion is averaged over them, so that what is not known of them widens its
+errors. Errors of positions and headings follow Student's law, by weights that are found with the motion (Lange, Little
+& Taylor 1989, 10.1080/01621459.1989.10478852). The smoother, linearised anew about its own result, is Gauss-Newton for
+the whole drive (Bell 1994, 10.1137/0804035).
 """
 
 import math
@@ -16,22 +18,25 @@ from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.filter import (
     AHEAD,
-    EFFECT_MEAN,
     EFFECTS,
     MEANS,
+    SCALE,
     SIZE,
+    Assumptions,
+    Model,
     Nodes,
-    dead_reckoned,
+    Reference,
+    at_nodes,
     filtered,
     linearised,
     smoothed_back,
 )
-from lunarsci.twin.telemetry.reading import Findings
+from lunarsci.twin.telemetry.nuisances import EFFECT_MEAN, Posterior, Priors, averaged, likely_sets
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
 it, to much more where the ground is smooth. Assumed. [m]"""
-AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15)
+AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
 """Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m. Assumed."""
 SHARES = np.array([1.0, 1.0, 0.3])
 """How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
@@ -43,21 +48,31 @@ UNKNOWN = 0.02
 """The same where the slopes are not known; assumed."""
 WIDTH = 1.7
 """How widely it is believed, in ln; assumed."""
+WALKS, WALK_ODDS = (0.0, 0.01, 0.02, 0.04, 0.08), (0.2, 0.2, 0.2, 0.2, 0.2)
+"""Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
+by some centimetres a root metre; assumed. [m / sqrt(m)]"""
+COARSE = np.array([0.1, 0.1, 0.05])
+"""How slip changes while nothing is known of it: widely; assumed."""
 ORDER = (2, 1, 0)
 """Of the velocities, the best known first: headings tell how the turn changes."""
 DRAWN = 12
-STRIDES = (1, 5, 7)
-"""By which the draws of the three deviations are mixed: without a common divisor with `DRAWN`."""
+STRIDES = (1, 5, 7, 11)
+"""By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
+FAR = 20.0
+"""Mahalanobis distance squared from which on a measurement is looked at alone; assumed: once in 22 000 by chance."""
+FREEDOM = 4.0
+"""Of Student's law of the errors of positions and headings (Gelman et al. 2013, ch. 17: few degrees, as 4)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlipProcess:
-    """How the deviations ahead [-], left [-] and turn [1/m] change along the way.
+    """How the deviations ahead [-], left [-] and turn [1/m] change along the way, and how the error of positions grows.
 
     Attributes
     ----------
     amplitude, length_m : equally probable candidates. (m, 3), (m, 3) [m]
-    usual, usual_length_m : their means in ln. (3,)
+    walk : growth of the error that positions share. (m,) [m / sqrt(m)]
+    usual, usual_length_m, usual_walk : their means, in ln but for the walk. (3,), (3,)
     spread : standard deviation of ln amplitude. (3,)
     information : what the data tell of amplitude and length beside what was believed, as the Kullback-Leibler
         divergence; 0 where they tell nothing. (3,) [nat]
@@ -65,23 +80,43 @@ class SlipProcess:
 
     amplitude: FloatArray
     length_m: FloatArray
+    walk: FloatArray
     usual: FloatArray
     usual_length_m: FloatArray
+    usual_walk: float
     spread: FloatArray
     information: FloatArray
 
     @classmethod
     def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "SlipProcess":
-        """Known amplitudes and lengths. (3,), (3,) [m]"""
+        """Known amplitudes and lengths, and no walk. (3,), (3,) [m]"""
         zero = np.zeros(3)
         return cls(
             amplitude=amplitude[None],
             length_m=length_m[None],
+            walk=np.zeros(1),
             usual=amplitude,
             usual_length_m=length_m,
+            usual_walk=0.0,
             spread=zero,
             information=zero,
         )
+
+    @classmethod
+    def coarse(cls) -> "SlipProcess":
+        """What is taken while nothing is known."""
+        return cls.fixed(COARSE, np.full(3, LENGTHS_M[1]))
+
+    @property
+    def middle(self) -> Assumptions:
+        """The usual ones alone."""
+        walk = np.array([self.usual_walk])
+        return Assumptions(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
+
+    @property
+    def all(self) -> Assumptions:
+        """All candidates."""
+        return Assumptions(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
 
 
 def believed_change(nodes: Nodes) -> SlipProcess:
@@ -89,29 +124,57 @@ def believed_change(nodes: Nodes) -> SlipProcess:
     return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
 
 
-def change_of(nodes: Nodes) -> SlipProcess:
-    """How deviations change, from positions and headings: each in turn, the others as they are found to be."""
+def change_of(nodes: Nodes, priors: Priors | None = None, reference: Reference | None = None) -> SlipProcess:
+    """How deviations change, from positions and headings: each in turn, the others as they are found to be.
+
+    Parameters
+    ----------
+    priors : of the constants; None takes the plain ones.
+    reference : a motion that is about right; None takes that of what is believed.
+    """
+    priors = priors or Priors.plain(nodes)
     believed = _believed(nodes)
-    amplitude, length = believed.copy(), np.full(3, LENGTHS_M[1])
-    model = linearised(nodes, dead_reckoned(nodes), amplitude[None], length[None])
-    reference = smoothed_back(model, *filtered(model)[:2])[0][:, 0]
+    amplitude, length, walk = COARSE.copy(), np.full(3, LENGTHS_M[1]), 0.0
+    if reference is None:
+        reference = _round(nodes, Reference.first(nodes), SlipProcess.fixed(amplitude, length), priors)
+    sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
+    if priors.hypotheses:
+        usual = Assumptions(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
+        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), kept=False).squares[0])
+
+    def likelihood(tried_a: FloatArray, tried_l: FloatArray, tried_w: FloatArray) -> FloatArray:
+        assumed = Assumptions(amplitude=tried_a, length_m=tried_l, walk=tried_w)
+        run = filtered(Model.about(nodes, reference, assumed), kept=False)
+        return np.array([one.ln_likelihood for one in averaged(priors, run, sets)])
+
     ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
     prior = -0.5 * ((ln_a + np.log(SHARES)[:, None] - np.log(believed)[:, None]) / WIDTH) ** 2
-    weights = np.empty_like(prior)
+    weights, walked = np.empty_like(prior), np.eye(len(WALKS))[0]
     for channel in ORDER:
+        if channel == ORDER[1] and nodes.chain is None and priors.hypotheses:
+            # Slip that changes and positions that walk look alike: they are weighed together.
+            step, level = (part.ravel() for part in np.meshgrid(np.arange(len(WALKS)), AMPLITUDES, indexing="ij"))
+            tried_a = np.column_stack([level, level, np.full(len(level), amplitude[2])])
+            tried_l = np.tile([LENGTHS_M[1], LENGTHS_M[1], length[2]], (len(level), 1))
+            ln_weight = likelihood(tried_a, tried_l, np.array(WALKS)[step]) + np.log(WALK_ODDS)[step]
+            ln_weight -= 0.5 * (np.log(level[:, None] / believed[:2]) ** 2).sum(axis=1) / WIDTH**2
+            walked = np.bincount(step, _normed(ln_weight))
+            walk = float(walked @ WALKS)
         tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
         tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
-        likelihood = filtered(linearised(nodes, reference, tried_a, tried_l), kept=False)[2]
-        weights[channel] = _normed(prior[channel] + likelihood)
+        weights[channel] = _normed(prior[channel] + likelihood(tried_a, tried_l, np.full(len(ln_a), walk)))
         amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
         length[channel] = math.exp(weights[channel] @ ln_l)
     spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
-    drawn = _draws(weights)
+    drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
+    picked = np.column_stack(drawn[:3])
     return SlipProcess(
-        amplitude=np.exp(ln_a[drawn]) * SHARES,
-        length_m=np.exp(ln_l[drawn]),
+        amplitude=np.exp(ln_a[picked]) * SHARES,
+        length_m=np.exp(ln_l[picked]),
+        walk=np.array(WALKS)[drawn[3]],
         usual=amplitude,
         usual_length_m=length,
+        usual_walk=walk,
         spread=spread,
         information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
     )
@@ -141,17 +204,15 @@ def _divergence(weight: FloatArray, believed: FloatArray) -> float:
     return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
 
 
-def _draws(weights: FloatArray) -> IndexArray:
-    """Candidates of each deviation, as often as they are probable, mixed with those of the others. (m, 3)"""
+def _drawn(weight: FloatArray, stride: int) -> IndexArray:
+    """Candidates as often as they are probable, in an order of their own. (m,)"""
     levels = (np.arange(DRAWN) + 0.5) / DRAWN
-    columns = []
-    for weight, stride in zip(weights, STRIDES, strict=True):
-        picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
-        columns.append(picked[(stride * np.arange(DRAWN)) % DRAWN])
-    return np.column_stack(columns)
+    picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
+    return np.asarray(picked[(stride * np.arange(DRAWN)) % DRAWN])
 
 
-ROUNDS = 2
+ROUNDS = 4
+"""Of weights, constants and the motion about which the model is linear, until they agree."""
 HELD_BYTES = 1 << 28
 """Of covariances that are held at a time; assumptions are taken in turn where it would be more."""
 
@@ -162,166 +223,249 @@ class Smoothed:
 
     Attributes
     ----------
-    state, covariance : mean and covariance of the state. (n, 18), (n, 18, 18)
-    effect : `Nodes.effects`. (n, 3, 4)
+    state, covariance : mean and covariance of the state and, behind it, of the constants. (n, 11 + k), ...
+    effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
     squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
     yaw_squared_distance : the same of each heading. (n,)
+    fix_weight, yaw_weight : how much each position and heading counts, 1 for one that is as good as it says. (n,)
     reduced_chi_square : of the positions.
+    posterior : of the constants.
     """
 
     state: FloatArray
     covariance: FloatArray
     effect: FloatArray
+    heads: FloatArray
+    bend: FloatArray
     change: SlipProcess
     squared_distance: FloatArray
     yaw_squared_distance: FloatArray
+    fix_weight: FloatArray
+    yaw_weight: FloatArray
     reduced_chi_square: float
+    posterior: Posterior
+
+    @property
+    def reference(self) -> Reference:
+        """What the same model may be linearised about."""
+        state, constants = self.state[:, :SIZE], self.posterior.mean
+        return Reference(state=state, constants=constants, fix_weight=self.fix_weight, yaw_weight=self.yaw_weight)
 
     @property
     def picks(self) -> FloatArray:
-        """Rows that make the deviations out of the state. (n, 3, 18)"""
-        picks = np.zeros((len(self.state), 3, SIZE))
+        """Rows that make the deviations out of the state, and ln of the rims' scale. (n, 4, 11 + k)"""
+        picks = np.zeros((len(self.state), 4, self.state.shape[1]))
         for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
             picks[:, row, k] = picks[:, row, mean] = 1.0
-        picks[:, :, EFFECTS] = self.effect
+        picks[:, 0, MEANS[0]] = self.heads
+        picks[:, 2, AHEAD[2]] = self.bend
+        picks[:, :3, EFFECTS] = self.effect
+        picks[:, 3, SIZE + SCALE] = 1.0
         return picks
 
     @property
     def deviation(self) -> FloatArray:
         """Deviation of ahead, left and turn, as shares of the rims' mean speed. (n, 3) [-, -, 1/m]"""
-        return np.asarray(np.einsum("nij,nj->ni", self.picks, self.state))
+        return np.asarray(np.einsum("nij,nj->ni", self.picks, self.state)[:, :3])
 
     @property
     def deviation_covariance(self) -> FloatArray:
-        """Covariance of `deviation`. (n, 3, 3)"""
+        """Covariance of `deviation` and of ln of the rims' scale. (n, 4, 4)"""
         picks = self.picks
         return np.asarray(picks @ self.covariance @ np.swapaxes(picks, 1, 2))
 
 
-def smooth(nodes: Nodes, change: SlipProcess | None = None) -> Smoothed:
+def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | None = None,
+           start: Reference | None = None) -> Smoothed:  # fmt: skip
     """The motion that explains positions and headings best, with its uncertainty.
 
     Parameters
     ----------
     nodes : with two positions or more.
     change : how fast deviations change; None finds it from the nodes.
+    priors : of the constants; None takes the plain ones, and errors that are normal.
+    start : what the model is first linearised about; None takes dead reckoning.
 
     Raises DataError for fewer than two positions, or where the numbers do not hold.
     """
-    if np.isfinite(nodes.fix_m).all(axis=1).sum() < 2:
+    if nodes.fixed.sum() < 2:
         raise DataError("fewer than two positions of use; slip needs two or more")
+    robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
-        change = change or change_of(nodes)
-        reference = dead_reckoned(nodes)
-        for _ in range(ROUNDS):
-            reference, _ = _round(nodes, reference, change.usual[None], change.usual_length_m[None])
-        state, covariance = _round(nodes, reference, change.amplitude, change.length_m)
+        reference = start or Reference.first(nodes)
+        if robust and start is None:
+            reference = _without_far_ones(nodes, reference, priors)
+        for number in range(ROUNDS):
+            tried = change or SlipProcess.coarse()
+            reference = _round(nodes, reference, tried, priors, robust=robust)
+            if change is None and number == ROUNDS - 3:
+                change = change_of(nodes, priors, reference)
+        state, covariance, posterior = _averaged(nodes, reference, change, priors)
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
-    squared_distance, chi_square, count = _squared_distances(nodes, state, covariance)
+    off, spread = _residuals(nodes, reference, state, covariance)
+    squared, chi_square, count = _squared_distances(nodes, off, spread, reference.fix_weight)
     return Smoothed(
         state=state,
         covariance=covariance,
         effect=nodes.effects,
+        heads=at_nodes(nodes.heads),
+        bend=at_nodes(nodes.bend),
         change=change,
-        squared_distance=squared_distance,
-        yaw_squared_distance=_yaw_squared_distances(nodes, state, covariance),
+        squared_distance=squared,
+        yaw_squared_distance=_yaw_squared_distances(nodes, off, spread, reference.yaw_weight),
+        fix_weight=reference.fix_weight,
+        yaw_weight=reference.yaw_weight,
         reduced_chi_square=chi_square / max(count, 1),
+        posterior=posterior,
     )
 
 
-def probable(nodes: Nodes, change: SlipProcess) -> tuple[FloatArray, float]:
-    """State at the end (18,), and ln of how probable positions and headings are, up to a constant."""
-    amplitude, length_m = change.usual[None], change.usual_length_m[None]
-    reference, _ = _round(nodes, dead_reckoned(nodes), amplitude, length_m)
-    means, _, ln_likelihood = filtered(linearised(nodes, reference, amplitude, length_m), kept=False)
-    return means[-1, 0], float(ln_likelihood[0])
+def _residuals(
+    nodes: Nodes, reference: Reference, state: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What positions and headings are off (n, 3), and how well it is known where they should be (n, 3, 3).
+
+    `state` and `covariance` are those of state and constants together.
+    """
+    linear = linearised(nodes, reference)
+    seen = np.concatenate([linear.seen, linear.by], axis=2)
+    return linear.value - np.einsum("nij,nj->ni", seen, state), seen @ covariance @ np.swapaxes(seen, 1, 2)
+
+
+def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: Reference) -> tuple[FloatArray, float]:
+    """Constants (k,), and ln of how probable positions and headings are, up to a constant."""
+    run = filtered(Model.about(nodes, reference, change.middle), kept=False)
+    (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    return found.mean, found.ln_likelihood
 
 
 def _round(
-    nodes: Nodes, reference: FloatArray, amplitude: FloatArray, length_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """States and their covariances, averaged over amplitudes and lengths (m, 3), linearised about a reference."""
-    each = max(1, HELD_BYTES // (8 * SIZE**2 * len(reference)))
-    parts, covariance = [], np.zeros((len(reference), SIZE, SIZE))
-    for first in range(0, len(amplitude), each):
+    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors, *, robust: bool = False
+) -> Reference:
+    """The motion about a reference, as the next one, with weights by Student's law where it is `robust`."""
+    state, covariance, constants = _about(nodes, reference, change, priors)
+    fix_weight, yaw_weight = reference.fix_weight, reference.yaw_weight
+    if robust:
+        fix_weight, yaw_weight = _weights(nodes, *_residuals(nodes, reference, state, covariance))
+    return Reference(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+
+
+def _about(
+    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
+    model = Model.about(nodes, reference, change.middle)
+    run = smoothed_back(model, filtered(model))
+    (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    onto = _onto(run.columns[:, 0, :, 1:])
+    covariance = onto @ found.covariance @ np.swapaxes(onto, 1, 2)
+    covariance[:, :SIZE, :SIZE] += run.covariance[:, 0]
+    state = onto @ found.mean
+    state[:, :SIZE] += run.columns[:, 0, :, 0]
+    return state, covariance, found.mean
+
+
+def _without_far_ones(nodes: Nodes, reference: Reference, priors: Priors) -> Reference:
+    """Weights to begin with: the position that is farthest from where all others put it hardly counts, then the next.
+
+    Student's law has several modes. Where a wrong position counts as much as any at first, its neighbours may end as
+    the odd ones.
+    """
+    fix_weight, yaw_weight = reference.fix_weight.copy(), reference.yaw_weight.copy()
+    for _ in range(len(nodes.time_s)):
+        reference = Reference(state=reference.state, constants=reference.constants, fix_weight=fix_weight,
+                              yaw_weight=yaw_weight)  # fmt: skip
+        state, covariance, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
+        off, spread = _residuals(nodes, reference, state, covariance)
+        fixes = np.nan_to_num(_squared_distances(nodes, off, spread, fix_weight)[0])
+        headings = np.nan_to_num(_yaw_squared_distances(nodes, off, spread, yaw_weight))
+        fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
+        reference = Reference(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+        if max(fixes.max(), headings.max()) < FAR:
+            return reference
+        far = fixes >= max(FAR, fixes.max())
+        fix_weight = np.where(far, (FREEDOM + 2.0) / (FREEDOM + fixes), fix_weight)
+        far = headings >= max(FAR, 0.5 * headings.max())
+        yaw_weight = np.where(far, (FREEDOM + 1.0) / (FREEDOM + headings), yaw_weight)
+    return reference
+
+
+def _onto(columns: FloatArray) -> FloatArray:
+    """State and constants as linear in the constants (n, 11 + k, k), from those of the state. (n, 11, k)"""
+    same = np.broadcast_to(np.eye(columns.shape[2]), (len(columns), columns.shape[2], columns.shape[2]))
+    return np.concatenate([columns, same], axis=1)
+
+
+def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How much positions and headings count, by what they are off (n, 3), known to a covariance (n, 3, 3).
+
+    A chain of errors makes a position off by what it adds to the error before.
+    """
+    fix, yaw = np.ones(len(off)), np.ones(len(off))
+    for k in np.flatnonzero(nodes.fixed):
+        squared = np.outer(off[k, :2], off[k, :2]) + spread[k, :2, :2]
+        squared = float(np.trace(np.linalg.solve(nodes.fix_covariance_m2[k], squared)))
+        fix[k] = min(1.0, (FREEDOM + 2.0) / (FREEDOM + squared))
+    squared_yaw = (off[:, 2] ** 2 + spread[:, 2, 2]) / nodes.yaw_sigma_rad**2
+    known = np.isfinite(squared_yaw)
+    yaw[known] = np.minimum(1.0, (FREEDOM + 1.0) / (FREEDOM + squared_yaw[known]))
+    return fix, yaw
+
+
+def _averaged(
+    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors
+) -> tuple[FloatArray, FloatArray, Posterior]:
+    """State and constants with their covariance, averaged over assumptions, linearised about a reference."""
+    whole, every = SIZE + nodes.constants, change.all
+    count, many = len(reference.state), len(every.walk)
+    each = max(1, HELD_BYTES // (8 * SIZE * (SIZE + whole) * count))
+    sets = likely_sets(priors, filtered(Model.about(nodes, reference, change.middle), kept=False).squares[0])
+    means, covariance, found = np.zeros((many, count, whole)), np.zeros((count, whole, whole)), list[Posterior]()
+    for first in range(0, many, each):
         some = slice(first, first + each)
-        model = linearised(nodes, reference, amplitude[some], length_m[some])
-        means, covariances = smoothed_back(model, *filtered(model)[:2])
-        parts.append(means)
-        covariance += covariances.sum(axis=1)
-    means = np.concatenate(parts, axis=1)
-    mean = means.mean(axis=1)
-    apart = means - mean[:, None]
-    return mean, (covariance + np.einsum("nmi,nmj->nij", apart, apart)) / len(amplitude)
+        assumed = Assumptions(amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some])
+        model = Model.about(nodes, reference, assumed)
+        run = smoothed_back(model, filtered(model))
+        for k, posterior in enumerate(averaged(priors, run, sets)):
+            onto = _onto(run.columns[:, k, :, 1:])
+            covariance += onto @ posterior.covariance @ np.swapaxes(onto, 1, 2)
+            covariance[:, :SIZE, :SIZE] += run.covariance[:, k]
+            means[first + k] = onto @ posterior.mean
+            means[first + k, :, :SIZE] += run.columns[:, k, :, 0]
+            found.append(posterior)
+    mean = means.mean(axis=0)
+    apart = means - mean
+    covariance = (covariance + np.einsum("mni,mnj->nij", apart, apart)) / many
+    middle = np.mean([one.ln_likelihood for one in found])
+    held = np.mean([one.probable for one in found], axis=0)
+    return mean, covariance, Posterior(mean[-1, SIZE:], covariance[-1, SIZE:, SIZE:], float(middle), held)
 
 
-def _yaw_squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> FloatArray:
+def _yaw_squared_distances(nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray) -> FloatArray:
     """The same of headings. (n,)"""
     errors = nodes.yaw_sigma_rad**2
-    left = np.maximum(errors - covariance[:, 2, 2], 1e-3 * errors)
-    return np.asarray((nodes.yaw_rad - state[:, 2]) ** 2 / left)
+    counted = errors / weight
+    left = np.maximum(counted - spread[:, 2, 2], 1e-3 * counted)
+    # Without the heading itself it is off by more, from a motion that is less well known.
+    return np.asarray((off[:, 2] * counted / left) ** 2 / (errors + counted**2 / left - counted))
 
 
-def _squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:
+def _squared_distances(
+    nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, float, int]:
     """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
-    fixed = np.isfinite(nodes.fix_m).all(axis=1)
     squared_distance = np.full(len(nodes.time_s), np.nan)
     chi_square, count = 0.0, 0.0
-    for k in np.flatnonzero(fixed):
-        off, errors = nodes.fix_m[k] - state[k, :2], nodes.fix_covariance_m2[k]
-        left = errors - covariance[k, :2, :2]
+    for k in np.flatnonzero(nodes.fixed):
+        errors, apart = nodes.fix_covariance_m2[k], off[k, :2]
+        counted = errors / weight[k]
+        left = counted - spread[k, :2, :2]
         value, axes = np.linalg.eigh(left)
-        squared_distance[k] = ((axes.T @ off) ** 2 / np.maximum(value, 1e-6 * np.trace(errors))).sum()
-        chi_square += float(off @ np.linalg.solve(errors, off))
-        count += float(np.trace(np.linalg.solve(errors, left)))
+        inverse = axes @ np.diag(1.0 / np.maximum(value, 1e-6 * np.trace(errors))) @ axes.T
+        alone, known = counted @ inverse @ apart, counted @ inverse @ counted - counted
+        squared_distance[k] = float(alone @ np.linalg.solve(errors + known, alone))
+        chi_square += float(apart @ np.linalg.solve(counted, apart))
+        count += float(np.trace(np.linalg.solve(counted, left)))
     return squared_distance, chi_square, max(round(count), 1)
-
-
-WORST_CHI_SQUARE = 4.0
-"""Reduced chi-square beyond which the result is in doubt; assumed."""
-LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
-"""Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
-SPARSE = 0.02
-"""Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
-GLIDE_DEG = 3.0
-"""Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
-
-
-def check_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say errors of positions that nobody can believe, and a scatter that they do not explain.
-
-    What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
-    """
-    fixed = np.isfinite(nodes.fix_m).all(axis=1)
-    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
-    if sigma < FINEST_M:
-        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
-        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    scattered = smoothed.reduced_chi_square >= LEAST_CHI_SQUARE or nodes.chain is not None
-    if not scattered and fixed.sum() > 5 and sigma >= FINEST_M:
-        what = f"positions scatter {smoothed.reduced_chi_square:.2g} times as much as their errors of {sigma:.3g} m say"
-        findings.add("errors too large", what, "kept; are they in another unit?")
-    if smoothed.reduced_chi_square > WORST_CHI_SQUARE:
-        what = f"positions scatter with a reduced chi-square of {smoothed.reduced_chi_square:.1f} about the motion"
-        findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
-
-
-def check_glide(smoothed: Smoothed, findings: Findings) -> None:
-    """Say a side slip that stays the same all along."""
-    left, sigma = float(smoothed.state[-1, MEANS[1]]), float(np.sqrt(smoothed.covariance[-1, MEANS[1], MEANS[1]]))
-    middle = math.degrees(math.atan(float(np.median(smoothed.deviation[:, 1]))))
-    if abs(middle) > GLIDE_DEG and abs(left) > sigma:
-        what = f"the rover glides by {middle:.2g} deg all the way, positive to the left"
-        findings.add("constant side slip", what, "kept; a heading that is off throughout looks the same")
-
-
-def check_change(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say positions that are too few or too coarse to tell how slip changes."""
-    if smoothed.change.information[0] < SPARSE:
-        count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
-        what = (
-            f"{count} positions over {float(nodes.way_m.sum()):.3g} m by the wheels do not tell how fast slip changes"
-        )
-        findings.add("sparse positions", what, "errors of slip rest on what is assumed of it", count=count)

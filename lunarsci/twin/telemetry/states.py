@@ -27,9 +27,8 @@ from lunarsci.twin.telemetry.checks import (
     steering_angles,
     time_gaps,
 )
-from lunarsci.twin.telemetry.far_lag import FarLag, far_lag
 from lunarsci.twin.telemetry.filter import Nodes
-from lunarsci.twin.telemetry.lag import Lag, check_lag, lag_of
+from lunarsci.twin.telemetry.findings_of_drive import Lag, left_out_of, say_constants, say_left_out, say_scatter
 from lunarsci.twin.telemetry.nodes import (
     denser,
     mean_speed,
@@ -37,21 +36,16 @@ from lunarsci.twin.telemetry.nodes import (
     nodes_of,
     on_ground,
     slips_of,
+    turn_effect,
     wheel_velocities,
 )
+from lunarsci.twin.telemetry.nuisances import Priors
 from lunarsci.twin.telemetry.odometry import body_twist
-from lunarsci.twin.telemetry.outliers import without_outliers
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
-from lunarsci.twin.telemetry.smoother import (
-    Smoothed,
-    check_change,
-    check_glide,
-    check_scatter,
-    smooth,
-)
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, check_wheels_agree, wheel_motion
+from lunarsci.twin.telemetry.smoother import Smoothed, SlipProcess, smooth
+from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, of_one_motion, wheel_motion
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,6 +69,7 @@ class StateRows:
     distance_m : way that the wheels rolled, of their middle; longer than the rover's by slip. (m,) [m]
     place_m : wheel centres. (m, wheels, 2) [m]
     slip_ratio, slip_ratio_sigma, side_slip_deg, side_slip_deg_sigma : (m, wheels)
+    slip_ratio_shared : part of the error of slip that all states share, of the scale of the rims. (m, wheels)
     sinkage_m, sinkage_m_sigma : NaN where the track does not say it. (m, wheels) [m]
     rim_m_s : measured speed of the rims r_s omega about the node, NaN where it is not. (m, wheels) [m/s]
     measured : False at halts, and for wheels without readings or off the terrain. (m, wheels)
@@ -85,6 +80,7 @@ class StateRows:
     place_m: FloatArray
     slip_ratio: FloatArray
     slip_ratio_sigma: FloatArray
+    slip_ratio_shared: FloatArray
     side_slip_deg: FloatArray
     side_slip_deg_sigma: FloatArray
     sinkage_m: FloatArray
@@ -113,7 +109,7 @@ class DriveStates:
     nodes, smoothed, motion, held : the motion at its nodes, and the rover along it on the terrain.
     rows : states of the wheels.
     gaps : begin and end of the gaps in time. (g, 2) [s]
-    left_out : positions that fit no motion: time, x, y. (o, 3) [s, m, m]
+    left_out : positions that hardly count, as they fit no motion: time, x, y. (o, 3) [s, m, m]
     findings : what was found wrong.
     lag : how much later the rover moves than its wheels say.
     pace : how fast the wheels turned beside the plan; None where there is no plan, or nothing measured.
@@ -165,8 +161,8 @@ def states_of(
     wheels = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1])
     steering = np.radians(angle)
     schedule = None if plan is None else make_schedule(plan, rover)
-    twist, off, way = _way(rover, telemetry, wheels, steering, schedule)
-    check_wheels_agree(wheels, off, findings)
+    wheels = of_one_motion(wheels, rover, 0.5 * (steering[1:] + steering[:-1]), findings)
+    twist, way = _way(rover, telemetry, wheels, steering, schedule)
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
     telemetry = usable_positions(telemetry, way, findings)
     telemetry = usable_headings(telemetry, turned, findings)
@@ -175,8 +171,7 @@ def states_of(
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
         pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
-    far = far_lag(telemetry, turned)
-    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, far, findings)
+    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
     return dataclasses.replace(found, pace=pace)
 
 
@@ -188,29 +183,26 @@ def _along_the_ground(
     steering_rad: FloatArray,
     gaps: BoolArray,
     schedule: Schedule | None,
-    far: FarLag,
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     between = np.column_stack([telemetry.time_s[:-1][gaps], telemetry.time_s[1:][gaps]])
     dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
-    twist, _, way = _way(rover, dense, wheels, steering, schedule)
-    nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
-    every = nodes
-    smoothed, nodes, left_out = without_outliers(nodes, findings)
-    motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
-    first = prescribed_loads(rover, terrain, motion)
-    sway = sway_m(rover, first.paths)
-    nodes = on_ground(rover, nodes, first, sway)
-    smoothed = smooth(nodes)
+    twist, way = _way(rover, dense, wheels, steering, schedule)
+    bare, rows = nodes_of(dense, wheels, twist, way, gaps)
+    priors = Priors.of_drive(bare, skids=not rover.steered_mask.any(), told_share=wheels.told_share)
+    bare = dataclasses.replace(bare, effect=turn_effect(bare))
+    first = smooth(bare, SlipProcess.coarse(), priors)
+    motion = motion_at(rover, dense, bare, first, wheels, steering, rows, np.zeros((1, 2)))
+    stood = prescribed_loads(rover, terrain, motion)
+    sway = sway_m(rover, stood.paths)
+    nodes = on_ground(rover, bare, stood, sway, priors, first.reference)
+    smoothed = smooth(nodes, None, priors, first.reference)
     motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
-    check_scatter(smoothed, nodes, findings)
-    check_glide(smoothed, findings)
-    check_change(smoothed, nodes, findings)
-    whole = dataclasses.replace(nodes, fix_m=every.fix_m - sway, yaw_rad=every.yaw_rad)
-    lag = lag_of(nodes, whole, smoothed, float(np.median(np.diff(telemetry.time_s))), far)
-    check_lag(lag, findings)
+    say_constants(smoothed, nodes, priors, findings)
+    say_left_out(smoothed, nodes, findings)
+    say_scatter(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
     return DriveStates(
         rover=rover,
@@ -221,25 +213,25 @@ def _along_the_ground(
         held=held,
         rows=_state_rows(dense, rover, wheels, nodes, smoothed, motion, held, rows, gaps, findings),
         gaps=between,
-        left_out=left_out,
+        left_out=left_out_of(smoothed, bare),
         findings=findings,
-        lag=lag,
+        lag=Lag.of(smoothed.posterior, priors),
     )
 
 
 def _way(
     rover: Rover, telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray, schedule: Schedule | None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Twist that wheels without slip say between rows, how far they differ from it [m/s], and the way of the rims.
+) -> tuple[FloatArray, FloatArray]:
+    """Twist that wheels without slip say between rows, and the way of the rims.
 
     A wheel that slips on purpose counts as fast as it would turn without.
     """
     times, rims = telemetry.time_s, wheels.rim_m_s
     if schedule is not None:
         rims = rims / commanded_ratios(rover, schedule, 0.5 * (times[1:] + times[:-1]))
-    twist, off = body_twist(rover, rims, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
+    twist, _ = body_twist(rover, rims, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
-    return twist, off, way
+    return twist, way
 
 
 def _state_rows(
@@ -261,7 +253,7 @@ def _state_rows(
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, telemetry.file)
     velocities = wheel_velocities(rover, nodes, smoothed, held)
-    slip, side, slip_sigma, side_sigma = (part[chosen] for part in slips_of(velocities, motion))
+    slip, side, slip_sigma, side_sigma, shared = (part[chosen] for part in slips_of(velocities, motion))
     low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
     sound = held.outcome[chosen] == 0
@@ -273,6 +265,7 @@ def _state_rows(
         place_m=held.states[chosen][..., :2],
         slip_ratio=slip,
         slip_ratio_sigma=slip_sigma,
+        slip_ratio_shared=shared,
         side_slip_deg=side,
         side_slip_deg_sigma=side_sigma,
         sinkage_m=np.full(slip.shape, np.nan),
@@ -299,7 +292,7 @@ def _chosen(
 
     Nodes and whether each is a halt.
     """
-    fixes = np.flatnonzero(np.isfinite(nodes.fix_m).all(axis=1))
+    fixes = np.flatnonzero(nodes.fixed)
     pace = nodes.way_m / np.diff(nodes.time_s)
     even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < UNEVEN
     calm = np.append(False, drives[1:] & drives[:-1] & even)
@@ -334,7 +327,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """A row for each time and wheel: what `lunarsci twin update` reads as states.
 
     Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
-    side_slip_deg, side_slip_deg_sigma, valid, slip_basis, rim_m_s, rover, ground, and doubt where there is some.
+    side_slip_deg, side_slip_deg_sigma, slip_ratio_shared, valid, slip_basis, rim_m_s, rover, ground, and doubt where there is some.
     """
     import pandas as pd
 
@@ -349,6 +342,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     for name in ("sinkage_m", "slip_ratio", "side_slip_deg"):
         columns[name] = getattr(rows, name).ravel()
         columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
+    columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
     columns["valid"] = rows.valid.ravel()
     return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive)
 

@@ -1,12 +1,13 @@
 """How the wheels turned: their encoders, checked against each other, the rates and the commands."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.odometry import wheel_rows
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.rests import TURNED_DEG
 
@@ -36,10 +37,13 @@ STILL_SHARE = 0.05
 """Share of the usual rim speed below which a wheel stands; assumed."""
 MOSTLY = 0.6
 """Share of equal readings above which a channel is merely coarse or free of noise; assumed."""
-OBEYED = 0.03
-"""Share by which wheels may be off their commands unsaid; assumed."""
 DISAGREE = 0.03
 """Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
+SCALE_SIGMA, SAID, LEAST_OFF = 0.003, 0.01, 1e-4
+"""Width of the law of encoders' scales, from where on one is said, and the least that rims are taken to be off by, as a
+share of their speed; assumed."""
+MOST_STEPS, ROUNDS = 2000, 30
+"""Steps between rows that the scales are found from, and rounds of their weights."""
 TOO_FAST = 3.0
 """Times the rover's highest speed which no rim has; assumed."""
 
@@ -54,12 +58,14 @@ class WheelMotion:
     measured : False where it is a command only. (n - 1, wheels)
     trusted : wheels and times whose own states can be given. (n - 1, wheels)
     usual_m_s : median speed of the rims while they turn. [m/s]
+    told_share : rim speed measured over commanded, 1 where there is no command.
     """
 
     rim_m_s: FloatArray
     measured: BoolArray
     trusted: BoolArray
     usual_m_s: float
+    told_share: float = 1.0
 
     @property
     def moving(self) -> BoolArray:
@@ -93,7 +99,7 @@ def wheel_motion(
     measured = np.where(np.isfinite(angle), angle / steps, np.where(hung, np.nan, rate))
     _clock_steps(telemetry, angle, expected, gaps, findings, planned=planned)
     _missing(telemetry, rover, measured, hung, findings)
-    _check_obedience(measured, told, findings)
+    told_share = _obedience(measured, told)
     rim = per_deg * np.where(np.isfinite(measured), measured, told)
     fast = np.abs(rim[np.isfinite(rim)])
     usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
@@ -111,6 +117,7 @@ def wheel_motion(
         measured=known,
         trusted=known if known.any() else np.isfinite(rim),
         usual_m_s=usual,
+        told_share=told_share,
     )
 
 
@@ -283,16 +290,11 @@ def _sound_rates(
     return rate
 
 
-def _check_obedience(measured: FloatArray, told: FloatArray, findings: Findings) -> None:
-    """Whether wheels turn as fast as they are told."""
+def _obedience(measured: FloatArray, told: FloatArray) -> float:
+    """How fast wheels turn beside their commands; 1 where that is not known."""
     both = np.isfinite(measured) & np.isfinite(told)
     both &= np.abs(told) > 0.3 * np.max(np.abs(told), where=np.isfinite(told), initial=0.0)
-    if not both.any():
-        return
-    share = float(np.median(measured[both] / told[both]))
-    if abs(share - 1.0) > OBEYED:
-        what = f"the wheels turn {share:.3g} times as fast as they are told"
-        findings.add("wheels against commands", what, "slip is of the measured speed; is the wheel radius right?")
+    return float(np.median(measured[both] / told[both])) if both.any() else 1.0
 
 
 def _long_runs(on: BoolArray, least: int = STUCK_ROWS) -> BoolArray:
@@ -374,10 +376,38 @@ def _missing(telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: Boo
             )
 
 
-def check_wheels_agree(wheels: WheelMotion, off_m_s: FloatArray, findings: Findings) -> None:
-    """The wheels of one rigid rover must tell of one motion."""
-    share = off_m_s[wheels.moving] / wheels.usual_m_s
-    if share.size and float(np.median(share)) > DISAGREE:
-        what = f"rims and steering of the wheels differ by {100 * float(np.median(share)):.2g} % from any one motion"
+def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, findings: Findings) -> WheelMotion:
+    """Wheels whose rims tell of the motions of one rigid rover: each encoder has a scale, and few are far from 1.
+
+    The scales are the most probable ones where ln of each follows a Cauchy law of width `SCALE_SIGMA`, by weights that
+    are found with them. What all wheels have in common does not show here. Said where a scale is off for sure; a rover
+    whose wheels still differ is in doubt.
+
+    Parameters
+    ----------
+    steering_rad : between rows. (n - 1, wheels) [rad]
+    """
+    known = np.flatnonzero(np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving)
+    some = known[:: max(1, len(known) // MOST_STEPS)]
+    if not some.size:
+        return wheels
+    along, _ = wheel_rows(rover, steering_rad[some])
+    apart = np.eye(along.shape[1]) - along @ np.linalg.pinv(along)
+    off = apart * wheels.rim_m_s[some][:, None, :] / wheels.usual_m_s
+    scale = np.zeros(along.shape[1])
+    for _ in range(ROUNDS):
+        left = np.sqrt((np.einsum("nij,j->ni", off, 1.0 - scale) ** 2).mean(axis=1))
+        noise = max(float(np.median(left)), LEAST_OFF)
+        weight = 1.0 / (noise**2 + left**2)
+        information = np.einsum("n,nki,nkj->ij", weight, off, off)
+        rare = np.diag(2.0 / (SCALE_SIGMA**2 + scale**2))
+        scale = np.linalg.solve(information + rare, information.sum(axis=1))
+    sigma = np.sqrt(np.diag(np.linalg.inv(information + rare)))
+    for k in np.flatnonzero(np.abs(scale) > np.maximum(3.0 * sigma, SAID)):
+        what = f"wheel {rover.wheels[k]} turns {1.0 + scale[k]:.3f} +- {sigma[k]:.3f} times as far as the others say"
+        findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
+    if noise > DISAGREE:
+        what = f"rims and steering of the wheels differ by {100 * noise:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
+    return replace(wheels, rim_m_s=wheels.rim_m_s / (1.0 + scale))

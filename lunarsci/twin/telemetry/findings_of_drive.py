@@ -1,0 +1,152 @@
+"""What the smoothed motion says of its telemetry: which hypotheses hold, and which positions fit no motion."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, SCALE, SLIDES, Nodes
+from lunarsci.twin.telemetry.nuisances import Posterior, Priors
+from lunarsci.twin.telemetry.reading import Findings
+from lunarsci.twin.telemetry.smoother import Smoothed
+
+HELD = 0.5
+"""Probability from which on a hypothesis is said: it is more probable than not."""
+HARDLY = 0.25
+"""Weight below which a position or a heading is said to be left out; assumed. By Student's law it is then 4.5 standard
+errors off."""
+MOST_LEFT_OUT = 0.2
+"""Share of the positions left out beyond which the result is in doubt; assumed."""
+WORST_SCATTER = 4.0
+"""Median square of what positions are off by over that of their errors beyond which the result is in doubt; assumed."""
+LEAST_SCATTER, FINEST_M = 0.05, 5e-4
+"""The same, and a standard error [m], below which errors of positions are not believed; assumed."""
+MEDIAN_OF_TWO = 2.0 * math.log(2.0)
+"""Median of chi-square with two degrees of freedom."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lag:
+    """By how much positions and headings are later than the columns of the wheels.
+
+    Attributes
+    ----------
+    lag_s, sigma_s : positive where the rover moves later than its wheels say. [s]
+    probable : that there is more than clocks usually differ by.
+    """
+
+    lag_s: float
+    sigma_s: float
+    probable: float
+
+    @classmethod
+    def of(cls, posterior: Posterior, priors: Priors) -> "Lag":
+        """From the constants of a drive."""
+        number = [one.name for one in priors.hypotheses].index("lag")
+        sigma = math.sqrt(posterior.covariance[LAG, LAG])
+        return cls(lag_s=float(posterior.mean[LAG]), sigma_s=sigma, probable=float(posterior.probable[number]))
+
+    @property
+    def found(self) -> bool:
+        """Whether a lag is more probable than none."""
+        return self.probable > HELD
+
+    def to_dict(self) -> dict[str, float | bool]:
+        """For a result."""
+        return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.found}
+
+
+def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, findings: Findings) -> None:
+    """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
+    mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
+
+    def value(k: int, unit: str, factor: float = 1.0) -> str:
+        return f"{factor * mean[k]:.3g} +- {factor * sigma[k]:.2g} {unit}"
+
+    ahead, left = LEVER.start, LEVER.start + 1
+    text = {
+        "lever arm": (
+            f"positions are those of a point {value(ahead, 'm')} ahead and {value(left, 'm')} to the left of the "
+            "rover's origin",
+            "the motion is that of the origin; give positions of the origin",
+        ),
+        "heading drift": (
+            f"headings drift by {value(DRIFT, 'deg', math.degrees(1.0))} until the end",
+            "the motion is without the drift",
+        ),
+        "lag": (
+            f"the rover moves {value(LAG, 's')} later than its wheels say",
+            f"positions and headings are put back; --lag {mean[LAG]:.2f} does so too",
+        ),
+        "encoder scale": (
+            f"the rims turn {math.exp(mean[SCALE]):.3f} +- {sigma[SCALE]:.3f} times as far as their encoders say",
+            "slip is of the rims",
+        ),
+    }
+    for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
+        if probable <= HELD or not one.said:
+            continue
+        if one.slide < 0:
+            what, done = text[one.name]
+            findings.add(one.name, what, f"{done} (probability {probable:.3g})")
+            continue
+        first, last = nodes.halts[one.slide]
+        times = nodes.time_s[[first, last]]
+        ways = [SLIDES + 2 * one.slide + step for step in (0, 1)]
+        what = (
+            f"the rover moves {value(ways[0], 'm')} ahead and {value(ways[1], 'm')} to the left between {times[0]:.6g} "
+            f"and {times[1]:.6g} s while its wheels stand: it slid, or positions are of another frame from then on"
+        )
+        findings.add(one.name, what, "the motion holds it, and slips are found on either side", time_s=float(times[0]))
+
+
+def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
+    return np.asarray(nodes.fixed & (smoothed.fix_weight < HARDLY))
+
+
+def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
+    """Positions that hardly count: time, x, y. (o, 3) [s, m, m]"""
+    rows = _left_out(smoothed, nodes)
+    return np.column_stack([nodes.time_s[rows], nodes.fix_m[rows]])
+
+
+def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+    """Say positions and headings that hardly count."""
+    known = np.isfinite(nodes.yaw_rad)
+    odd = known & (smoothed.yaw_weight < HARDLY)
+    if odd.any():
+        many, first = odd.sum() > MOST_LEFT_OUT * known.sum(), float(nodes.time_s[int(np.argmax(odd))])
+        what = f"{odd.sum()} of {known.sum()} headings fit no motion of the wheels"
+        findings.add("odd heading", what, "they hardly count", count=int(odd.sum()), time_s=first, doubt=bool(many))
+    left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
+    if not left.size:
+        return
+    what, done = f"{len(left)} of {len(fixes)} positions fit no motion of the wheels", "they hardly count"
+    ends = [name for name, node in (("first", fixes[0]), ("last", fixes[-1])) if node in left]
+    if ends:
+        what += f", the {' and the '.join(ends)} one too"
+        done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
+    doubt = bool(ends) or len(left) > MOST_LEFT_OUT * len(fixes)
+    findings.add(
+        "position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt
+    )
+
+
+def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+    """Say errors of positions that nobody can believe, and a scatter that they do not explain.
+
+    What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
+    """
+    fixed = nodes.fixed
+    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
+    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
+    if sigma < FINEST_M:
+        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
+        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
+    elif scatter < LEAST_SCATTER and nodes.chain is None and fixed.sum() > 5:
+        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
+        findings.add("errors too large", what, "kept; are they in another unit?")
+    if scatter > WORST_SCATTER:
+        what = f"positions scatter with a reduced chi-square of {scatter:.1f} about the motion"
+        findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
