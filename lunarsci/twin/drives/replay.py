@@ -26,8 +26,8 @@ STEP_S, STEP_M = 0.1, 0.01
 SAMPLE_S = 0.5
 """Between samples; assumed. [s]"""
 SIDEWAYS = 1e-3
-"""Weight of what wheels do not move sideways, against what they roll: it counts where these leave a velocity open, and
-hardly where skid steering drags wheels aside; assumed."""
+"""Weight of what wheels do not move sideways, against what they roll, where no wheel steers: it counts where these
+leave a velocity open, hardly where skid steering drags wheels aside; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,10 +186,11 @@ def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, Floa
 def rigid_twist(rover: Rover, commands: Commands) -> FloatArray:
     """Velocity ahead, to the left [m/s] and turn [rad/s] that fit all rims best: the plain baseline. (steps, 3)
 
-    Least squares of what each wheel rolls in its own plane; what it should not move sideways decides the rest.
+    Least squares of what each wheel rolls in its own plane, and does not move sideways; of a rover that steers no wheel
+    the latter only decides the rest.
     """
     along, across = wheel_rows(rover, commands.steering_rad[0])
-    rows = np.concatenate([along, SIDEWAYS * across], axis=1)
+    rows = np.concatenate([along, (1.0 if rover.steered else SIDEWAYS) * across], axis=1)
     right = np.concatenate([commands.speed_m_s[0], 0.0 * commands.speed_m_s[0]], axis=1)
     return np.asarray(np.einsum("nik,nk->ni", np.linalg.pinv(rows), right))
 
