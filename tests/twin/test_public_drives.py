@@ -192,3 +192,15 @@ def test_what_trials_cannot_be_scored_with_is_refused(tmp_path: Path) -> None:
         compare_trials(str(tmp_path), soil=("longji",), members=5)
     with pytest.raises(BatchError, match="no drive in it"):
         compare_trials(str(tmp_path))
+
+
+def test_a_bad_trial_is_told_and_progress_counts_it(tmp_path: Path) -> None:
+    good = write_captured(tmp_path / "a/Trial_1", made_drive(**SHORT, **ROSEY))
+    bad = write_captured(tmp_path / "b/Trial_1", made_drive(**SHORT, **ROSEY))
+    (bad / "Processed_Data.csv").write_text("time_s\n0\n")
+    heard: list[tuple[int, int]] = []
+    found = compare_trials(
+        [str(bad), str(good)], soil=("longji",), progress=lambda done, total: heard.append((done, total))
+    )
+    assert [trial.trial for trial in found.trials] == [str(good)] and heard == [(1, 2), (2, 2)]
+    assert len(found.failures) == 1 and found.failures[0].startswith(str(bad))
