@@ -142,7 +142,8 @@ def _state_scores(matched: MatchedObservations, rover: Rover, turns: WheelTurns)
     whole = {check.quantity: check.coverage_90 for check in check_bands(matched) if check.wheel == ALL}
     wheel = np.array([rover.wheels.index(name) for name in record.wheel], dtype=int)
     times, row = np.unique(record.time_s, return_inverse=True)
-    alone = np.array([slips_alone(rover, turns, float(time)) for time in times]).reshape(len(times), 2, len(rover.wheels))
+    still = [slips_alone(rover, turns, float(time)) for time in times]
+    alone = np.array(still).reshape(len(times), 2, len(rover.wheels))
     for number, name in enumerate(SCORED):
         column = OBSERVED.index(name)
         known: BoolArray = matched.known[:, column]
