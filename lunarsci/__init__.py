@@ -5,7 +5,8 @@ Every main job of the command line is a function here, with the same defaults, r
 * spectra: `calibrate`, `bands`, `indices`, `fit`, `unmix`, `match`;
 * regolith: `wheel_forces`, `identify`, `infer`, `compare_soils`;
 * images: `cameras`, `calibrate_cameras`, `render`, `dem`, `locate`, `merge`, `track`, `rocks`;
-* twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare` (a drive beside its prediction);
+* twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare` (a drive beside its prediction),
+  `compare_trials` (public drives);
 * `cite`: what to cite for results, as BibTeX; `report`: a page of results. `computing` says where jobs are computed.
 
 Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
@@ -26,7 +27,12 @@ JOBS = {
 """What each part offers; `__init__.pyi` has the same for type checkers."""
 _AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}
 
-_ELSEWHERE = {"computing": "lunarsci.blocks", "cite": "lunarsci.guide.cite", "report": "lunarsci.pages.job"}
+_ELSEWHERE = {
+    "computing": "lunarsci.blocks",
+    "cite": "lunarsci.guide.cite",
+    "compare_trials": "lunarsci.twin.jobs.compare_trials",
+    "report": "lunarsci.pages.job",
+}
 
 __all__ = ["__version__", *_ELSEWHERE, *_AREAS]
 

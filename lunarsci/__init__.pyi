@@ -20,6 +20,7 @@ from lunarsci.spectra.jobs.indices import indices as indices
 from lunarsci.spectra.jobs.match import match as match
 from lunarsci.spectra.jobs.unmix import unmix as unmix
 from lunarsci.twin.jobs.compare import compare as compare
+from lunarsci.twin.jobs.compare_trials import compare_trials as compare_trials
 from lunarsci.twin.jobs.loads import loads as loads
 from lunarsci.twin.jobs.plan import plan as plan
 from lunarsci.twin.jobs.predict import predict as predict

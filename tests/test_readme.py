@@ -26,6 +26,7 @@ ELSEWHERE = {
     "docs/howto/cubes.md": "tests/spectra/cubes/test_map_command.py",
     "docs/howto/pictures.md": "tests/test_pictures_page.py",
     "docs/howto/cluster.md": "tests/test_cluster.py",
+    "docs/howto/public-drives.md": "tests/cli/test_twin_trials.py",
 }
 """Pages whose commands another test runs, on smaller data."""
 NOT_RUN = ("make ", "pip install", "crontab ")

@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.jobs.compare import CompareRequest
+from lunarsci.twin.jobs.compare_trials import OF_A_PREDICTION, OF_TRIALS, TrialsRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
+from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+from .options import GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
+from .trial_tables import trial_tables
 
 if TYPE_CHECKING:
     from lunarsci.twin.comparison.checks import EndCheck, PathCheck
@@ -20,21 +23,42 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.compare import ComparedDrive
 
 
+FORECAST = "prediction.json"
+"""By which a folder of `twin predict -o` is known."""
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {
     "positions": option("Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2.", **FILE),
     "plan": option("Plan that was driven (TOML): refused if another was predicted.", **FILE),
     "belief": option("Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.", **FILE),
-    "rover": option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="that of the prediction"),
+    "rover": option(
+        "Rover: a name (yutu2, husky, rosey) or a TOML file.", show_default="that of the prediction or the trial"
+    ),
     "seed": option("Seed of everything random.", min=0),
+    "terrain": option(
+        "Terrain of the trials: a file, as of `twin states`.",
+        show_default="the plane that a public trial tells of",
+        panel=GROUND,
+    ),
+    "height_unit": HEIGHT_UNIT,
+    "gravity": option(
+        "Gravity: moon, mars, earth, or a number in m/s².", show_default="that of a public trial, or moon", panel=GROUND
+    ),
+    "interpolation": INTERPOLATION,
+    "soil": option(
+        "Soil that trials are predicted on: a name or a TOML file; or a belief (JSON) or samples (CSV), from which "
+        "every drive has its own. Repeatable.",
+        show_default="priors",
+        panel=SOIL,
+    ),
+    "members": option("Number of drives for each trial.", min=1, show_default="64 of a belief", panel=SOIL),
 }
-Predicted = Annotated[
-    Path, typer.Argument(metavar="PREDICTED_DIR", help="Folder that `twin predict -o` wrote before the drive.")
-]
-States = Annotated[
-    str,
+Inputs = Annotated[
+    list[str],
     typer.Argument(
-        metavar="STATES.csv", help="Measured wheel states: time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma."
+        metavar="PREDICTED_DIR STATES.csv | TRIAL...",
+        help="Folder that `twin predict -o` wrote before the drive, and its measured wheel states (time_s, wheel, "
+        "sinkage_m, slip_ratio, ..., NAME_sigma); or any number of trials: folders or tables of public data sets, "
+        "folders with many of them, telemetry.",
     ),
 ]
 SavedBelief = Annotated[
@@ -52,12 +76,10 @@ UNITS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "compare", request=CompareRequest, options=OPTIONS)(compare)
+    command(app, "compare", batch=True, request=TrialsRequest, options=OPTIONS)(compare)
 
 
-def compare(
-    predicted: Predicted, states: States, request: CompareRequest, output: Output, save: SavedBelief = None
-) -> Report:
+def compare(inputs: Inputs, request: TrialsRequest, output: Output, save: SavedBelief = None) -> Report:
     """Was the prediction to be trusted: where the drive ended, its path and its wheel states beside what was predicted.
 
     The drive is held against the predicted drives, each with the errors of measurement that the real one has. If the
@@ -69,16 +91,52 @@ def compare(
 
     With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
     soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.
-    """
-    from lunarsci.twin.jobs.compare import compare
 
+    With trials in place of a prediction the twin is scored on drives that nobody planned here: each is driven from its
+    first pose by the turns of its wheels alone, and slip, side slip and end stand beside what its positions tell, and
+    beside the way of the wheels without slip. A trial that cannot be read is told, and the others are scored (exit
+    code 1).
+    """
+    if not _is_prediction(inputs, request):
+        return _trials(inputs, request, output, save)
+    _check_prediction(inputs, request, save)
+    output.check_extra("--save", save, (".json",))
+    return _drive(inputs, request, save)
+
+
+def _is_prediction(inputs: list[str], request: TrialsRequest) -> bool:
+    """Whether a folder of a prediction was named, or is meant by what is given beside it."""
+    meant = len(inputs) == 2 and any(getattr(request, name) is not None for name in OF_A_PREDICTION)
+    return meant or (Path(inputs[0]) / FORECAST).is_file()
+
+
+def _check_prediction(inputs: list[str], request: TrialsRequest, save: Path | None) -> None:
+    """Raises RequestError for what does not belong to a prediction made before the drive."""
+    if len(inputs) != 2:
+        raise RequestError(f"{inputs[0]} is a prediction; give one file of measured states beside it")
+    if given := [name for name in OF_TRIALS if getattr(request, name) != getattr(TrialsRequest(), name)]:
+        raise RequestError(f"`{given[0]}` belongs to trials, and {inputs[0]} is a prediction; leave it out")
     if (request.belief is None) != (save is None):
         raise RequestError("`belief` FILE and `save` FILE belong together; give both, or neither")
-    output.check_extra("--save", save, (".json",))
-    found = compare(predicted, states, request)
+
+
+def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Report:
+    from lunarsci.twin.jobs.compare import compare
+
+    found = compare(inputs[0], inputs[1], request)
     belief = found.belief
     extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
     return Report.of(found, result_tables(found), extras=extras)
+
+
+def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
+    from lunarsci.twin.jobs import compare_trials as job
+
+    if save is not None:
+        raise RequestError("`save` keeps what a belief learns from a prediction, not from trials; leave it out")
+    with progress("trials", quiet=output.quiet) as update:
+        found = job.compare_trials(inputs, request, progress=update)
+    return Report.of(found, trial_tables(found))
 
 
 def result_tables(found: "ComparedDrive") -> list[TextTable]:

@@ -53,7 +53,7 @@ Telemetry = Annotated[
     typer.Argument(
         help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of "
         "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg. "
-        "`lunarsci template telemetry` has all columns."
+        "`lunarsci template telemetry` has all columns. Or a trial of a public data set, a folder or its table."
     ),
 ]
 DrivenPlan = Annotated[

@@ -102,7 +102,7 @@ def test_a_shell_completes_commands_and_options() -> None:
     assert completed("spectra", "ma") == ["match", "map"]
     assert completed("spectra", "fit", "--assem") == ["--assemblage"]
     assert "doctor" in completed("")
-    assert completed("twin", "predict", "--rover", "") == ["small-four", "yutu2"]
+    assert completed("twin", "predict", "--rover", "") == ["husky", "rosey", "small-four", "yutu2"]
     assert completed("regolith", "forces", "--soil", "lunar-t") == ["lunar-typical"]
     assert completed("spectra", "fit", "--assemblage", "OL-O") == [
         "OL-OPX",

@@ -14,8 +14,12 @@ from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, wheel_dots
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from lunarsci.twin.drives.scores import TrialScore
 
 
 MOST_PATHS, MOST_POINTS = 200, 1500
@@ -213,3 +217,25 @@ def _draw_ranks(axes: "Axes", matched: MatchedObservations, names: list[str]) ->
 
 def _short(name: str) -> str:
     return LABELS[name][0].partition(" [")[0]
+
+
+def trials_figure(trials: "Sequence[TrialScore]", title: str, *, synthetic: bool = False) -> "Figure":
+    """Median slip of each trial as measured and predicted, and errors of the ends from the smallest on."""
+    figure = page(3.2)
+    slips, ends = figure.subplots(1, 2)
+    found = [trial.scores["slip_ratio"] for trial in trials if "slip_ratio" in trial.scores]
+    pairs = np.array([(score.measured, score.predicted) for score in found], dtype=float).reshape(-1, 2)
+    slips.plot(pairs[:, 0], pairs[:, 1], "o", color=ACCENT, label="the twin")
+    slips.plot(pairs[:, 0], 0.0 * pairs[:, 0], "x", color=GOLD, label="wheels alone")
+    slips.axline((0.0, 0.0), slope=1.0, color=INK, linewidth=0.8)
+    slips.set(xlabel="measured slip ratio [-]", ylabel="predicted slip ratio [-]")
+    for part, mark, color in (("off", "o-", ACCENT), ("off_alone", "x-", GOLD)):
+        errors = np.sort(
+            [float(getattr(trial.scores["end_m"], part)[0]) for trial in trials if "end_m" in trial.scores]
+        )
+        ends.plot(np.arange(1, len(errors) + 1), errors, mark, color=color)
+    ends.set(xlabel="trials, by error of the end", ylabel="error of the end [m]")
+    ends.xaxis.get_major_locator().set_params(integer=True)
+    slips.legend(frameon=False)
+    headline(figure, title, synthetic=synthetic)
+    return figure

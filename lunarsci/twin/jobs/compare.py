@@ -184,7 +184,7 @@ def compare(
     if driven and driven != ground_name(forecast.terrain):
         text = f"{source.name}: was made on '{driven}', and predicted on '{forecast.terrain}': is it the same drive?"
         warnings.warn(text, LunarSciWarning, stacklevel=2)
-    record, independent = _record(table, fixes, built)
+    record, independent = whole_record(table, fixes, built)
     try:
         matched = match_observations(forecast, record, independent)
     except ParameterError as error:
@@ -230,7 +230,7 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     return {file.name: file.sha256}
 
 
-def _record(
+def whole_record(
     states: "StateTable", positions: InputFile | None, rover: "Rover"
 ) -> "tuple[DriveRecord, BoolArray | None]":
     """The record, and which of its values are no second reading of the positions.

@@ -141,10 +141,12 @@ def read_drive_inputs(
     terrain_errors: bool = False,
     keep_out: Sequence[str] = (),
     priors: bool = False,
+    below: Terrain | None = None,
 ) -> DriveInputs:
     """Read plan, rover, terrain and soil, which may be a belief, a soil map or samples; `fixes` replaces the plan's.
 
-    A rover that is None is Yutu-2; `named` is the terrain, if None the synthetic stand-in for that one's site.
+    A rover that is None is Yutu-2; `named` is the terrain, if None the ground `below` that a drive itself tells, or
+    the synthetic stand-in for Yutu-2's site.
     A soil that is given lies everywhere, whatever the terrain's file carries; without one this is driven on, and where
     it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
@@ -155,10 +157,10 @@ def read_drive_inputs(
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
-    description, terrain = read_rover(rover or DEFAULT_ROVER), named or SYNTHETIC
+    description, terrain = read_rover(rover or DEFAULT_ROVER), named or (SYNTHETIC if below is None else below.name)
     built, given = on_gravity(build_rover(description), gravity), GivenSoil.read(soil)
     ruts = _meets_ruts(ruts, before is not None, given)
-    file, surface, driven = _read_ground(terrain, given, height_unit)
+    file, surface, driven = _read_ground(terrain, given, height_unit, below)
     surface = file.likely(surface, built.wheel.width_m)
     surface = surface if terrain_errors else replace(surface, errors=None)
     inputs: dict[str, str] = {}
@@ -166,11 +168,11 @@ def read_drive_inputs(
     read = read or read_plan()
     if priors and driven.of == "default" and given.file is None and not read.sweep:
         soil, given, driven = PRIORS, GivenSoil.read(PRIORS), DrivenSoil(PRIORS, "belief")
-    of_soil, tables = _soil_hashes(given, driven if soil_counts else None)
+    of_soil, tables = soil_hashes(given, driven if soil_counts else None)
     inputs = of_soil | inputs
-    if terrain != SYNTHETIC:
+    if terrain != SYNTHETIC and below is None:
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
-    check = MadeForCheck(description, built, rover is not None, surface, named is not None, file.read_as)
+    check = MadeForCheck(description, built, rover is not None, surface, (named or below) is not None, file.read_as)
     drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
     drive = _kept_out(drive, built, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
@@ -250,18 +252,21 @@ def _soil_option(soil: str | Sequence[str] | None, driven: DrivenSoil | None) ->
     return {"soil": names[0] if len(names) == 1 else names} if names else {}
 
 
-def _read_ground(terrain: str, given: GivenSoil, unit: HeightUnit | None) -> tuple[TerrainFile, Terrain, DrivenSoil]:
+def _read_ground(
+    terrain: str, given: GivenSoil, unit: HeightUnit | None, below: Terrain | None
+) -> tuple[TerrainFile, Terrain, DrivenSoil]:
     """The terrain's file, the terrain with the soil that is driven on, and where this comes from."""
     name = given.named or DEFAULT_SOIL
-    own, made = read_soil(name), terrain == SYNTHETIC
-    if made and unit is not None:
+    own = read_soil(name)
+    made = below or (synthetic_longji(own) if terrain == SYNTHETIC else None)
+    if made is not None and unit is not None:
         raise RequestError(f"`height_unit` does not apply to {terrain}; leave it out")
-    file = TerrainFile(synthetic_longji(own)) if made else read_terrain_file(terrain, own, unit)
+    file = read_terrain_file(terrain, own, unit) if made is None else TerrainFile(made)
     surface, driven = lay_soil_on(file, terrain, own, name, asked=given.named is not None)
     return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
 
 
-def _soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
+def soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
     """Hashes of the user's files and of own tables; of the latter only that of the soil that is `driven` on."""
     inputs, tables = ({}, {}) if given.named is None else soil_hash(given.named)
     if given.name == PRIORS:

@@ -153,8 +153,10 @@ def states(
 ) -> MeasuredStates:
     """Slip, side slip and sinkage of every wheel, with their errors; a `plan` is for its clock and commands.
 
-    Raises DataError for telemetry that cannot be used.
+    A folder or table of a public data set (`lunarsci.twin.drives.layouts`) has its own rover, gravity and, where no
+    terrain is given, a plane by its heights and attitude. Raises DataError for telemetry that cannot be used.
     """
+    from lunarsci.twin.drives.layouts import read_public_drive
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
     from lunarsci.twin.telemetry.positions import with_positions
     from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
@@ -162,14 +164,19 @@ def states(
     from lunarsci.twin.telemetry.states import states_of
 
     asked = request_of(StatesRequest, request, options)
-    known = read_drive_inputs(plan, *asked.ground, soil_counts=False)
-    with open_input(telemetry) as source:
+    public, below = read_public_drive(telemetry), None
+    if public is not None:
+        asked = replace(asked, rover=asked.rover or public.rover, gravity=asked.gravity or public.gravity)
+        below = None if asked.terrain else public.plane()
+    known = read_drive_inputs(plan, *asked.ground, soil_counts=False, below=below)
+    known.check.read_as = (*(public.read_as if public else ()), *known.check.read_as)
+    with open_input(telemetry if public is None else public.telemetry) as source:
         findings = Findings(source.name)
         placed = asked.positions is None
         sent = read_telemetry(
             source, known.rover, findings, placed=placed, span_s=asked.span_s, start_s=asked.start_time
         )
-    known.inputs[source.name] = source.sha256
+    known.inputs.update({source.name: source.sha256} if public is None else public.inputs)
     if asked.positions is not None:
         fixes = read_input(asked.positions)
         known.inputs[fixes.name] = fixes.sha256

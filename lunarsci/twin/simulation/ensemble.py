@@ -272,7 +272,7 @@ def predict(
     paths, states, results, steered = driven = drive_all(scene, overrides, len(times[::every]), progress)
     finer = drive_finer(scene, overrides, driven)
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
-    _for_people(scene, paths, states, results[:, 1], halted)
+    for_people(scene, paths, states, results[:, 1], halted)
     return Prediction(
         rover=rover,
         terrain=terrain,
@@ -324,9 +324,7 @@ def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
         raise ParameterError(f"seed is {seed}; give 0 or more")
 
 
-def _for_people(
-    scene: DriveSetup, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray
-) -> None:
+def for_people(scene: DriveSetup, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray) -> None:
     """Halts without slip, drives that ended early filled up, angles in degrees."""
     start, plan = scene.schedule.poses[0], scene.schedule.plan
     _calm_halts(states, halted, scene.rover.wheel.radius_m)

@@ -1,0 +1,1 @@
+"""Drives that others recorded: public data sets as they are laid out, and the twin beside what was measured of them."""

@@ -1,0 +1,229 @@
+"""The twin beside drives that others recorded: one command scores slip, side slip and end of any number of trials."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, RequestError
+from lunarsci.height_units import HeightUnit
+from lunarsci.inputs import InputFile
+from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.jobs.compare import CompareRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from lunarsci.twin.drives.scores import TrialScore, TrialSoils
+    from lunarsci.twin.ground.terrain import Terrain
+    from lunarsci.twin.jobs.given_soil import GivenSoil
+    from lunarsci.twin.jobs.states import MeasuredStates
+
+OF_A_PREDICTION = ("positions", "plan", "belief")
+OF_TRIALS = ("terrain", "height_unit", "gravity", "interpolation", "soil", "members")
+SOURCES = [
+    "Hopkins et al. (2025), Rover Mobility in a Lunar Analogue Dataset, iSpaRo",
+    "Lamarre et al. (2020), Int. J. Robot. Res. 39, 641, 10.1177/0278364920908922",
+    "Gneiting & Raftery (2007), J. Am. Stat. Assoc. 102, 359, 10.1198/016214506000001437",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialsRequest(CompareRequest):
+    """How trials are predicted. What belongs to a prediction made before (positions, plan, belief) is refused.
+
+    Attributes
+    ----------
+    terrain : a file; None for the plane that the drive itself tells of in a public data set, else synthetic-longji.
+    height_unit : of the terrain's heights, in place of what its file states.
+    gravity : `moon`, `mars`, `earth` or a number in m/s2; None for that of a public data set, else the Moon's.
+    interpolation : of the ground between nodes, `smooth` or `triangles`.
+    soil : a name or a TOML file; a belief or samples, from which every member has its own; the priors if left out.
+    members : drives for each trial; 64 of a belief.
+    """
+
+    terrain: str | None = None
+    height_unit: HeightUnit | None = None
+    gravity: str | None = None
+    interpolation: str = "smooth"
+    soil: tuple[str, ...] = ()
+    members: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.members is not None and self.members < 1:
+            raise RequestError(f"`members` is {self.members}; give 1 or more")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScoredTrials(Result):
+    """Trials beside their predictions.
+
+    Attributes
+    ----------
+    trials : the scores, in the order in which they were found.
+    soils : what they were predicted on, and its name.
+    failed : trials that could not be read or scored.
+    inputs, tables, seed : for `made_from`.
+    """
+
+    schema = "twin-trials/1"
+    trials: "tuple[TrialScore, ...]"
+    soils: tuple[str, str]
+    failed: tuple[Failure, ...]
+    inputs: dict[str, str]
+    tables: dict[str, str]
+    seed: int
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed)
+
+    @property
+    def failures(self) -> Sequence[Failure]:
+        return self.failed
+
+    @property
+    def untrusted(self) -> str:
+        doubtful = [trial.trial for trial in self.trials if trial.doubt]
+        if not doubtful:
+            return ""
+        return f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.twin.drives.scores import summary_of
+
+        kind, name = self.soils
+        return {
+            "soil": {"of": kind, "name": name},
+            "baseline": "wheels alone: the rigid motion that the wheels' turns fit best, without slip",
+            "summary": summary_of(self.trials),
+            "trials": self.rows(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [trial.row() for trial in self.trials]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.comparison import trials_figure
+
+        title = f"{len(self.trials)} trials beside what the twin predicts from their wheels"
+        yield trials_figure(self.trials, title, synthetic=any(trial.synthetic for trial in self.trials))
+
+
+@job
+def compare_trials(
+    trials: str | Sequence[str],
+    request: TrialsRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> ScoredTrials:
+    """Score the twin on trials: drives of public data sets, folders with many of them, or telemetry of one's own.
+
+    Each drive is predicted from its first pose by the turns of its wheels alone, on every soil, and held against the
+    slips, side slips and the end that its positions tell; beside it stands the way of the wheels without slip. A trial
+    that cannot be used is told, and the others are scored. Raises BatchError where none can.
+    """
+    from lunarsci.twin.drives.layouts import trials_in
+    from lunarsci.twin.jobs.drive_inputs import soil_hashes
+    from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
+
+    asked = request_of(TrialsRequest, request, options)
+    if given := [name for name in OF_A_PREDICTION if getattr(asked, name) is not None]:
+        raise RequestError(f"`{given[0]}` belongs to a prediction made before the drive, not to trials; leave it out")
+    given_soil = GivenSoil.read(asked.soil or PRIORS)
+    soils, found, failed = _soils(given_soil, asked), list["TrialScore"](), list[Failure]()
+    (inputs, tables), names = soil_hashes(given_soil, None), list[str]()
+    for one in [trials] if isinstance(trials, str) else trials:
+        try:
+            names += [name for name in trials_in(str(one)) if name not in names]
+        except DataError as error:
+            failed.append(Failure.of(str(one), error))
+    for number, name in enumerate(names):
+        try:
+            measured = _measured(name, asked)
+            found.append(_scored(name, measured, given_soil, soils, asked.seed))
+        except LunarSciError as error:
+            failed.append(Failure.of(name, error))
+        else:
+            inputs |= measured.known.inputs
+            tables |= measured.known.tables
+        if progress is not None:
+            progress(number + 1, len(names))
+    if not found:
+        raise BatchError.of(failed or [Failure.of("trials", "there are none; name folders or files of drives")])
+    return ScoredTrials(
+        trials=tuple(found),
+        soils=(soils.kind, given_soil.name or str(given_soil.named)),
+        failed=tuple(failed),
+        inputs=inputs,
+        tables=tables,
+        seed=asked.seed,
+    )
+
+
+def _soils(given: "GivenSoil", asked: TrialsRequest) -> "TrialSoils":
+    from lunarsci.twin.drives.scores import TrialSoils
+    from lunarsci.twin.ground.driven_soil import read_soil_samples
+    from lunarsci.twin.jobs.soils import OF_A_BELIEF
+
+    if given.soil_map is not None:
+        raise RequestError(f"{given.name} as `soil` is a map of one site; give a belief, samples or a soil")
+    if given.belief is not None:
+        drawn = given.belief.draws(asked.members or OF_A_BELIEF, asked.seed)
+        return TrialSoils(kind="belief", samples=drawn, discrepancy=given.belief.discrepancy)
+    if given.file is not None:
+        return TrialSoils(kind="samples", samples=read_soil_samples(given.file, asked.members, asked.seed))
+    if asked.members is not None:
+        raise RequestError(f"`members` of one soil, {given.named}, are all alike; leave it out, or give soils to draw")
+    return TrialSoils(kind="one")
+
+
+def _measured(name: str, asked: TrialsRequest) -> "MeasuredStates":
+    """Wheel states of a trial; what is found wrong stays with it, as there may be many."""
+    from lunarsci.twin.jobs.states import StatesRequest, states
+
+    own = {key: getattr(asked, key) for key in ("rover", "terrain", "height_unit", "gravity", "interpolation")}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        return states(name, None, StatesRequest(**own))
+
+
+def _scored(name: str, measured: "MeasuredStates", given: "GivenSoil", soils: "TrialSoils", seed: int) -> "TrialScore":
+    from lunarsci.twin.assimilation.drive_record import read_drive_states
+    from lunarsci.twin.drives.replay import WheelTurns
+    from lunarsci.twin.drives.scores import score_trial
+    from lunarsci.twin.jobs.compare import whole_record
+    from lunarsci.twin.plans.motion import read_motion
+
+    known, drive, tables = measured.known, measured.drive, measured.tables
+    known.check.belief(given.name, given.belief)
+    motion = read_motion(_file(name, tables["motion.csv"]), known.rover)
+    begin = float(motion.time_s[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        states = read_drive_states(_file(name, tables["states.csv"], begin), known.rover)
+        record, _ = whole_record(states, _file(name, tables["positions.csv"], begin), known.rover)
+    terrain = _on_soil(known.terrain, given.named)
+    turns = WheelTurns.of(drive.telemetry, known.rover, begin)
+    score = score_trial(name, known.rover, terrain, motion, turns, record, soils, seed)
+    return replace(score, doubt=measured.untrusted, synthetic=drive.telemetry.synthetic)
+
+
+def _on_soil(terrain: "Terrain", named: str | None) -> "Terrain":
+    import numpy as np
+
+    from lunarsci.regolith.soil import read_soil
+
+    return terrain if named is None else replace(terrain, soil=np.array(read_soil(named).vector()).reshape(1, 1, 8))
+
+
+def _file(name: str, table: "pd.DataFrame", begin_s: float = 0.0) -> InputFile:
+    """A table with times from some begin on, rows before it left out, as a file."""
+    from lunarsci.tables import csv_bytes
+
+    later = table[table["time_s"] >= begin_s]
+    return InputFile(name, csv_bytes(later.assign(time_s=later["time_s"] - begin_s)))
