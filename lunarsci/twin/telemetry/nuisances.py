@@ -17,7 +17,7 @@ from lunarsci.twin.telemetry.filter import CONSTANTS, DRIFT, LAG, LEVER, OFFSET,
 
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
-LEVEL, LEVEL_SIGMA = -0.03, (0.07, 0.02)
+LEVEL, LEVEL_SIGMA = -0.03, (0.15, 0.02)
 """Deviation ahead on level ground, and its standard deviation and that to the left, as of slips on soils drawn from the
 default priors: 0.03, 16 to 84 % from -0.04 to 0.11; the latter is assumed."""
 EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02, 0.02)
