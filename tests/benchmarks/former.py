@@ -106,7 +106,6 @@ DRIVES: dict[str, str] = {
     "sweep": "twin sweep short.toml --vary wheel.radius_m=0.13:0.29:2 --vary mass.body_kg=90:120:2 "
     "--sweep friction_angle_deg=30:50:2 --sample 0.2",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",
-    "choice teach": "twin plan --target 2,0.3 --risk 0.3 --candidates 2 --members 64 --soil belief.json --teach",
     "predict map": "twin predict short.toml --soil map.json --members 4",
     "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
     "history": "twin history belief.json",

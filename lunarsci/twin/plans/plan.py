@@ -16,7 +16,7 @@ from lunarsci.twin.plans.limits import Limit, check_keys, check_limits, default_
 from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.rover import Rover
 
-_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out", "target")
+_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
 SLOWEST_M_S = 0.001
 """Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
@@ -127,8 +127,6 @@ class Plan:
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
     own_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
-    target_m : x, y of where the drive shall end, where that is not the end of the legs: against a drift that is
-        expected, a plan aims off. None for the end of the legs. [m]
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
     accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
     """
@@ -148,7 +146,6 @@ class Plan:
     made_for: MadeFor | None = None
     own_limits: bool = field(default=True, compare=False)
     crs: str = ""
-    target_m: tuple[float, float] | None = None
     accepted_risk: float | None = None
 
     def __post_init__(self) -> None:
@@ -166,8 +163,6 @@ class Plan:
             raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
         if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
             raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
-        if self.target_m is not None and not all(map(math.isfinite, self.target_m)):
-            raise ParameterError("the plan's [target] needs finite x_m and y_m")
         if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
 
@@ -262,7 +257,6 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             own_limits="limits" in document,
             crs=str(document.get("crs", "")),
-            target_m=_target(document),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
     except ParameterError as error:
@@ -303,14 +297,6 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
     _check_complete(table, known, "[fixes]", "halt_s")
     return Fixes(*(number_of(table[name], name) for name in (*known, "halt_s") if name in table))
-
-
-def _target(document: dict[str, Any]) -> tuple[float, float] | None:
-    if "target" not in document:
-        return None
-    table = _table(document, "target")
-    _check_complete(table, ("x_m", "y_m"), "[target]")
-    return number_of(table["x_m"], "x_m"), number_of(table["y_m"], "y_m")
 
 
 def _exclusion_zone(table: Any) -> ExclusionZone:
