@@ -87,7 +87,7 @@ DRIVES: dict[str, str] = {
     "identify joint": "regolith infer states.csv --seed 2",
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
-    "choice": "twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3 --fixes 0.05,0.5 -o chosen",
+    "choice": "twin plan --target 3,0.5 --risk 0.3 --members 4 --candidates 6 --fixes 0.05,0.5 -o chosen",
     "mission": "twin plan --mission mission.toml --risk 0.3 --members 4",
     "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",

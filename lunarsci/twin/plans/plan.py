@@ -13,13 +13,34 @@ from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.plans.limits import Limit, check_keys, check_limits, default_limits, number_of, parse_limit
-from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.rover import Rover
 
 _KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
 SLOWEST_M_S = 0.001
 """Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
+LEAST_RATIO, MOST_RATIO = 0.2, 3.0
+"""Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelTest:
+    """One wheel that turns slower or faster than it would without slip, while the others drive on: it slips on purpose.
+
+    Attributes
+    ----------
+    wheel : FL, FR, ML, MR, RL or RR, as `Rover.wheels` has them.
+    rate_ratio : its rate over the one with which it would not slip, 0.2 to 3, not 1. [-]
+    """
+
+    wheel: str
+    rate_ratio: float
+
+    def __post_init__(self) -> None:
+        if not LEAST_RATIO <= self.rate_ratio <= MOST_RATIO or self.rate_ratio == 1:
+            raise ParameterError(
+                f"wheel_test rate_ratio is {self.rate_ratio}; give {LEAST_RATIO:g} to {MOST_RATIO:g}, and not 1"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +211,31 @@ def check_plan(plan: Plan, rover: Rover) -> None:
     tightest = rover.tightest_curvature_per_m
     for number, leg in enumerate(plan.legs, 1):
         if leg.wheel_test is not None:
-            check_wheel_test(leg.wheel_test, plan.speed_m_s, rover, f"{where}leg {number}: ")
+            _check_wheel_test(leg.wheel_test, plan.speed_m_s, rover, f"{where}leg {number}: ")
         if abs(leg.curvature_per_m) > tightest:
             raise ParameterError(
                 f"{where}leg {number}: curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie "
                 f"outside the wheels, so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
             )
+
+
+def _check_wheel_test(test: WheelTest, speed_m_s: float, rover: Rover, where: str) -> None:
+    """Raises ParameterError, beginning with `where`, for a wheel that the rover has not, or that cannot turn so fast.
+
+    `speed_m_s` is the rover's.
+    """
+    if test.wheel not in rover.wheels:
+        raise ParameterError(
+            f"{where}wheel_test wheel is '{test.wheel}'; the wheels of {rover.name} are {', '.join(rover.wheels)}"
+        )
+    fastest = rover.max_speed_m_s
+    if rover.motors is not None:
+        fastest = max(fastest, rover.motors.no_load_rate_rad_s * rover.wheel.shearing_radius_m)
+    if (rim := test.rate_ratio * speed_m_s) > fastest:
+        raise ParameterError(
+            f"{where}wheel_test lets wheel {test.wheel} roll at {rim:.3g} m/s; those of {rover.name} reach "
+            f"{fastest:.3g} m/s, so give a smaller rate_ratio or a slower plan"
+        )
 
 
 def parse_sweep(text: str) -> Sweep:
