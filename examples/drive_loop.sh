@@ -53,12 +53,12 @@ go_or_stop lunarsci twin update "${common[@]}" 3-states/states.csv --positions 3
 
 say "7. The way back: chosen over that soil, predicted, and, to compare, predicted from what was believed before"
 # From where the rover stands now, the last row of the smoothed motion, to where it began. Slopes take it aside: drives
-# may aim off against that, or halt for a minute to be localised to 5 cm; an end within 3 m counts as there.
+# may halt for a minute to be localised to 5 cm; an end within 3 m counts as there.
 stands=$(awk -F, 'NR == 1 { for (k = 1; k <= NF; k++) at[$k] = k } END {
     printf "%.4f,%.4f,%.3f", $at["x_m"], $at["y_m"], $at["yaw_deg"] }' 3-states/motion.csv)
 go_or_stop lunarsci twin plan "${common[@]}" --start="$stands" --target 0,0 --tolerance 3 --soil belief.json \
-    --risk 0.1 --candidates 4 --fixes 0.05,0.5,60 --teach --seed "$seed" -o 7-chosen >7-chosen.txt
-sed -n '1p; /^drive .* teaches /p' 7-chosen.txt
+    --risk 0.1 --candidates 4 --fixes 0.05,0.5,60 --seed "$seed" -o 7-chosen >7-chosen.txt
+sed -n 1p 7-chosen.txt
 cp 7-chosen/plan.toml return.toml
 go_or_stop lunarsci twin predict "${common[@]}" return.toml --soil belief.json --seed "$seed" -o 7-predicted \
     >7-predicted.txt

@@ -58,7 +58,7 @@ QUICK = {
     "photometry": "correction disk experiment geometry phase",
     "readers": "assemble dispatch ecsv envi fits likely reference relab splib text units",
     "twin": "compare_parts drive_record ellipse illumination likely_terrain mission plan smoother state_tables "
-    "synthetic teaching terrain terrain_files",
+    "synthetic terrain terrain_files",
     "images": "cameras",
 }
 """Files of `make quick` by their folder, but for what is marked slow: truths by hand of every part, in plain Python,

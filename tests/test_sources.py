@@ -73,7 +73,7 @@ SETTINGS = {
         "spectra/solar.py: _HALF_WIDTH_FWHM", "tempering.py: KEPT", "twin/assimilation/particles.py: PROPOSALS",
         "twin/assimilation/posterior.py: LONGEST", "twin/assimilation/posterior.py: SHALLOW_M",
         "twin/assimilation/posterior.py: WIDTH", "twin/assimilation/residuals.py: STEP_S, SAMPLE_M",
-        "twin/assimilation/segments.py: FINER", "twin/choice/next_end.py: LENGTHS, NOISES",
+        "twin/assimilation/segments.py: FINER",
         "twin/ground/height_errors.py: RATIO, MOST_GRAINS", "twin/jobs/local_ground.py: CHECKED_EVERY_M",
         "twin/jobs/planned_mission.py: LOOKED_AT_M", "twin/judgement/endpoint.py: SHORTEST_STEP_S",
         "twin/judgement/energy.py: FINEST_S", "twin/plans/path.py: CREEP_M_S", "twin/plans/path.py: TURN_DEG",

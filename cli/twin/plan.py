@@ -18,7 +18,7 @@ from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
-    from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
+    from lunarsci.twin.choice.choice import DriveCandidate
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.terrain import TerrainSurvey
     from lunarsci.twin.plans.plan import Leg
@@ -69,13 +69,7 @@ OPTIONS = {
         panel=CHOICE,
     ),
     "prefer": option(
-        "Of drives that keep the risk the one with the least of this, or the one that teaches most of the way back "
-        "(the shortest, where none surely teaches more).",
-        panel=CHOICE,
-    ),
-    "teach": option(
-        "Say what each drive is expected to teach of the soil, and of the way back that may follow; a turn on the spot "
-        "and a wheel that slips on purpose are compared, too.",
+        "Of drives that keep the risk the one with the least of this.",
         panel=CHOICE,
     ),
     "soil": option(
@@ -94,9 +88,7 @@ OPTIONS = {
     "tolerance": option(
         "Distance in m of the end from the target that counts as there.", panel=CHOICE, show_default="1"
     ),
-    "candidates": option(
-        "Drives to compare, at most; from the best of them a few more are made.", panel=CHOICE, show_default="50"
-    ),
+    "candidates": option("Drives to compare, at most.", panel=CHOICE, show_default="50"),
     "fixes": option(
         "Let drives halt for localisation updates, with these standard errors and the standstill in s that each takes.",
         panel=CHOICE,
@@ -121,7 +113,6 @@ SHORT = {
     "clearance_m": "clearance", "keep_out_m": "keep-out", "endpoint_miss_m": "end", "unfinished": "stuck",
     "motor_torque_nm": "torque", "motor_load": "motors", "battery_charge": "battery",
 }  # fmt: skip
-AIMED = ", aimed off"
 SHOWN = 12
 """Candidates in the table for people."""
 
@@ -175,7 +166,6 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
-    aimed = any(one.plan.target_m is not None for one in choice.candidates[:SHOWN])
     verdict = f"doubtful: {verdict}" if found.soils.doubt else verdict
     held = f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries"
     notes = [
@@ -191,44 +181,11 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
-        *(["↷ aimed off: bent against the drift that is expected, so that the mean drive ends at the target"] * aimed),
-        *_taught_notes(choice),
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
     ]
     headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
-    if any(one.teaches is not None for one in choice.candidates):
-        headers[6:6] = ["min", "next mm"]
-        rows = [[*row[:6], f"{one.duration_s / 60:.1f}", _next_end(one), *row[6:]]
-                for row, one in zip(rows, choice.candidates, strict=False)]  # fmt: skip
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
-
-
-def _next_end(one: "DriveCandidate") -> str:
-    if one.teaches is None or one.teaches.next_end is None:
-        return "-"
-    return f"{1e3 * one.teaches.next_end.after_m:.0f}{'!' if one.teaches.more_than_shortest else ''}"
-
-
-def _taught_notes(choice: "DriveChoice") -> list[str]:
-    """What the best drive teaches, where that was asked, and what that is worth."""
-    best = choice.best
-    if best.teaches is None or best.teaches.next_end is None:
-        return []
-    teaches, end = best.teaches, best.teaches.next_end
-    left = ", ".join(f"{name} {ratio:.2f}" for name, ratio in zip(teaches.parameters, teaches.sd_ratio, strict=True))
-    more = [one for one in choice.candidates if one.teaches is not None and one.teaches.more_than_shortest]
-    worth = (
-        f"! {len(more)} drives surely teach more of it than the shortest"
-        if more
-        else "no drive surely teaches more of it than the shortest, so that none is worth a longer way for that"
-    )
-    return [
-        f"next mm: expected error of the predicted end of the way back, its median, once the drive was learned from; "
-        f"{1e3 * end.before_m:.0f} mm before drive {best.number}, {1e3 * end.after_m:.0f} after it, "
-        f"{1e3 * end.floor_m:.0f} were the soil known exactly, as the physics is off; {worth}",
-        f"drive {best.number} teaches {teaches.gain_nats:.1f} nats; what it leaves of each standard deviation: {left}",
-    ]
 
 
 def _candidate_row(one: "DriveCandidate") -> list[str]:
@@ -236,7 +193,7 @@ def _candidate_row(one: "DriveCandidate") -> list[str]:
     unsure = "" if one.promise is not None else "~"
     return [
         f"{one.number}{'*' if one.pareto else ''}",
-        one.plan.name.replace(AIMED, " ↷"),
+        one.plan.name,
         f"{unsure}{_percent(one.said.risk)}",
         _percent(one.said.high),
         f"{one.length_m:.1f}",

@@ -31,11 +31,10 @@ from errands import TOLERANCE_M, Errand, errand, kept, other_truths, truths
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.choice import choose
 from lunarsci.twin.choice.conditions import Conditions
-from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.routes.candidates import candidate_plans
-from lunarsci.twin.routes.planner import RouteSearch, plan_path
+from lunarsci.twin.routes.planner import plan_path
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import predict
 
@@ -123,7 +122,7 @@ def plain(one: Errand, risk: float) -> Proposal:
     return Proposal(plan=plan if safe else None, promised=share, reason="" if safe else "too risky", others=others)
 
 
-def by_risk(one: Errand, risk: float, *, improved: bool = True) -> Proposal:
+def by_risk(one: Errand, risk: float) -> Proposal:
     """The choice of `twin plan --risk`: candidates driven over the believed soils, the best again on fresh ones."""
     end = Limit("endpoint_miss_m", "m", TOLERANCE_M, "tolerance of the errand", False)
     try:
@@ -136,8 +135,7 @@ def by_risk(one: Errand, risk: float, *, improved: bool = True) -> Proposal:
         samples=one.belief.draws(3 * MEMBERS, 0),
         discrepancy=one.belief.discrepancy,
     )
-    improve = Improvement.on(RouteSearch.of(one.surface, one.rover, one.start, one.target, None)) if improved else None
-    found = choose(plans, conditions, risk=risk, members=MEMBERS, improve=improve)
+    found = choose(plans, conditions, risk=risk, members=MEMBERS)
     best = found.best
     return Proposal(
         plan=best.plan if found.feasible else None,
@@ -149,12 +147,7 @@ def by_risk(one: Errand, risk: float, *, improved: bool = True) -> Proposal:
     )
 
 
-def as_searched(one: Errand, risk: float) -> Proposal:
-    """The same without drives that are made of the best ones: aimed off against the drift."""
-    return by_risk(one, risk, improved=False)
-
-
-CHOOSERS: dict[str, Chooser] = {"plain": plain, "searched": as_searched, "risk": by_risk}
+CHOOSERS: dict[str, Chooser] = {"plain": plain, "risk": by_risk}
 
 
 def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:

@@ -87,7 +87,7 @@ DRIVES: dict[str, str] = {
     "identify joint": "regolith infer states.csv --seed 2",
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
-    "choice": "twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3 --fixes 0.05,0.5 -o chosen",
+    "choice": "twin plan --target 3,0.5 --risk 0.3 --members 4 --candidates 6 --fixes 0.05,0.5 -o chosen",
     "mission": "twin plan --mission mission.toml --risk 0.3 --members 4",
     "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
@@ -106,7 +106,6 @@ DRIVES: dict[str, str] = {
     "sweep": "twin sweep short.toml --vary wheel.radius_m=0.13:0.29:2 --vary mass.body_kg=90:120:2 "
     "--sweep friction_angle_deg=30:50:2 --sample 0.2",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",
-    "choice teach": "twin plan --target 2,0.3 --risk 0.3 --candidates 2 --members 64 --soil belief.json --teach",
     "predict map": "twin predict short.toml --soil map.json --members 4",
     "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
     "history": "twin history belief.json",

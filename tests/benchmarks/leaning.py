@@ -31,7 +31,6 @@ import numba
 import numpy as np
 from bench_states import found_in
 from mujoco_rover import Driven
-from taught_drives import on_schedule
 from true_drives import Case, chain, terrains, way_back
 
 from lunarsci.inputs import InputFile
@@ -50,7 +49,9 @@ from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.matched import match_observations
 from lunarsci.twin.comparison.verdict import compare
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.path import reach_m
 from lunarsci.twin.plans.plan import Plan, read_plan
+from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -103,6 +104,22 @@ def as_prediction(driven: Driven, rover: Rover, ground: Terrain, plan: Plan) -> 
     return dataclasses.replace(
         shape, paths=at(timed.poses), states=at(timed.states), recorded=recorded, outcome=np.zeros(1, dtype=np.int64)
     )
+
+
+def on_schedule(driven: Driven, plan: Plan, rover: Rover) -> Driven:
+    """With the times at which the schedule is as far: that rover steers at once, and neither starts nor stops slowly.
+
+    Without, its record says that a rover is at the target while by the schedule it steers after a turn.
+    """
+    schedule, speed = make_schedule(plan, rover), plan.speed_m_s
+    own, told = [0.0], [0.0]
+    for run in schedule.runs:
+        length = run.length_m or abs(np.radians(run.legs[0].turn_deg)) * reach_m(rover)
+        shares = np.linspace(0.0, 1.0, 201)
+        times = np.linspace(run.begin_s + run.steer_s, run.end_s, 2001)
+        told += np.interp(shares, run.share_at(times), times).tolist()
+        own += (own[-1] + shares * (length / speed + sum(leg.stop_s for leg in run.legs))).tolist()
+    return dataclasses.replace(driven, time_s=np.interp(driven.time_s, own, told))
 
 
 def _by_the_twin(kind: str, case: Case, plan: Plan) -> tuple[Prediction, Prediction, Prediction]:

@@ -268,7 +268,7 @@ def history() -> Any:
 
 @cache
 def chosen() -> Any:
-    return lunarsci.plan(target="2,0.3", risk=0.3, members=4, candidates=3, fixes="0.05,0.5")
+    return lunarsci.plan(target="3,0.5", risk=0.3, members=4, candidates=6, fixes="0.05,0.5")
 
 
 @cache

@@ -147,34 +147,6 @@ def test_equal_runs_give_equal_bytes(run: Run, belief: Path) -> None:
     assert first == second and len(first) > 1000
 
 
-def test_what_drives_teach_is_told_and_can_decide(run: Run, belief: Path) -> None:
-    """Of those that keep the risk the one that surely teaches most, or the shortest; tests are among them."""
-    options = ("--risk", "0.2", "--soil", belief, "--members", "48", "--prefer", "teaching")
-    done = run(*BASE, *options, "--json")
-    assert done.code == 0, done.err
-    choice = json.loads(done.out)["result"]["choice"]
-    taught = [one for one in choice["candidates"] if "teaches" in one and one["promised"]]
-    kept = [one for one in taught if one["promised"]["risk"] <= 0.2]
-    surely = [one["teaches"]["next_end_error_m"]["after"] for one in kept if one["teaches"]["more_than_shortest"]]
-    best = choice["candidates"][0]["teaches"]
-    if surely:
-        assert best["next_end_error_m"]["after"] <= 1.1 * min(surely)
-    else:
-        assert choice["candidates"][0]["length_m"] <= 1.1 * min(one["length_m"] for one in kept)
-    assert best["next_end_error_m"]["soil_known"] > 0
-    assert all(0.0 < ratio <= 1.0 for ratio in best["sd_ratio"].values()) and best["gain_nats"] > 0
-    assert any("test" in one["name"] and one["duration_s"] > 0 for one in choice["candidates"])
-    shown = run(*BASE, *options)
-    rows = [line for line in shown.out.splitlines() if line[:3].strip(" *").isdigit()]
-    assert "next mm" in shown.out and max(map(len, rows[:6])) <= 100
-
-
-def test_teaching_is_asked_of_compared_drives_on_enough_soils(run: Run, belief: Path) -> None:
-    assert run(*BASE, "--teach").code == 2
-    done = run(*BASE, "--risk", "0.2", "--soil", belief, "--teach")
-    assert done.code == 2 and "give 64" in " ".join(done.err)
-
-
 def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
     """Maps, the search for candidates, and their drives (also those on fresh soils), none with a step back."""
     heard: list[tuple[int, int]] = []

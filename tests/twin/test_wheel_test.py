@@ -1,4 +1,4 @@
-"""One wheel that slips on purpose: its commands, how it then slips, and the drives that are proposed with it."""
+"""One wheel that slips on purpose: its commands, and how it then slips."""
 
 from dataclasses import replace
 
@@ -8,16 +8,10 @@ import quasi_static
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales, read_mobility
-from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.plans.plan import Fixes, Leg, Plan, check_plan, parse_plan
+from lunarsci.regolith.soil import Soil
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan, WheelTest, check_plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.plans.schedule import all_commands, commanded_ratios, make_schedule, run_commands
-from lunarsci.twin.plans.wheel_test import WheelTest
-from lunarsci.twin.routes.candidates import RATE_RATIOS, with_tests
-from lunarsci.twin.routes.planner import RouteSearch
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 
@@ -108,37 +102,3 @@ def test_tests_that_the_rover_cannot_do_are_refused(yutu2: Rover) -> None:
         check_plan(plan_of(Leg(1.0, wheel_test=WheelTest("ML", 0.5))), build_rover("small-four"))
     with pytest.raises(ParameterError, match="belongs to a leg with length_m"):
         Leg(turn_deg=90.0, wheel_test=FASTER)
-
-
-def search_on(rover: Rover, terrain: Terrain, target: tuple[float, float]) -> RouteSearch:
-    surface = assess(terrain, ground_maps(terrain, *map_scales(rover)), read_mobility(read_rover("yutu2"), rover))
-    return RouteSearch.of(surface, rover, (0.0, 0.0, 0.0), target, None)
-
-
-@pytest.mark.parametrize(("aside_m", "room"), [(1.5, True), (1.2, False)])
-def test_no_turn_is_tried_where_a_corner_would_come_near_to_a_rock(yutu2: Rover, aside_m: float, room: bool) -> None:
-    """It is 1.05 m wide, its corners are 0.836 m from its middle; 0.2 m are kept from a rock of 0.1 m radius."""
-    x, y = -3.0 + 0.05 * np.arange(161), -4.0 + 0.05 * np.arange(161)
-    rock = 0.5 * (np.hypot(x[None], y[:, None] - aside_m) < 0.1)
-    search = search_on(
-        yutu2, build_terrain("rock", -3.0, -4.0, 0.05, rock, read_soil("longji"), synthetic=True), (3, 0)
-    )
-    names = [plan.name for plan in with_tests((plan_of(Leg(3.0)),), search, 9)]
-    assert ("test: turn 90° and back" in names) == room and "test: wheel FL at 0.7" in names
-
-
-def test_tests_of_the_ground_end_where_the_drive_does(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
-    """A turn where there is room, a faster and a slower wheel, and never more drives than asked for."""
-    terrain, target = slope(), (3.0, 0.0)
-    search = search_on(yutu2, terrain, target)
-    plans = (plan_of(Leg(turn_deg=30.0), Leg(2.0)), plan_of(Leg(3.0)), plan_of(Leg(3.2, 0.1)))
-    found = with_tests(plans, search, 9)
-    assert found[:3] == plans and [plan.name for plan in found[3:]] == [
-        "test: turn 90° and back", "test: wheel FL at 1.25", "test: wheel FL at 0.7",
-    ]  # fmt: skip
-    assert all(plan.length_m == 3.0 for plan in found[3:]) and len(RATE_RATIOS) == 2
-    for plan in found[3:]:
-        schedule = make_schedule(plan, yutu2)
-        assert schedule.pose_at(np.array([schedule.duration_s]))[0] == pytest.approx([3.0, 0.0, 0.0], abs=1e-9)
-    assert with_tests(plans, search, 2) == plans[:2]
-    assert with_tests(plans, search, 4) == (plans[0], *found[3:])

@@ -8,8 +8,6 @@ from typing import Any, Literal, TypeAlias
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.chances import Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
-from lunarsci.twin.choice.improvement import Improvement
-from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
 from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import Chance, extremes, least_drives, least_of_95
 from lunarsci.twin.plans.plan import Plan
@@ -17,18 +15,14 @@ from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
 
 Progress = Callable[[int, int], None]
-Preference: TypeAlias = Literal["energy", "length", "time", "teaching", "risk"]
+Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
 
 ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation. Assumed."""
 LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
-ANEW = 7919
-"""Added to the seed of a drive whose errors are its own."""
-IMPROVED, AGAIN = 3, 2
-"""So many of the best are made better, so many times."""
 ALIKE = 0.01
-"""Drives whose energy, length, time or errors differ by this share are alike; assumed."""
+"""Drives whose energy, length or time differ by this share are alike; assumed."""
 CHECKED = 4
 """So many of the best are driven again on fresh soils at a time."""
 
@@ -49,7 +43,6 @@ class DriveCandidate:
     duration_s : of the plan. [s]
     stopped : whether it was given up before it had been driven on all soils.
     pareto : whether no other candidate has less risk, length and energy at once.
-    teaches : what it is expected to teach; None where that was not asked, or too few of its drives ended.
     """
 
     number: int
@@ -63,7 +56,6 @@ class DriveCandidate:
     duration_s: float
     stopped: bool = False
     pareto: bool = False
-    teaches: Teaching | None = None
 
     @property
     def length_m(self) -> float:
@@ -100,7 +92,6 @@ class DriveCandidate:
             "length_m": self.length_m,
             "duration_s": self.duration_s,
             "energy_j": self.energy_j,
-            "aimed_off": self.plan.target_m is not None,
             "localisation_updates": 0 if self.plan.fixes is None else len(self.plan.legs) - 1,
             "screened": self.chance.to_dict(),
             "promised": None if self.promise is None else self.promise.to_dict(),
@@ -112,7 +103,6 @@ class DriveCandidate:
             "least_charge": self.least_charge,
             "stopped_early": self.stopped,
             "pareto": self.pareto,
-            **({} if self.teaches is None else {"teaches": self.teaches.to_dict()}),
         }  # fmt: skip
 
 
@@ -167,8 +157,6 @@ def choose(
     prefer: Preference = "energy",
     members: int | None = None,
     racing: bool = True,
-    teach: bool = False,
-    improve: Improvement | None = None,
     progress: Progress | None = None,
 ) -> DriveChoice:
     """Drive all plans over the same soils, and rank them under a limit of the chance of failing.
@@ -179,14 +167,10 @@ def choose(
     conditions : soils and grounds; the first `members` are those by which plans are chosen, the others fresh ones on
         which the chosen are driven again.
     risk : chance of failing that is accepted, 0 to 1. [-]
-    prefer : among plans that keep it that with the least energy, length, time or risk is the best, or that after which
-        the end of the next drive is expected to be known best (`teaching`; then none is stopped early). Where none
-        surely teaches more than the shortest, the shortest is the best. Of those that are alike, see `ALIKE`, that with
-        the least risk is better.
+    prefer : among plans that keep it that with the least energy, length, time or risk is the best. Of those that are
+        alike, see `ALIKE`, that with the least risk is better.
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
-    teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
-    improve : also try what is made of the best few, see `Improvement`.
     progress : called with drives done and drives at most, but for those that only a failure of the best asks for.
 
     The chance of the best of many looks better than it is, so it is counted again on fresh soils, and promised only
@@ -198,13 +182,9 @@ def choose(
     count = conditions.members if members is None else members
     if not least <= count <= conditions.members:
         raise ParameterError(f"members is {count}; a risk of {risk:g} needs {least} or more, of {conditions.members}")
-    taught = teach or prefer == "teaching"
     again = min(CHECKED, len(plans)) * (conditions.members - count)
-    made = 0 if improve is None else IMPROVED * (1 + AGAIN)
-    race = _Race(conditions, risk, prefer, count, progress, (len(plans) + made + taught) * count + again)
-    found = race.run(plans, racing=racing and prefer != "teaching")
-    found = found if improve is None else race.improved(found, improve)
-    checked = race.checked(race.taught(found) if taught else found)
+    race = _Race(conditions, risk, prefer, count, progress, len(plans) * count + again)
+    checked = race.checked(race.run(plans, racing=racing))
     if progress is not None:
         progress(race.total, race.total)
     ordered = ranked(_with_front(checked), risk, prefer)
@@ -242,32 +222,6 @@ class _Race:
                 alive = [one.number - 1 for one in left]
         return sorted([*found, *out], key=lambda one: one.number)
 
-    def improved(self, found: list[DriveCandidate], improve: Improvement) -> list[DriveCandidate]:
-        """The same, with drives made of the best few, and of these once more where they still drift."""
-        order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
-        better = [(one, one.plan) for one in order if one.plan.fixes is None][:IMPROVED]
-        for _ in range(AGAIN):
-            plans = [(plan, way) for one, way in better for plan in improve.plans(one.prediction, one.weakest, way)]
-            driven = self._drive([plan for plan, _ in plans], range(self.members))
-            made = [self._candidate(len(found) + k, prediction) for k, prediction in enumerate(driven)]
-            found = [*found, *made]
-            better = [(one, way) for one, (_, way) in zip(made, plans, strict=True) if one.plan.target_m is not None]
-        return found
-
-    def taught(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
-        """The same, those driven on all soils with what they teach."""
-        whole = [one for one in found if not one.stopped]
-        shortest = min(whole, key=lambda one: (one.length_m, one.duration_s))
-        # Physics that is off by the very same draws on both drives would be learned from the first one.
-        anew = replace(self.conditions, seed=self.conditions.seed + ANEW)
-        (following,) = self._drive([way_back(shortest.plan)], range(self.members), anew)
-        taught = {one.number: _teaching(one.prediction, following) for one in whole}
-        least = taught[shortest.number]
-        return [
-            replace(one, teaches=_compared(taught[one.number], least, len(whole))) if one.number in taught else one
-            for one in found
-        ]
-
     def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
         order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
@@ -293,7 +247,7 @@ class _Race:
             for one, own in zip(batch, held, strict=True)
         ]
 
-    def _drive(self, plans: list[Plan], members: range, conditions: Conditions | None = None) -> list[Prediction]:
+    def _drive(self, plans: list[Plan], members: range) -> list[Prediction]:
         begun = self.done
 
         def on(done: int, _: int) -> None:
@@ -301,7 +255,7 @@ class _Race:
             if self.progress is not None:
                 self.progress(min(self.done, self.total), self.total)
 
-        return drive_candidates(conditions or self.conditions, plans, members, on)
+        return drive_candidates(self.conditions, plans, members, on)
 
     def _candidate(self, number: int, prediction: Prediction) -> DriveCandidate:
         held: Verdicts = verdicts(prediction)
@@ -333,53 +287,31 @@ class _Race:
         return sorted(left, key=lambda one: one.number), [one for one in found if one.number not in going]
 
 
-def _teaching(prediction: Prediction, following: Prediction) -> Teaching | None:
-    try:
-        return teaching(prediction, following)
-    except ParameterError:
-        return None
-
-
-def _compared(taught: Teaching | None, least: Teaching | None, compared: int) -> Teaching | None:
-    """The same, with whether it surely teaches more than the shortest of so many drives."""
-    if taught is None or least is None or taught.next_end is None or least.next_end is None:
-        return taught
-    return replace(taught, more_than_shortest=taught.next_end.surely_below(least.next_end, compared))
-
-
 def ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
     """The best first: promised, then likely to keep the risk, then the others by their risk; NaN energies last.
 
     Of those that keep it, what is alike is told apart by risk, and then by time: what lies within `ALIKE` of the best,
-    and then each further step of that size. Drives that do not surely teach more than the shortest follow those that
-    do, by their length.
+    and then each further step of that size.
     """
     candidates = list(found)
-    groups, least = dict[int, tuple[int, bool]](), dict[tuple[int, bool], float]()
+    stages = {one.number: int(one.promise is None) if one.said.risk <= risk else 2 + one.stopped for one in candidates}
+    least = dict[int, float]()
     for one in candidates:
-        stage = int(one.promise is None) if one.said.risk <= risk else 2 + one.stopped
-        group = groups[one.number] = stage, _later(one, prefer)
-        least[group] = min(least.get(group, math.inf), _wanted(one, prefer))
+        stage = stages[one.number]
+        least[stage] = min(least.get(stage, math.inf), _wanted(one, prefer))
 
-    def order(one: DriveCandidate) -> tuple[int, float, bool, float, float, float, int]:
-        stage, later = groups[one.number]
-        steps = _steps(_wanted(one, prefer), least[stage, later])
+    def order(one: DriveCandidate) -> tuple[int, float, float, float, float, int]:
+        stage = stages[one.number]
+        steps = _steps(_wanted(one, prefer), least[stage])
         beyond = one.said.risk if stage > 1 else 0.0
-        return stage, beyond, later, steps, one.said.risk, one.duration_s, one.number
+        return stage, beyond, steps, one.said.risk, one.duration_s, one.number
 
     return sorted(candidates, key=order)
 
 
-def _later(one: DriveCandidate, prefer: Preference) -> bool:
-    return prefer == "teaching" and (one.teaches is None or not one.teaches.more_than_shortest)
-
-
 def _wanted(one: DriveCandidate, prefer: Preference) -> float:
     """What shall be least; infinite where it is not known."""
-    after = math.nan if one.teaches is None or one.teaches.next_end is None else one.teaches.next_end.after_m
-    taught = one.length_m if _later(one, prefer) else after
-    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": taught,
-              "risk": one.said.risk}[prefer]  # fmt: skip
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "risk": one.said.risk}[prefer]
     return math.inf if math.isnan(wanted) else wanted
 
 

@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 WHEELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
 
-def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None = None) -> "Figure":
+def path_fan(prediction: Prediction, verdict: Verdict) -> "Figure":
     """Terrain with planned and predicted paths, the ends about the destination, and wheel states against distance.
 
     The paths are coloured by the first swept parameter; at most 400 of them are drawn, evenly chosen. Bands span p05
     to p95 over members and wheels, the line is the median, dots are the extremes.
     """
-    terrain = terrain or prediction.terrain
+    terrain = prediction.terrain
     figure = page(8.6)
     parts: Any = figure.subfigures(3, 1, height_ratios=(1.5, 1.15, 1.0))
     maps = parts[0].subplots(), parts[1].subplots()

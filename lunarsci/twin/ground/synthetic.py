@@ -13,10 +13,10 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
-SHARE_AT_CHANGE_4 = 0.0021
-"""Share of the ground that rocks cover at the landing site of Chang'E-4: Wu et al. (2021), EPSL 553, 116666."""
 SCALE_M = 0.2
 """Decay length of the covered area with diameter: assumed. [m]"""
+CLEAR_M = 1.5
+"""About the start of a drive, without rocks; assumed. [m]"""
 SMALLEST_M, LARGEST_M = 0.1, 2.0
 """Diameters that are laid: assumed; smaller ones are roughness. [m]"""
 HEIGHT_TO_DIAMETER = 0.5
@@ -47,15 +47,14 @@ def rocks_per_m2(share: float, diameter_m: npt.ArrayLike) -> FloatArray:
     return 4.0 * share / (math.pi * SCALE_M**2) * (below(diameter) - below(np.asarray(LARGEST_M)))
 
 
-def scatter_rocks(
-    x_m: FloatArray, y_m: FloatArray, height_m: FloatArray, share: float, seed: int, clear_m: float = 1.5
-) -> FloatArray:
-    """The ground with rocks of 0.1 to 2 m on it; none within `clear_m` of the origin, where a drive begins.
+def scatter_rocks(x_m: FloatArray, y_m: FloatArray, height_m: FloatArray, share: float, seed: int) -> FloatArray:
+    """The ground with rocks of 0.1 to 2 m on it; none within 1.5 m of the origin, where a drive begins.
 
     Parameters
     ----------
     x_m, y_m, height_m : columns (nx,), rows (ny,) and heights (ny, nx) of the ground. [m]
-    share : of the ground that rocks of any size would cover, 0 to 0.1; 0.0021 at the site of Chang'E-4.
+    share : of the ground that rocks of any size would cover, 0 to 0.1; 0.0021 at the site of Chang'E-4 (Wu et al. 2021,
+        EPSL 553, 116666).
     seed : of places and sizes; the same rocks come on any grid of the same extent.
 
     Rocks are round, stand on their middle and may overlap. A grid coarser than a rock may miss it. Raises
@@ -72,7 +71,7 @@ def scatter_rocks(
     places = random.random((count, 2)) * (width, depth) + (x_m[0], y_m[0])
     height = height_m.copy()
     for (x, y), diameter in zip(places, diameters, strict=True):
-        if math.hypot(x, y) > clear_m + 0.5 * diameter:
+        if math.hypot(x, y) > CLEAR_M + 0.5 * diameter:
             _lay_rock(height, x_m, y_m, (x, y), 0.5 * diameter)
     return height
 

@@ -13,7 +13,6 @@ from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.choice import DriveChoice, choose
 from lunarsci.twin.choice.conditions import Conditions
-from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
@@ -29,7 +28,7 @@ from lunarsci.twin.judgement.keeping import least_drives
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.routes.candidates import MOST, candidate_plans, with_tests
+from lunarsci.twin.routes.candidates import MOST, candidate_plans
 from lunarsci.twin.routes.long_way import LONG_M
 from lunarsci.twin.routes.planner import RouteSearch, measured_path
 from lunarsci.twin.simulation.ensemble import member_parameters
@@ -177,11 +176,7 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
         f"worst_{name}": record["worst"][name] for name in ("quantity", "value", "limit", "x_m", "y_m", "distance_m")
     }
     marks = {"promised": record["promised"] is not None, **{n: record[n] for n in ("stopped_early", "pareto")}}
-    told = record.get("teaches")
-    taught = {} if told is None else {
-        "teaches_variance_reduction": told["variance_reduction"], "next_end_error_m": told["next_end_error_m"]["after"]
-    }  # fmt: skip
-    return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst, **taught}
+    return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst}
 
 
 def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> ChosenDrive:
@@ -204,11 +199,7 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
     search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
     plans = candidates_of(asked, site, search, given, progress, ground)
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
-    choice = choose(
-        plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
-        improve=Improvement.on(search, None if asked.fixes is None else parsed_fixes(asked.fixes)), progress=progress,
-    )  # fmt: skip
-    check_taught(asked, choice)
+    choice = choose(plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, progress=progress)
     path = None
     if choice.feasible:
         path = local.on_site(measured_path(search, choice.best.plan))
@@ -218,16 +209,6 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
         site=site, surface=local.surface, path=path, soils=soils, choice=choice, tolerance_m=tolerance,
         members=members, fresh_members=fresh, ground=ground, checked=() if path is None else local.checked(path),
     )  # fmt: skip
-
-
-def check_taught(asked: PlanRequest, choice: DriveChoice) -> None:
-    """Raises RequestError where it was asked what drives teach, and so few ended that none can tell."""
-    asked_for = asked.teach or asked.prefer == "teaching"
-    if asked_for and choice.feasible and all(one.teaches is None for one in choice.candidates):
-        raise RequestError(
-            "`teach` needs several drives for each soil parameter and each thing observed, and too few end; give 64 "
-            "`members` or more, and a `soil` whose parameters are uncertain"
-        )
 
 
 def check_asked(asked: PlanRequest) -> None:
@@ -281,8 +262,6 @@ def candidates_of(
         most=asked.candidates or MOST,
         progress=progress,
     )
-    if asked.teach or asked.prefer == "teaching":
-        plans = with_tests(plans, search, asked.candidates or MOST)
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
     return tuple(

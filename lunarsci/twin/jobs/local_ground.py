@@ -50,9 +50,7 @@ class LocalGround:
         driven, inputs = asked.risk is not None or asked.mission is not None, dict(site.inputs)
         found: list[tuple[Traversability, Terrain]] = []
         for path in asked.local:
-            local = read_site(
-                path, alone, next(iter(_names(asked, site)), None), asked.limits_of_ground(), site.terrain.crs
-            )
+            local = read_site(path, alone, next(iter(_names(asked)), None), asked.limits_of_ground(), site.terrain.crs)
             check_finer(path, local.terrain, site.terrain)
             if driven and not asked.exact_terrain and (local.file.states_errors or site.file.states_errors):
                 raise RequestError(
@@ -104,7 +102,7 @@ class LocalGround:
         ]
 
 
-def _names(asked: "PlanRequest", site: SurveyedSite) -> Sequence[str]:
+def _names(asked: "PlanRequest") -> Sequence[str]:
     """The soil of a path on the maps, which alone may be laid over a local terrain's own."""
     return asked.soil if asked.risk is None and asked.mission is None else ()
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach", "charge")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
 """Options that ask for something only beside `risk`."""
-IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer", "teach")
+IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
 """Options that a mission has in its file, or no use for."""
 
 
@@ -42,8 +42,7 @@ class PlanRequest(GroundRequest):
         of its own, as `predict` takes it.
     risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
         cheapest path on the maps. [-]
-    prefer : of drives that keep the risk that with the least energy, length, time or risk, or that which teaches most.
-    teach : with `risk`: say what each drive is expected to teach of the soil and of the way back.
+    prefer : of drives that keep the risk that with the least energy, length, time or risk.
     sweep : with `risk`: NAME=LOW:HIGH:N, uncertain parameters; those of the embedded plan where no soil is given.
     members : with `risk`: soils on which all candidates are driven; 64 where it is None.
     tolerance : with `risk`: distance of the end from the target that counts as there; the limit of the embedded plan
@@ -70,14 +69,13 @@ class PlanRequest(GroundRequest):
     lonlat: bool = False
     soil: tuple[str, ...] = ()
     risk: float | None = None
-    prefer: Literal["energy", "length", "time", "teaching", "risk"] = "energy"
+    prefer: Literal["energy", "length", "time", "risk"] = "energy"
     sweep: tuple[str, ...] = ()
     members: int | None = None
     tolerance: float | None = None
     candidates: int | None = None
     fixes: str | None = None
     exact_terrain: bool = False
-    teach: bool = False
     charge: float | None = None
     limits: str | None = None
     local: tuple[str, ...] = ()

@@ -61,8 +61,7 @@ def _carried(plan: Plan, crs: str, onto: str) -> Plan:
         for zone in plan.exclusion_zones
         for place in (carried(crs, onto, zone.x_m, zone.y_m, 0.0),)
     )
-    target = None if plan.target_m is None else carried(crs, onto, *plan.target_m, 0.0)[:2]
-    return replace(plan, x_m=x, y_m=y, heading_deg=heading, exclusion_zones=zones, target_m=target, crs=onto)
+    return replace(plan, x_m=x, y_m=y, heading_deg=heading, exclusion_zones=zones, crs=onto)
 
 
 OF_THE_ROVER = ("sinkage_m", "tilt_deg")

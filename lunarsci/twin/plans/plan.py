@@ -13,13 +13,34 @@ from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.plans.limits import Limit, check_keys, check_limits, default_limits, number_of, parse_limit
-from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.rover import Rover
 
-_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out", "target")
+_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
 SLOWEST_M_S = 0.001
 """Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
+LEAST_RATIO, MOST_RATIO = 0.2, 3.0
+"""Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelTest:
+    """One wheel that turns slower or faster than it would without slip, while the others drive on: it slips on purpose.
+
+    Attributes
+    ----------
+    wheel : FL, FR, ML, MR, RL or RR, as `Rover.wheels` has them.
+    rate_ratio : its rate over the one with which it would not slip, 0.2 to 3, not 1. [-]
+    """
+
+    wheel: str
+    rate_ratio: float
+
+    def __post_init__(self) -> None:
+        if not LEAST_RATIO <= self.rate_ratio <= MOST_RATIO or self.rate_ratio == 1:
+            raise ParameterError(
+                f"wheel_test rate_ratio is {self.rate_ratio}; give {LEAST_RATIO:g} to {MOST_RATIO:g}, and not 1"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +148,6 @@ class Plan:
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
     own_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
-    target_m : x, y of where the drive shall end, where that is not the end of the legs: against a drift that is
-        expected, a plan aims off. None for the end of the legs. [m]
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
     accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
     """
@@ -148,7 +167,6 @@ class Plan:
     made_for: MadeFor | None = None
     own_limits: bool = field(default=True, compare=False)
     crs: str = ""
-    target_m: tuple[float, float] | None = None
     accepted_risk: float | None = None
 
     def __post_init__(self) -> None:
@@ -166,8 +184,6 @@ class Plan:
             raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
         if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
             raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
-        if self.target_m is not None and not all(map(math.isfinite, self.target_m)):
-            raise ParameterError("the plan's [target] needs finite x_m and y_m")
         if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
 
@@ -195,12 +211,31 @@ def check_plan(plan: Plan, rover: Rover) -> None:
     tightest = rover.tightest_curvature_per_m
     for number, leg in enumerate(plan.legs, 1):
         if leg.wheel_test is not None:
-            check_wheel_test(leg.wheel_test, plan.speed_m_s, rover, f"{where}leg {number}: ")
+            _check_wheel_test(leg.wheel_test, plan.speed_m_s, rover, f"{where}leg {number}: ")
         if abs(leg.curvature_per_m) > tightest:
             raise ParameterError(
                 f"{where}leg {number}: curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie "
                 f"outside the wheels, so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
             )
+
+
+def _check_wheel_test(test: WheelTest, speed_m_s: float, rover: Rover, where: str) -> None:
+    """Raises ParameterError, beginning with `where`, for a wheel that the rover has not, or that cannot turn so fast.
+
+    `speed_m_s` is the rover's.
+    """
+    if test.wheel not in rover.wheels:
+        raise ParameterError(
+            f"{where}wheel_test wheel is '{test.wheel}'; the wheels of {rover.name} are {', '.join(rover.wheels)}"
+        )
+    fastest = rover.max_speed_m_s
+    if rover.motors is not None:
+        fastest = max(fastest, rover.motors.no_load_rate_rad_s * rover.wheel.shearing_radius_m)
+    if (rim := test.rate_ratio * speed_m_s) > fastest:
+        raise ParameterError(
+            f"{where}wheel_test lets wheel {test.wheel} roll at {rim:.3g} m/s; those of {rover.name} reach "
+            f"{fastest:.3g} m/s, so give a smaller rate_ratio or a slower plan"
+        )
 
 
 def parse_sweep(text: str) -> Sweep:
@@ -262,7 +297,6 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             own_limits="limits" in document,
             crs=str(document.get("crs", "")),
-            target_m=_target(document),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
     except ParameterError as error:
@@ -303,14 +337,6 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
     _check_complete(table, known, "[fixes]", "halt_s")
     return Fixes(*(number_of(table[name], name) for name in (*known, "halt_s") if name in table))
-
-
-def _target(document: dict[str, Any]) -> tuple[float, float] | None:
-    if "target" not in document:
-        return None
-    table = _table(document, "target")
-    _check_complete(table, ("x_m", "y_m"), "[target]")
-    return number_of(table["x_m"], "x_m"), number_of(table["y_m"], "y_m")
 
 
 def _exclusion_zone(table: Any) -> ExclusionZone:

@@ -30,9 +30,6 @@ def plan_text(plan: Plan) -> str:
         if (test := leg.wheel_test) is not None:
             ratio = float(test.rate_ratio)
             lines.append(f"wheel_test = {{ wheel = {_quoted(test.wheel)}, rate_ratio = {ratio!r} }}")
-    if plan.target_m is not None:
-        x, y = map(float, plan.target_m)
-        lines += ["", "[target]", f"x_m = {x!r}", f"y_m = {y!r}"]
     if plan.fixes is not None:
         names = ("position_sigma_m", "heading_sigma_deg", *(("halt_s",) if plan.fixes.halt_s else ()))
         lines += ["", "[fixes]", *(f"{name} = {float(getattr(plan.fixes, name))!r}" for name in names)]

@@ -1,7 +1,4 @@
-"""Which drives to a target are worth comparing: other ways round obstacles, ahead, backwards or crabwise; and tests.
-
-A test tries the ground on purpose: a turn on the spot and back before the way, or one wheel that slips on it.
-"""
+"""Which drives to a target are worth comparing: other ways round obstacles, ahead, backwards or crabwise."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +12,6 @@ from lunarsci.twin.ground.footprint import RoverFootprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
-from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.routes.arc_search import Course, keeps_clear, lattice_courses, refine
 from lunarsci.twin.routes.corridors import DistinctWays, course_places, obstacle_places, sides
 from lunarsci.twin.routes.planner import RouteSearch, commanded_speed
@@ -32,12 +28,6 @@ FIX_EVERY_M = (5.0, 2.5)
 LONGEST_WAY = 2.5
 """Candidates cost at most so many times as much as the cheapest one; assumed."""
 MOST = 50
-TEST_TURN_DEG = 90.0
-"""Turned on the spot, and back, to try the ground; assumed."""
-RATE_RATIOS = (1.25, 0.7)
-"""Of a wheel that slips to try it: near a slip ratio of 0.2 and of -0.3, within what limits of slip allow; assumed."""
-TEST_M = 1.0
-"""Way with such a wheel, where the first arc is as long; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,44 +189,3 @@ def _halting(plan: Plan, fixes: Fixes, every_m: float) -> Plan | None:
         return None
     said = "1 fix" if updates == 1 else f"{updates} fixes"
     return replace(plan, legs=tuple(legs), fixes=fixes, name=f"{plan.name}, {said}")
-
-
-def with_tests(plans: tuple[Plan, ...], search: RouteSearch, most: int) -> tuple[Plan, ...]:
-    """Plans of a search, at most so many, the last of them the shortest that begins with an arc, with tests before it.
-
-    Tests are left out where they would leave no room for other plans.
-    """
-    shortest = min(plans, key=lambda plan: (plan.legs[0].length_m == 0, plan.length_m))
-    tests = soil_tests(shortest, search)
-    return plans[:most] if len(tests) >= most else (*plans[: most - len(tests)], *tests)
-
-
-def soil_tests(plan: Plan, search: RouteSearch) -> tuple[Plan, ...]:
-    """The plan with a test of the ground at its begin: those for which there is room, and that the wheels can do.
-
-    They end where the plan does. A plan that begins with no arc is tested by the turn alone.
-    """
-    rover, found = search.rover, [_with_turn(plan)] if search.has_room_to_turn(TEST_TURN_DEG) else []
-    first = plan.legs[0]
-    for ratio in RATE_RATIOS if first.length_m and first.wheel_test is None else ():
-        test = WheelTest(rover.wheels[0], ratio)
-        try:
-            check_wheel_test(test, plan.speed_m_s, rover, "")
-        except ParameterError:
-            continue
-        found.append(_with_slip(plan, test))
-    return tuple(found)
-
-
-def _with_turn(plan: Plan) -> Plan:
-    legs = (Leg(turn_deg=TEST_TURN_DEG), Leg(turn_deg=-TEST_TURN_DEG), *plan.legs)
-    return replace(plan, name=f"test: turn {TEST_TURN_DEG:g}° and back", legs=legs)
-
-
-def _with_slip(plan: Plan, test: WheelTest) -> Plan:
-    first, *rest = plan.legs
-    length = min(TEST_M, first.length_m)
-    tested = [replace(first, length_m=length, wheel_test=test)]
-    if first.length_m > length:
-        tested.append(replace(first, length_m=first.length_m - length))
-    return replace(plan, name=f"test: wheel {test.wheel} at {test.rate_ratio:g}", legs=(*tested, *rest))

@@ -152,9 +152,9 @@ class Prediction:
 
     @property
     def destination_m(self) -> FloatArray:
-        """x, y of where the drive shall end: the plan's target, or the end of its legs. (2,) [m]"""
-        target = self.plan.target_m
-        return np.array(self.planned[-1, :2] if target is None else target)
+        """x, y of where the drive shall end: the end of the plan. (2,) [m]"""
+        destination: FloatArray = self.planned[-1, :2]
+        return destination
 
     @property
     def miss_m(self) -> FloatArray:
