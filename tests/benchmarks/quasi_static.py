@@ -10,7 +10,7 @@ left, turning). Its law of wheel and soil is not the closed form of Ding et al. 
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -209,8 +209,13 @@ class _Follower:
         return np.array([*self.now[:2], *self.q[3:6], self.now[2]])
 
 
-def follow(scene: Any, steps: Any, now: FloatArray, depth: float) -> tuple[FloatArray, FloatArray, str]:
-    """Poses (n, 6) [m, rad] and wheel states (n, wheels, 10) at the samples reached, and the outcome."""
+def follow(
+    scene: Any, steps: Any, now: FloatArray, depth: float, law_at: Callable[[FloatArray], Law] | None = None
+) -> tuple[FloatArray, FloatArray, str]:
+    """Poses (n, 6) [m, rad] and wheel states (n, wheels, 10) at the samples reached, and the outcome.
+
+    `law_at` gives the law at x, y and heading [m, m, rad], where it changes on the way.
+    """
     under_way = _Follower(scene, now, steps, depth)
     if under_way.outcome != OUTCOMES[0]:
         return np.empty((0, 6)), np.empty((0, *under_way.wheels.shape)), under_way.outcome
@@ -218,6 +223,8 @@ def follow(scene: Any, steps: Any, now: FloatArray, depth: float) -> tuple[Float
     for steer, rims, meant, dt, fresh, sampled in zip(*steps, strict=True):
         halted = bool(np.isnan(rims[0]))
         if not halted:
+            if law_at is not None:
+                under_way.scene = (scene[0], law_at(under_way.now), scene[2])
             if fresh:
                 under_way.outcome = under_way.begin(steer, rims, meant)
             under_way.step(steer, rims, dt)
@@ -240,16 +247,19 @@ def drive(
     physics: QuasiStatic,
     *,
     sample_m: float = 0.1,
+    soil_at: Callable[[FloatArray], Mapping[str, float]] | None = None,
 ) -> Driven:
     """Drive a plan on one soil. Slip and side slip are 0 at a halt, as no speed is there to compare with.
 
-    `soil` names parameters as `Soil` does, in its units; `sample_m` is the longest travel between samples.
+    `soil` names parameters as `Soil` does, in its units; `sample_m` is the longest travel between samples. `soil_at`
+    gives the soil below all wheels with the rover at x, y and heading [m, m, rad]; `soil` is then that of the start.
     """
     times, steps = _steps(rover, plan, physics.step_m, sample_m)
     scene = (rover.vector(), law_of(rover, soil, physics), _ground(terrain))
     weight = rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels)
     start = np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])
-    poses, states, outcome = follow(scene, steps, start, _first_depth(scene[1], weight))
+    law_at = None if soil_at is None else (lambda now: law_of(rover, soil_at(now), physics))
+    poses, states, outcome = follow(scene, steps, start, _first_depth(scene[1], weight), law_at)
     poses[:, 3:] = np.degrees(poses[:, 3:])
     return Driven(time_s=times[: len(poses)], poses=poses, states=states, outcome=outcome)
 
@@ -310,6 +320,12 @@ def wheel_commands(rover: Rover, moved: FloatArray) -> tuple[FloatArray, FloatAr
     angle = np.where(back, angle - np.copysign(np.pi, angle), angle)
     rim = np.cos(angle) * ahead + np.sin(angle) * left - moved[:, 2:] * side * rover.steering_offset_m * steers
     return angle, rim
+
+
+def wheel_turns(rover: Rover, plan: Plan, step_m: float = 0.005) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What the wheels do: times (n + 1,), and in each step steering (n, w) [rad], rims (n, w) [m/s], NaN at a halt."""
+    _, (steer, rims, _, dt, _, _) = _steps(rover, plan, step_m, step_m)
+    return np.concatenate([[0.0], np.cumsum(dt)]), steer, rims
 
 
 def _steps(rover: Rover, plan: Plan, step_m: float, sample_m: float) -> tuple[FloatArray, Any]:
