@@ -302,7 +302,9 @@ def test_a_rover_that_slides_while_it_stands_is_said_and_followed(
     assert not sound.findings.entries
     (said,) = one.findings.entries
     assert said.kind == "slide at a halt" and not said.doubt
-    told = re.search(r"moves (-?[\d.]+) \+- [\d.]+ m ahead and (-?[\d.]+) .* between ([\d.]+) and ([\d.]+) s", said.what)
+    told = re.search(
+        r"moves (-?[\d.]+) \+- [\d.]+ m ahead and (-?[\d.]+) .* between ([\d.]+) and ([\d.]+) s", said.what
+    )
     assert told is not None and np.hypot(float(told[1]), float(told[2])) == pytest.approx(np.hypot(*way_m), abs=0.04)
     assert float(told[3]) < float(table["time_s"][halted_row(table)]) < float(told[4]) + 0.01
     assert not len(one.left_out)

@@ -27,10 +27,10 @@ CONSTANTS = (
     "slip", "glide", "turn", "slip_on_slope", "side_slip_on_slope", "turn_share", "left_of_turn", "ahead_of_turn",
     "rim_scale", "lever_ahead_m", "lever_left_m", "heading_offset_rad", "heading_drift_rad", "lag_s",
 )  # fmt: skip
-"""Deviations that stay the same: in the direction of the drive and to the left as shares, turn in 1/m; coefficients of `Nodes.effect`; ln of the true
-over the measured rim speed; the localised point on the rover, ahead and to the left of its origin; error of headings
-at the begin, and its growth until the end; how much later positions and headings are than their times say. Two more
-for each of `Nodes.slides`: how far the rover or its positions move there, ahead and to the left [m]."""
+"""Deviations that stay the same: in the direction of the drive and to the left as shares, turn in 1/m; coefficients of
+`Nodes.effect`; ln of the true over the measured rim speed; the localised point on the rover, ahead and to the left of
+its origin; error of headings at the begin, and its growth until the end; how much later positions and headings are than
+their times say. Two more for each of `Nodes.slides`: how far the rover or its positions move there [m]."""
 MEANS, EFFECTS = (11, 12, 13), (14, 15, 16, 17, 18)
 """Places of the first ones behind the state."""
 SCALE, LEVER, OFFSET, DRIFT, LAG, SLIDES = 8, slice(9, 11), 11, 12, 13, 14
@@ -337,7 +337,7 @@ def _put_back(nodes: Nodes, state: FloatArray, full: FloatArray, lag_s: float) -
     return along(at) - path[1:-1], (along(at + half) - along(at - half)) / (2.0 * half)
 
 
-class Run(NamedTuple):
+class FilterRun(NamedTuple):
     """A filter's results: the state is `columns[..., 0]` and `columns[..., 1:]` times the constants.
 
     columns (n, m, 11, 1 + k), covariance given the constants (n, m, 11, 11), squares (m, 1 + k, 1 + k): innovations
@@ -397,9 +397,12 @@ class Model:
 
     def _stationary(self, channel: int) -> FloatArray:
         """Covariance of a deviation and its derivative. (m, 2, 2)"""
-        rate, still = math.sqrt(3.0) / self.assumptions.length_m[:, channel], np.zeros((len(self.assumptions.walk), 2, 2))
+        rate, still = (
+            math.sqrt(3.0) / self.assumptions.length_m[:, channel],
+            np.zeros((len(self.assumptions.walk), 2, 2)),
+        )
         still[:, 0, 0], still[:, 1, 1] = 1.0, rate**2
-        return still * self.assumptions.amplitude[:, channel, None, None] ** 2
+        return np.asarray(still * self.assumptions.amplitude[:, channel, None, None] ** 2)
 
     def start(self) -> tuple[FloatArray, FloatArray]:
         """Columns (m, 11, 1 + k) and covariance (m, 11, 11) before anything is measured."""
@@ -418,15 +421,15 @@ class Model:
     def observed(self, k: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """What is measured at a node: by the state, by the constants, values, and their covariance beside it."""
         nodes, linear = self.nodes, self.linear
-        rows = [0, 1, 2] if np.isfinite(linear.value[k]).all() else np.flatnonzero(np.isfinite(linear.value[k]))
+        rows = np.flatnonzero(np.isfinite(linear.value[k]))
         errors = np.zeros((3, 3))
         share = 1.0 / self.reference.fix_weight[k] - (nodes.chain is not None)
         errors[:2, :2] = share * nodes.fix_covariance_m2[k]
         errors[2, 2] = nodes.yaw_sigma_rad[k] ** 2 / self.reference.yaw_weight[k]
-        return linear.seen[k, rows], linear.by[k, rows], linear.value[k, rows], errors[np.ix_(rows, rows)]
+        return linear.seen[k, rows], linear.by[k, rows], linear.value[k, rows], errors[rows][:, rows]
 
 
-def filtered(model: Model, *, kept: bool = True) -> Run:
+def filtered(model: Model, *, kept: bool = True) -> FilterRun:
     """The filter for each of several assumptions.
 
     Where they are not `kept`, columns and covariances are those of the last node alone, (1, m, ...).
@@ -463,10 +466,10 @@ def filtered(model: Model, *, kept: bool = True) -> Run:
             columns[:, :3, 1:] += linear.input[k]
             covariance = step @ covariance @ np.swapaxes(step, 1, 2) + noise
             observe(k + 1)
-    return Run(all_columns, covariances, squares, ln_likelihood)
+    return FilterRun(all_columns, covariances, squares, ln_likelihood)
 
 
-def smoothed_back(model: Model, run: Run) -> Run:
+def smoothed_back(model: Model, run: FilterRun) -> FilterRun:
     """Columns and covariances that know what came later too, in the place of those of `filtered`."""
     columns, covariance, linear = run.columns, run.covariance, model.linear
     for first, last in reversed(model.stretches()):

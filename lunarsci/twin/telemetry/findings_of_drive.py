@@ -150,9 +150,7 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
         what += f", the {' and the '.join(ends)} one too"
         done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
     doubt = bool(ends) or len(left) > MOST_LEFT_OUT * len(fixes)
-    findings.add(
-        "position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt
-    )
+    findings.add("position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt)
 
 
 def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:

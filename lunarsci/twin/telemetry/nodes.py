@@ -360,7 +360,9 @@ def slips_of(velocities: WheelVelocities, motion: Motion) -> Slips:
     scale_sigma = np.sqrt(np.maximum(covariance[:, 3, 3], 1e-300))[:, None]
     shared = steep * np.abs(np.einsum("mwi,mi->mw", by, covariance[:, :, 3])) / scale_sigma
     squared = v_x**2 + v_y**2
-    weights = (across * np.abs(v_x)[..., None] - velocities.along * (np.sign(v_x) * v_y)[..., None]) / squared[..., None]
+    weights = (across * np.abs(v_x)[..., None] - velocities.along * (np.sign(v_x) * v_y)[..., None]) / squared[
+        ..., None
+    ]
     side_sigma = np.degrees(np.sqrt(np.einsum("mwi,mij,mwj->mw", weights, covariance[:, :3, :3], weights)))
     return Slips(
         slip, side, np.hypot(steep * travel_sigma, SLIP_FLOOR), np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG), shared

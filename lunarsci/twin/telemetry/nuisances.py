@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.twin.telemetry.filter import CONSTANTS, DRIFT, LAG, LEVER, OFFSET, SCALE, SLIDES, Nodes, Run
+from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, OFFSET, SCALE, SLIDES, FilterRun, Nodes
 
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
@@ -144,12 +144,10 @@ class Posterior:
     probable: FloatArray
 
 
-def ln_evidence(
-    squares: FloatArray, mean: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def ln_evidence(squares: FloatArray, mean: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """ln of the marginal likelihood (m,), means (m, k) and covariances (m, k, k) of normal constants.
 
-    `squares` are those of a `Run`, (m, 1 + k, 1 + k).
+    `squares` are those of a `FilterRun`, (m, 1 + k, 1 + k).
     """
     at_mean = squares[:, 1:, 0] + squares[:, 1:, 1:] @ mean
     chi_square = squares[:, 0, 0] + (squares[:, 0, 1:] + at_mean) @ mean
@@ -178,7 +176,7 @@ def likely_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
         best, held = max(found), near[int(np.argmax(found))]
 
 
-def averaged(priors: Priors, run: Run, sets: list[BoolArray]) -> list[Posterior]:
+def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Posterior]:
     """The constants for each assumption of a run."""
     parts = []
     for held in sets:
@@ -196,6 +194,3 @@ def averaged(priors: Priors, run: Run, sets: list[BoolArray]) -> list[Posterior]
         covariance = np.einsum("s,sij->ij", weight, covariances[k] + apart[:, :, None] * apart[:, None, :])
         result.append(Posterior(mean, covariance, float(whole[k]), weight @ np.array(sets)))
     return result
-
-
-NAMES = {name: number for number, name in enumerate(CONSTANTS)}

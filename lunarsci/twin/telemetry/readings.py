@@ -108,7 +108,9 @@ def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, ski
     `twist` is the velocity that wheels without slip say between rows (n - 1, 3), `skids` whether none is steered. Raises DataError where several
     readings are alike, or where it is the steering that is meant otherwise.
     """
-    ln_probable = np.array([one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in READINGS])
+    ln_probable = np.array(
+        [one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in READINGS]
+    )
     best = READINGS[int(np.argmax(ln_probable))]
     near = [one for one, own in zip(READINGS, ln_probable, strict=True) if own > ln_probable.max() - ALIKE]
     if AS_NAMED in near:
@@ -131,9 +133,7 @@ def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, ski
         known = np.isfinite(yaw)
         yaw[known] = np.unwrap(yaw[known], period=360.0)
         errors = best.errors**2 * telemetry.fix_covariance_m2
-        return dataclasses.replace(
-            telemetry, yaw_deg=yaw, fix_m=best.place(telemetry.fix_m), fix_covariance_m2=errors
-        )
+        return dataclasses.replace(telemetry, yaw_deg=yaw, fix_m=best.place(telemetry.fix_m), fix_covariance_m2=errors)
     return telemetry
 
 
@@ -173,7 +173,9 @@ def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, tu
     yaw_sigma = math.sqrt(2.0) * math.radians(float(np.nanmedian(telemetry.yaw_deg_sigma)))
     turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (TURNS_PER_M * way) ** 2 + yaw_sigma**2)
     parts = ((share[:, 0], sigma), (share[:, 1], sigma), (np.diff(yaw[rows]) - turn, turn_sigma))
-    return ln_mean + 2.0 * len(off) * math.log(reading.metres) + sum(_ln_student(value, sigma) for value, sigma in parts)
+    return (
+        ln_mean + 2.0 * len(off) * math.log(reading.metres) + sum(_ln_student(value, sigma) for value, sigma in parts)
+    )
 
 
 def _ln_student(off: FloatArray, sigma: FloatArray) -> float:

@@ -301,6 +301,7 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | Non
             reference = _round(nodes, reference, tried, priors, robust=robust)
             if change is None and number == ROUNDS - 3:
                 change = change_of(nodes, priors, reference)
+        change = change or SlipProcess.coarse()
         state, covariance, posterior = _averaged(nodes, reference, change, priors)
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
@@ -405,8 +406,8 @@ def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatAr
     """
     fix, yaw = np.ones(len(off)), np.ones(len(off))
     for k in np.flatnonzero(nodes.fixed):
-        squared = np.outer(off[k, :2], off[k, :2]) + spread[k, :2, :2]
-        squared = float(np.trace(np.linalg.solve(nodes.fix_covariance_m2[k], squared)))
+        total = np.outer(off[k, :2], off[k, :2]) + spread[k, :2, :2]
+        squared = float(np.trace(np.linalg.solve(nodes.fix_covariance_m2[k], total)))
         fix[k] = min(1.0, (FREEDOM + 2.0) / (FREEDOM + squared))
     squared_yaw = (off[:, 2] ** 2 + spread[:, 2, 2]) / nodes.yaw_sigma_rad**2
     known = np.isfinite(squared_yaw)

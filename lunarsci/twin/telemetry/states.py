@@ -27,7 +27,14 @@ from lunarsci.twin.telemetry.checks import (
     time_gaps,
 )
 from lunarsci.twin.telemetry.filter import LAG, LINEAR_S, Nodes, lag_of_turns
-from lunarsci.twin.telemetry.findings_of_drive import Lag, left_out_of, say_constants, say_left_out, say_scatter, shifted
+from lunarsci.twin.telemetry.findings_of_drive import (
+    Lag,
+    left_out_of,
+    say_constants,
+    say_left_out,
+    say_scatter,
+    shifted,
+)
 from lunarsci.twin.telemetry.nodes import (
     Rows,
     denser,
@@ -47,7 +54,7 @@ from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
 from lunarsci.twin.telemetry.readings import as_meant
-from lunarsci.twin.telemetry.smoother import Smoothed, SlipProcess, smooth
+from lunarsci.twin.telemetry.smoother import SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, of_one_motion, wheel_motion
 
 if TYPE_CHECKING:
