@@ -257,7 +257,7 @@ def test_true_states_lie_within_their_errors(
 
 @pytest.fixture(scope="module")
 def covered(yutu2: Rover) -> dict[str, np.ndarray]:
-    """Errors in standard errors of twelve drives over the embedded plan, each on another soil and with another radius."""
+    """Errors in standard errors of twelve drives over the embedded plan, each on another soil, of another radius."""
     names = ("slip_ratio", "side_slip_deg", "sinkage_m")
     errors: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for seed in range(12):

@@ -230,8 +230,8 @@ class Linear(NamedTuple):
     """The steps and measurements about a reference.
 
     `pose` maps the state before a step to the pose after it (n - 1, 3, 11), `input` the constants (n - 1, 3, k), and
-    `shift` is the rest (n - 1, 3). `seen` maps state and `by` the constants to what is measured of x, y and heading at a
-    node, `value` is that measurement: (n, 3, 11), (n, 3, k), (n, 3).
+    `shift` is the rest (n - 1, 3). `seen` maps state and `by` the constants to what is measured of x, y and heading at
+    a node, `value` is that measurement: (n, 3, 11), (n, 3, k), (n, 3).
     """
 
     pose: FloatArray
@@ -246,8 +246,8 @@ def step_inputs(nodes: Nodes) -> FloatArray:
     """Way ahead and left, and turn, that constants of 1 add to each step. (n - 1, 3, k)"""
     steps, effects = np.diff(nodes.time_s), nodes.effects
     result = np.zeros((len(steps), 3, nodes.constants))
-    for row, share in enumerate((nodes.heads, 1.0, 1.0)):
-        result[:, row, row] = nodes.way_m * share
+    result[:, [0, 1, 2], [0, 1, 2]] = nodes.way_m[:, None]
+    result[:, 0, 0] *= nodes.heads
     result[:, :, 3:SCALE] = nodes.way_m[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
     result[:, :, SCALE] = nodes.twist * steps[:, None]
     for number, (first, last) in enumerate(nodes.slides):

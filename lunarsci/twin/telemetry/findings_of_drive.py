@@ -119,7 +119,7 @@ def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
 
 
 def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
-    """Nodes whose positions may shift beside those that hardly count: from the one before each, or to the one behind."""
+    """Nodes whose positions may shift just before or behind those that hardly count."""
     fixes, out = np.flatnonzero(nodes.fixed), _left_out(smoothed, nodes)[nodes.fixed]
     ways = [pair for pair, odd in zip(pairwise(fixes), out[1:] | out[:-1], strict=True) if odd]
     moved = (nodes.way_m[first:last].any() for first, last in ways)

@@ -47,7 +47,7 @@ def turning(rim_m_s: FloatArray) -> BoolArray:
 
 
 class Rows(NamedTuple):
-    """Rows of telemetry, how the wheels moved between them, how they were steered (n, wheels) [rad], and gaps. (n - 1,)"""
+    """Rows of telemetry, how the wheels moved between them, their steering (n, wheels) [rad], and gaps. (n - 1,)"""
 
     telemetry: Telemetry
     wheels: WheelMotion

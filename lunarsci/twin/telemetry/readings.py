@@ -105,8 +105,8 @@ READINGS = (
 def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, skids: bool = False) -> Telemetry:
     """Telemetry as it is most probably meant; said where that is not as its columns are named.
 
-    `twist` is the velocity that wheels without slip say between rows (n - 1, 3), `skids` whether none is steered. Raises DataError where several
-    readings are alike, or where it is the steering that is meant otherwise.
+    `twist` is the velocity that wheels without slip say between rows (n - 1, 3), `skids` whether none is steered.
+    Raises DataError where several readings are alike, or where it is the steering that is meant otherwise.
     """
     ln_probable = np.array(
         [one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in READINGS]

@@ -383,7 +383,8 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """A row for each time and wheel: what `lunarsci twin update` reads as states.
 
     Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
-    side_slip_deg, side_slip_deg_sigma, slip_ratio_shared, valid, slip_basis, rim_m_s, rover, ground, and doubt where there is some.
+    side_slip_deg, side_slip_deg_sigma, slip_ratio_shared, valid, slip_basis, rim_m_s, rover, ground, and doubt where
+    there is some.
     """
     import pandas as pd
 
