@@ -17,6 +17,8 @@ from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.rests import GAP
 
 LEAST_ROWS = 5
+FAST = "fast slip"
+"""Kind of a finding."""
 MOST_FAST = 0.05
 """Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
 doubt; assumed."""
@@ -338,4 +340,4 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
         what = f"{count} of {whole} states slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
         done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
         first = float(time_s[int(np.argmax(fast.any(axis=1)))])
-        findings.add("fast slip", what, done, count=count, time_s=first, doubt=count > MOST_FAST * whole)
+        findings.add(FAST, what, done, count=count, time_s=first)

@@ -8,12 +8,14 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, SCALE, SLIDES, Nodes
-from lunarsci.twin.telemetry.nuisances import Posterior, Priors
+from lunarsci.twin.telemetry.nuisances import Hypothesis, Posterior, Priors
 from lunarsci.twin.telemetry.reading import Findings
 from lunarsci.twin.telemetry.smoother import Smoothed
 
 HELD = 0.5
 """Probability from which on a hypothesis is said: it is more probable than not."""
+SURE = 3.0
+"""Standard errors by which a rover must go too far for it to be sure; assumed."""
 HARDLY = 0.25
 """Weight below which a position or a heading is said to be left out; assumed. By Student's law it is then 4.5 standard
 errors off."""
@@ -111,7 +113,16 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, fi
             + ", or positions are of another frame from then on"
         )
         done = "the motion holds it, and slips are found on either side"
-        findings.add(one.name, what, done, time_s=float(times[0]), doubt=not halted)
+        findings.add(one.name, what, done, time_s=float(times[0]), doubt=not halted and _too_far(smoothed, nodes, one))
+
+
+def _too_far(smoothed: Smoothed, nodes: Nodes, one: Hypothesis) -> bool:
+    """Whether the rover goes farther on the way of a shift than its wheels roll, which no slip makes of it."""
+    first, last = nodes.slides[one.slide]
+    moved = float(np.hypot(*(smoothed.state[last, :2] - smoothed.state[first, :2])))
+    ways = list(one.members)
+    sigma = math.sqrt(np.diag(smoothed.posterior.covariance)[ways].sum())
+    return moved - float(nodes.way_m[first:last].sum()) > SURE * sigma
 
 
 def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:

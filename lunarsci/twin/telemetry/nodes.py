@@ -318,9 +318,10 @@ class WheelVelocities:
 
 
 def wheel_velocities(rover: Rover, nodes: Nodes, smoothed: Smoothed, held: PrescribedLoads) -> WheelVelocities:
-    """Velocities of the wheels where the rover moves as smoothed, held to the ground."""
+    """Velocities of the wheels where the rover moves as smoothed, held to the ground; as on a plane where it does not
+    come to rest on the soil that is assumed."""
     along, across = wheel_rows(rover, np.radians(held.motion.steering_deg))
-    off_x, off_y = ground_velocities(rover, held, smoothed.state[:, :2])
+    off_x, off_y = (np.nan_to_num(part) for part in ground_velocities(rover, held, smoothed.state[:, :2]))
     twist, onto = twist_at(nodes, smoothed), np.zeros((len(nodes.time_s), 4, 4))
     onto[:, [0, 1, 2], [0, 1, 2]] = pace_at(nodes)[:, None]
     onto[:, :3, 3], onto[:, 3, 3] = at_nodes(nodes.twist), 1.0

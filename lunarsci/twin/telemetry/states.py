@@ -11,6 +11,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.lanes import CLIFF, HOLE, LEFT, OVERTURNED
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
@@ -18,6 +19,8 @@ from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedu
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
+    FAST,
+    MOST_FAST,
     WheelPace,
     check_pace,
     check_slips,
@@ -312,13 +315,13 @@ def _state_rows(
     slip, side, slip_sigma, side_sigma, shared = (part[chosen] for part in slips_of(velocities, motion))
     low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
-    sound = held.outcome[chosen] == 0
+    sound = ~np.isin(held.outcome[chosen], (LEFT, HOLE, OVERTURNED, CLIFF))
     check_stands(sound, nodes.time_s[chosen], findings)
     slip[halted], side[halted] = 0.0, 0.0
     result = StateRows(
         node=chosen,
         distance_m=distance[chosen],
-        place_m=held.states[chosen][..., :2],
+        place_m=_places(rover, motion, held)[chosen],
         slip_ratio=slip,
         slip_ratio_sigma=slip_sigma,
         slip_ratio_shared=shared,
@@ -331,6 +334,19 @@ def _state_rows(
     )
     check_slips(result.slip_ratio, result.measured, nodes.time_s[chosen], findings)
     return result
+
+
+def _places(rover: Rover, motion: Motion, held: PrescribedLoads) -> FloatArray:
+    """Wheel centres, as of a level rover where it does not come to rest. (n, wheels, 2) [m]"""
+    yaw, wheel = np.radians(motion.yaw_deg)[:, None], rover.wheel_positions_m
+    level = np.stack(
+        [
+            motion.x_m[:, None] + np.cos(yaw) * wheel[:, 0] - np.sin(yaw) * wheel[:, 1],
+            motion.y_m[:, None] + np.sin(yaw) * wheel[:, 0] + np.cos(yaw) * wheel[:, 1],
+        ],
+        axis=-1,
+    )
+    return np.where(np.isfinite(held.states[..., :2]), held.states[..., :2], level)
 
 
 def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
@@ -405,8 +421,10 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
 
 
 def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
-    """With the rover, its ground, and why the states are doubtful, where they are."""
+    """With the rover, its ground, and why the states, or a soil learned from them, are doubtful, where they are."""
     doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt]
+    if drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum():
+        doubts += [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.kind == FAST]
     table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
     return table.assign(doubt="; ".join(doubts)) if doubts else table
 
