@@ -249,7 +249,10 @@ def _slid(plan: Plan, whole: Callable[[Plan], Truth | None], random: np.random.G
 def _through_stripe(
     plan: Plan, whole: Callable[..., Truth | None], soil: dict[str, float], rover: Rover, random: np.random.Generator
 ) -> Truth | None:
-    """Across the way lies a stripe of softer ground; all wheels share the mean of the soils below them."""
+    """Across the way lies a stripe of softer ground; all wheels share the mean of the soils below them.
+
+    The magnitude is the largest change of the wheels' mean slip.
+    """
     firm = whole(plan)
     if firm is None:
         return None
@@ -257,7 +260,7 @@ def _through_stripe(
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(firm.poses[:, :2], axis=0).T)))
     begin = firm.poses[int(np.searchsorted(way, place * way[-1]))]
     ahead = np.array([math.cos(math.radians(begin[5])), math.sin(math.radians(begin[5]))])
-    stiffness, friction = random.uniform(0.08, 0.3), random.uniform(2.0, 8.0)
+    stiffness, friction, modulus = random.uniform(0.2, 0.6), random.uniform(6.0, 14.0), random.uniform(2.0, 4.0)
     wheels = rover.wheel_positions_m[:, :2]
 
     def soil_at(now: FloatArray, share_of: float = 1.0) -> dict[str, float]:
@@ -267,13 +270,16 @@ def _through_stripe(
         share = share_of * float(inside.mean())
         return soil | {
             "stiffness_kpa_m_n": soil["stiffness_kpa_m_n"] * stiffness**share,
+            "shear_modulus_mm": soil["shear_modulus_mm"] * modulus**share,
+            "cohesion_pa": soil["cohesion_pa"] * stiffness**share,
             "friction_angle_deg": max(soil["friction_angle_deg"] - friction * share, 5.0),
         }
 
-    for softer in (1.0, 0.7, 0.45):
+    for softer in (1.0, 0.8, 0.6, 0.4):
         found = whole(plan, lambda now, softer=softer: soil_at(now, softer))
         if found is not None:
-            return dataclasses.replace(found, magnitude=float(stiffness**softer))
+            extra = found.states[:, :, SLIP].mean(axis=1) - firm.states[:, :, SLIP].mean(axis=1)
+            return dataclasses.replace(found, magnitude=float(extra[np.abs(extra).argmax()]))
     return None
 
 
@@ -483,8 +489,8 @@ def report(rows: list[dict[str, Any]]) -> None:
     """Of each kind and of all, and what the doubts are of."""
     print("Shares in %. Slip, side slip and end are of drives without doubt (exit 0); errors of shares count soils.")
     print("named: drives of exit 3 whose doubt names the fault, and drives of exit 0 in which a finding names it.")
-    head = ("kind", "drives", "refused", "exit 0", "slip in 95", "side in 95", "slip sd", "side sd", "named 3",
-            "named 0", "end err", "in 90", "radius", "end/radius", "cpu s")  # fmt: skip
+    head = ("kind", "drives", "refused", "exit 0", "slip in 95", "side in 95", "slip sd", "slip rms", "side sd",
+            "side rms", "named 3", "named 0", "end err", "in 90", "radius", "end/radius", "cpu s")  # fmt: skip
     table = [head]
     for kind in (*KINDS, "all"):
         own = [row for row in rows if kind in (row["kind"], "all")]
@@ -509,7 +515,9 @@ def report(rows: list[dict[str, Any]]) -> None:
                 _share(*_mean(sure, lambda row: row["slip_ratio"]["in_95"])),
                 _share(*_mean(sure, lambda row: row["side_slip_deg"]["in_95"])),
                 _median(sure, lambda row: row["slip_ratio"]["sigma"], ".4f"),
+                _median(sure, lambda row: row["slip_ratio"]["rms"], ".4f"),
                 _median(sure, lambda row: row["side_slip_deg"]["sigma"], ".2f"),
+                _median(sure, lambda row: row["side_slip_deg"]["rms"], ".2f"),
                 *named,
                 _median(sure, lambda row: row["end_m_error"], ".3f"),
                 _share(*_mean(sure, lambda row: float(row["end_in_90"]))),

@@ -52,8 +52,6 @@ LEAST_WAY_M = 0.5
 """Way of the wheels below which a piece is no drive."""
 POSE = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 HUSKY_STEP_S, HUSKY_ROWS = 0.05, 40
-WITHIN_S = 0.5
-"""Time between readings of the Warthog's wheels within which their angles are interpolated for poses between."""
 LEVER = re.compile(r"a point (\S+) \S+ \S+ m ahead and (\S+) \S+ \S+ m to the left")
 
 
@@ -153,7 +151,7 @@ def piece_of(name: str, vehicle: Vehicle, table: pd.DataFrame, given: argparse.N
 
 
 def warthog_pieces(folder: Path, given: argparse.Namespace) -> list[Piece]:
-    """One after the other, where the vehicle drives; rows without wheels near in time are left out."""
+    """One after the other, where the vehicle drives; poses come with angles interpolated between readings."""
     data = pd.read_csv(folder / "warthog_doughnut.csv")
     new = (data[list(POSE)].diff() != 0).any(axis=1)
     told = data["wheel_left_rad"].notna() | data["wheel_right_rad"].notna()
@@ -163,10 +161,10 @@ def warthog_pieces(folder: Path, given: argparse.Namespace) -> list[Piece]:
         known = np.flatnonzero(data[column].notna())
         times = data["time_s"].to_numpy(dtype=float)
         after = np.clip(np.searchsorted(known, np.arange(len(data))), 1, len(known) - 1)
-        near = times[known[after]] - times[known[after - 1]] <= WITHIN_S
+        near = times[known[after]] - times[known[after - 1]] <= given.within_s
         between = np.interp(times, times[known], data[column].to_numpy(dtype=float)[known])
         data[column] = data[column].where(data[column].notna() | ~near, between)
-    data = data.dropna(subset=["wheel_left_rad", "wheel_right_rad"])
+    data = thinned(data.dropna(subset=["wheel_left_rad", "wheel_right_rad"]), given.rows_s)
     pieces = []
     for begin in np.arange(data["time_s"].iloc[0], data["time_s"].iloc[-1] - given.seconds, given.seconds):
         own = data[(data["time_s"] >= begin) & (data["time_s"] < begin + given.seconds)]
@@ -180,6 +178,18 @@ def warthog_pieces(folder: Path, given: argparse.Namespace) -> list[Piece]:
                 table[f"angle_{end}{side}_deg"] = np.degrees(own[column] - angles[column].dropna().iloc[0])
         pieces.append(piece_of(f"warthog {begin:.0f} s", WARTHOG, table, given))
     return pieces
+
+
+def thinned(data: pd.DataFrame, least_s: float) -> pd.DataFrame:
+    """Rows no closer in time than this; of those too close the first one with a pose."""
+    kept: list[int] = []
+    times, posed = data["time_s"].to_numpy(dtype=float), data["x_m"].notna().to_numpy()
+    for row in range(len(data)):
+        if not kept or times[row] - times[kept[-1]] >= least_s:
+            kept.append(row)
+        elif posed[row] and not posed[kept[-1]] and (len(kept) < 2 or times[row] - times[kept[-2]] >= least_s):
+            kept[-1] = row
+    return data.iloc[kept]
 
 
 def husky_pieces(folder: Path, given: argparse.Namespace) -> list[Piece]:
@@ -360,6 +370,10 @@ def main() -> None:
     """Cut, find the motion, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=28.0, help="length of the Warthog's pieces")
+    parser.add_argument("--rows-s", type=float, default=0.0, help="least time between its rows")
+    parser.add_argument(
+        "--within-s", type=float, default=0.5, help="time between readings of its wheels within which poses are sent"
+    )
     parser.add_argument("--husky", type=int, default=8, help="windows of the Husky")
     parser.add_argument("--sigma-m", type=float, default=0.05, help="stated error of x and of y of a lidar pose")
     parser.add_argument("--yaw-sigma-deg", type=float, default=2.0, help="that of its heading")
