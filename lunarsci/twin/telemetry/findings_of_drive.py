@@ -10,25 +10,23 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, SCALE, SLIDES, Nodes
 from lunarsci.twin.telemetry.nuisances import Hypothesis, Posterior, Priors
 from lunarsci.twin.telemetry.reading import Findings
-from lunarsci.twin.telemetry.smoother import Smoothed
+from lunarsci.twin.telemetry.smoother import MEDIAN_OF_TWO, Smoothed
 
 HELD = 0.5
 """Probability from which on a hypothesis is said: it is more probable than not."""
 SURE = 3.0
 """Standard errors by which a rover must go too far for it to be sure; assumed."""
 HARDLY = 0.25
-"""Weight below which a position or a heading is said to be left out; assumed. By Student's law it is then 4.5 standard
-errors off."""
+"""Weight below which, beside the best one, a position or a heading is said to be left out; assumed. By Student's law it
+is then 4.5 standard errors off."""
 MOST_JUMPS = 8
 """Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
 WORST_SCATTER = 4.0
-"""Median square of what positions are off by over that of their errors beyond which the result is in doubt; assumed."""
+"""Median square of what positions are off by over that of their errors beyond which it is said; assumed."""
 LEAST_SCATTER, FINEST_M = 0.05, 5e-4
 """The same, and a standard error [m], below which errors of positions are not believed; assumed."""
-MEDIAN_OF_TWO = 2.0 * math.log(2.0)
-"""Median of chi-square with two degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +124,7 @@ def _too_far(smoothed: Smoothed, nodes: Nodes, one: Hypothesis) -> bool:
 
 
 def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
-    return np.asarray(nodes.fixed & (smoothed.fix_weight < HARDLY))
+    return np.asarray(nodes.fixed & (smoothed.fix_weight < HARDLY * smoothed.fix_weight[nodes.fixed].max()))
 
 
 def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
@@ -179,5 +177,5 @@ def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
         what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
         findings.add("errors too large", what, "kept; are they in another unit?")
     if scatter > WORST_SCATTER:
-        what = f"positions scatter with a reduced chi-square of {scatter:.1f} about the motion"
-        findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
+        what = f"positions scatter about the motion with {math.sqrt(scatter):.1f} times the errors that they say"
+        findings.add("positions scatter", what, "their errors are taken to be so much larger")

@@ -33,7 +33,7 @@ POINT_M, CLOCK_S, STANDS_M = 0.01, 0.1, 2e-4
 """How well the localised point [m] and the clock [s] are usually known, and a rover stands at a halt [m]; assumed."""
 ELSEWHERE_M, DRIFTS_RAD, LATE_S, SLIDES_M = 0.3, math.radians(5.0), 3.0, 0.3
 """Standard deviation of the localised point, the drift, the lag and the slide where there is one; assumed."""
-RARE, OFTEN = math.log(0.05), math.log(3.0)
+RARE, OFTEN = math.log(0.1), math.log(3.0)
 """ln of the odds of each hypothesis beforehand, and of that encoders are wrong where they differ from the commands, as
 a motor that is controlled turns as told; assumed."""
 

@@ -60,6 +60,8 @@ STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
 FAR = 20.0
 """Mahalanobis distance squared from which on a measurement is looked at alone; assumed: once in 22 000 by chance."""
+MEDIAN_OF_TWO = 2.0 * math.log(2.0)
+"""Median of chi-square with two degrees of freedom."""
 FREEDOM = 4.0
 """Of Student's law of the errors of positions and headings (Gelman et al. 2013, ch. 17: few degrees, as 4)."""
 
@@ -404,11 +406,12 @@ def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatAr
 
     A chain of errors makes a position off by what it adds to the error before.
     """
-    fix, yaw = np.ones(len(off)), np.ones(len(off))
-    for k in np.flatnonzero(nodes.fixed):
-        total = np.outer(off[k, :2], off[k, :2]) + spread[k, :2, :2]
-        squared = float(np.trace(np.linalg.solve(nodes.fix_covariance_m2[k], total)))
-        fix[k] = min(1.0, (FREEDOM + 2.0) / (FREEDOM + squared))
+    fix, yaw, fixed = np.ones(len(off)), np.ones(len(off)), nodes.fixed
+    total = off[fixed, :2, None] * off[fixed, None, :2] + spread[fixed, :2, :2]
+    squared = np.trace(np.linalg.solve(nodes.fix_covariance_m2[fixed], total), axis1=1, axis2=2)
+    # Errors are as large as positions scatter by, and no smaller than they say.
+    scale = max(1.0, float(np.median(squared)) / MEDIAN_OF_TWO)
+    fix[fixed] = np.minimum(1.0, (FREEDOM + 2.0) / (FREEDOM + squared / scale)) / scale
     squared_yaw = (off[:, 2] ** 2 + spread[:, 2, 2]) / nodes.yaw_sigma_rad**2
     known = np.isfinite(squared_yaw)
     yaw[known] = np.minimum(1.0, (FREEDOM + 1.0) / (FREEDOM + squared_yaw[known]))

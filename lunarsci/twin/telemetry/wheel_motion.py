@@ -39,13 +39,13 @@ MOSTLY = 0.6
 """Share of equal readings above which a channel is merely coarse or free of noise; assumed."""
 DISAGREE = 0.03
 """Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
-SCALE_SIGMA, SAID, LEAST_OFF = 0.003, 0.01, 1e-4
-"""Width of the law of encoders' scales, from where on one is said, and the least that rims are taken to be off by, as a
-share of their speed; assumed."""
-MOST_STEPS, ROUNDS = 2000, 30
-"""Steps between rows that the scales are found from, and rounds of their weights."""
 TOO_FAST = 3.0
 """Times the rover's highest speed which no rim has; assumed."""
+SAID, UNDER_WAY = 0.01, 0.3
+"""How far an encoder's scale must be off to be said, and share of the highest speed from which a wheel tells it;
+assumed."""
+MOST_STEPS = 2000
+"""Steps between rows that the scale is found from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -377,11 +377,10 @@ def _missing(telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: Boo
 
 
 def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, findings: Findings) -> WheelMotion:
-    """Wheels whose rims tell of the motions of one rigid rover: each encoder has a scale, and few are far from 1.
+    """Wheels whose rims tell of the motions of one rigid rover, with the encoder mended that fits the others least.
 
-    The scales are the most probable ones where ln of each follows a Cauchy law of width `SCALE_SIGMA`, by weights that
-    are found with them. What all wheels have in common does not show here. Said where a scale is off for sure; a rover
-    whose wheels still differ is in doubt.
+    It is the wheel without which all others agree best; it turned as they say, times a scale, which is 1 where nothing
+    is wrong. What all wheels have in common does not show here, nor which wheel of a side it is where none is steered.
 
     Parameters
     ----------
@@ -389,26 +388,26 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
     """
     known = np.flatnonzero(np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving)
     some = known[:: max(1, len(known) // MOST_STEPS)]
-    if not some.size:
+    if not some.size or not rover.steered_mask.any():
         return wheels
-    along, _ = wheel_rows(rover, steering_rad[some])
-    apart = np.eye(along.shape[1]) - along @ np.linalg.pinv(along)
-    off = apart * wheels.rim_m_s[some][:, None, :] / wheels.usual_m_s
-    scale = np.zeros(along.shape[1])
-    for _ in range(ROUNDS):
-        left = np.sqrt((np.einsum("nij,j->ni", off, 1.0 - scale) ** 2).mean(axis=1))
-        noise = max(float(np.median(left)), LEAST_OFF)
-        weight = 1.0 / (noise**2 + left**2)
-        information = np.einsum("n,nki,nkj->ij", weight, off, off)
-        rare = np.diag(2.0 / (SCALE_SIGMA**2 + scale**2))
-        scale = np.linalg.solve(information + rare, information.sum(axis=1))
-    sigma = np.sqrt(np.diag(np.linalg.inv(information + rare)))
-    for k in np.flatnonzero(np.abs(scale) > np.maximum(3.0 * sigma, SAID)):
-        what = f"wheel {rover.wheels[k]} turns {1.0 + scale[k]:.3f} +- {sigma[k]:.3f} times as far as the others say"
+    rims, steering = wheels.rim_m_s.copy(), steering_rad[some]
+    along, _ = wheel_rows(rover, steering)
+    left = []
+    for k in range(len(rover.wheels)):
+        others = rims[some].copy()
+        others[:, k] = np.nan
+        twist, off = body_twist(rover, others, steering)
+        left.append((float(np.mean(off**2)), k, np.einsum("ni,ni->n", along[:, k], twist)))
+    _, k, expected = min(left)
+    turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
+    ratio = rims[some, k][turning] / expected[turning]
+    scale = float(np.median(ratio))
+    if abs(scale - 1.0) > SAID:
+        what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
         findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
-    rims = wheels.rim_m_s / (1.0 + scale)
-    off_m_s = float(np.median(body_twist(rover, rims[some], steering_rad[some])[1])) / wheels.usual_m_s
-    if rover.steered_mask.any() and off_m_s > DISAGREE:
+    rims[:, k] /= scale
+    off_m_s = float(np.median(body_twist(rover, rims[some], steering)[1])) / wheels.usual_m_s
+    if off_m_s > DISAGREE:
         what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
