@@ -72,20 +72,22 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
 
     Slip and side slip follow from positions, headings and wheels, and from the slopes of the terrain, one state between
     two positions at most; they are those at its time. How fast they change beside the slopes is found from the data and
-    stated; where positions are too few or too coarse to tell, a finding says so. Sinkage follows from the track, for
-    the deepest wheel that passed; the others stay blank. What is wrong with the telemetry is listed with what was done
-    about it; where the result should not be trusted for it the exit code is 3.
+    stated. Sinkage follows from the track, for the deepest wheel that passed; the others stay blank.
+
+    What is not known of the telemetry itself is found with the motion, and widens the errors: the point that is
+    localised, a drift of headings, a lag of the clock, scales of the encoders, the wheels' rolling radius, positions
+    whose errors walk, slides at halts. What is more probable than not is said. Units and axes are read as they are most
+    probably meant, which is said too. Where the result should not be trusted the exit code is 3.
 
     Files of any length are read, a piece at a time: where the rover stands for long, only rows beside drives and with a
     new position are kept. --since and --until take a part.
 
-    Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Wheels that turned more than 2 %
-    off the plan's speed are said, with exit code 3: a soil learned with this plan would be another.
+    Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Its errors hold 3 % of that
+    radius, which all states share (column slip_ratio_shared). Wheels that turned more than 2 % off the plan's speed are
+    said: a soil learned with this plan would be another.
 
-    Positions and headings that are later than the wheels, by another clock or because wheels act late, are found where
-    wheels steer over, turn, start or stop, and said with the --lag that puts them back; with exit code 3 where wheels
-    roll more than 1 cm within it. Those that are early by less than 1.5 s are said alone. Along one arc at one speed no
-    slip depends on it.
+    Positions and headings that are later than the wheels, by another clock or because wheels act late, are put back to
+    them, and the lag is said. Along one arc at one speed no slip depends on it.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin loads` read.
