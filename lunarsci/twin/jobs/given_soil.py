@@ -74,6 +74,11 @@ class GivenSoil:
         """Whether all drives have one soil."""
         return self.file is None
 
+    @property
+    def rests_on_states(self) -> bool:
+        """Whether the belief rests on drives or wheel tests, and with them on what was taken for their wheels."""
+        return self.belief is not None and bool(self.belief.history or self.belief.verdict)
+
     def _with(self, name: str) -> "GivenSoil":
         if name == PRIORS:
             name_only = InputFile(PRIORS, first_belief().to_json().encode())
