@@ -10,9 +10,9 @@ from matplotlib.ticker import LogLocator
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, headline, legend_below, page
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.belief_history import NINETY_FIVE, past_beliefs, rolled_back, shared_drives
+from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.figure import PARAMETER_LABELS
-from lunarsci.regolith.prior import PARAMETERS, Law
+from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law
 
 OWN, OTHER, REFUSED = "#0072B2", "#D55E00", "#26323a"
 

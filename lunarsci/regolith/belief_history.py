@@ -19,7 +19,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
-from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, values_of
 
 OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
     {
@@ -36,7 +36,6 @@ OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
 """Standard deviation between effective and own values, in widths of the prior: the most probable of 19 updates by
 stress integrals, ruts and changing soils, drawn towards their common 0.8, on the grounds and soils that
 `tests/benchmarks/loop.py --training --seed 1701` drives on, which no reported number is of. [-]"""
-NINETY_FIVE = 1.959964
 STATE = ("mean", "covariance")
 """Keys of an entry that hold the belief after its drive; entries of older files have none."""
 

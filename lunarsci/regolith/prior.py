@@ -39,6 +39,9 @@ UNITS = dict(zip(PARAMETERS, ("kPa/m^N", "-", "-", "Pa", "deg", "mm", "deg", "mm
 TRANSFORMS = ("ln", "ln tan", "value")
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
+STRANGE = 3.0
+"""Widths of the prior beyond which no parameter lies: 3 in 1000 by chance; assumed."""
+NINETY_FIVE = 1.959964
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 
@@ -128,6 +131,21 @@ def contact_prior() -> Mapping[str, Law]:
 def rolling_prior(wheel: Wheel) -> dict[str, Law]:
     """The laws for `ROLLING`: about the angles that the wheel's file has, as wide as those of `priors.toml`."""
     return {name: replace(law, median=getattr(wheel, name, law.median)) for name, law in _laws(ROLLING).items()}
+
+
+def strange(laws: Mapping[str, Law], transforms: FloatArray, sd: FloatArray) -> list[str]:
+    """Parameters that no soil or wheel of the priors has, whatever what was found leaves open of them, in sentences.
+
+    `transforms` and their standard deviations `sd` are in the order of `laws`. (p,), (p,)
+    """
+    width = np.array([law.width for law in laws.values()])
+    off = (transforms - np.array([law.center for law in laws.values()])) / width
+    return [
+        f"{name} is {float(law.back(transforms[k])):.3g}, {abs(off[k]):.1f} standard deviations of its prior from "
+        f"{law.median:g}"
+        for k, (name, law) in enumerate(laws.items())
+        if abs(off[k]) - NINETY_FIVE * sd[k] / width[k] > STRANGE
+    ]
 
 
 def prior_hash() -> dict[str, str]:

@@ -17,6 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.regolith.prior import strange
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.particles import draw_particles
 from lunarsci.twin.assimilation.posterior import (
@@ -150,12 +151,19 @@ class SoilUpdate:
         In simulations one soil that explained a drive only with errors so much larger put the return off by 0.5 m.
         """
         worst = max(self.inflation, key=lambda name: self.inflation[name], default="")
-        if self.refused or not worst or self.inflation[worst] <= MOST_INFLATION:
+        if self.refused:
             return ""
-        return (
-            f"one soil explains {worst} only with {self.inflation[worst]:.1f} times its errors: the ground may change "
-            "along the way or carry ruts, so predictions from this belief are doubtful"
-        )
+        belief = self.belief
+        told = [
+            f"{text}: no soil or wheel of the priors has that; look for a wrong rover, terrain or track depth"
+            for text in strange(belief.laws, belief.mean, np.sqrt(np.diag(belief.covariance)))
+        ]
+        if worst and self.inflation[worst] > MOST_INFLATION:
+            told.append(
+                f"one soil explains {worst} only with {self.inflation[worst]:.1f} times its errors: the ground may "
+                "change along the way or carry ruts, so predictions from this belief are doubtful"
+            )
+        return "; ".join(told)
 
     @property
     def caution(self) -> str:
