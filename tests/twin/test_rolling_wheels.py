@@ -197,7 +197,6 @@ def test_slip_on_the_soil_found_is_what_a_prediction_of_the_same_plan_gives(
     slips = predicted(found, whole, whole.values[:, OBSERVED.index("slip_ratio")], tmp_path)
     # The median of 64 draws is known to 1.25 of their standard deviation over the root of 64, and there are two.
     error = np.hypot(1.0, 1.0) * 1.25 * slips.std(ddof=1) / np.sqrt(slips.size)
-    print(lean, np.median(slips), slips.std(), found.inflation)
     assert abs(lean.simulated - np.median(slips)) < 3.0 * error
     assert lean.spread == pytest.approx(slips.std(ddof=1), rel=0.5)
 

@@ -17,7 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.regolith.prior import strange
+from lunarsci.regolith.prior import PARAMETERS, strange
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.particles import draw_particles
 from lunarsci.twin.assimilation.posterior import (
@@ -98,7 +98,7 @@ class SoilUpdate:
     wheel_errors : by quantity, standard deviation of what each wheel was found to be off by throughout, in its unit.
     chi_square, values : of the values that are no outliers, and their number, positions included.
     prior_shift : distance of the new mean from the old one in standard deviations of the old belief, root mean square
-        over the parameters: about 1 or less where the ground is the one that was believed. [-]
+        over the parameters of the soil: about 1 or less where the ground is the one that was believed. [-]
     autocorrelation : largest correlation of the particles with where they were before their last moves. [-]
     refused : empty, or why the belief was not moved.
     """
@@ -245,7 +245,8 @@ def assimilate(
         discrepancy = _taught(belief.discrepancy, posterior.drive, expected, best) if teach else belief.discrepancy
         moments = (points.mean(axis=0), np.cov(points.T))
         learned = SoilBelief(prior.laws, *moments, belief.history, points, belief.verdict, discrepancy)
-    moved = posterior.coordinates.transforms(mode.point) - prior.mean if refused else learned.mean - prior.mean
+    moved = (posterior.coordinates.transforms(mode.point) if refused else learned.mean) - prior.mean
+    moved = moved[: len(PARAMETERS)]
     return SoilUpdate(
         belief=learned,
         prediction=best,
@@ -255,7 +256,7 @@ def assimilate(
         wheel_errors=wheels,
         chi_square=float((states[kept] ** 2).sum() + (places**2).sum()),
         values=int(kept.sum() + places.size),
-        prior_shift=float(np.sqrt(moved @ np.linalg.solve(prior.covariance, moved) / len(moved))),
+        prior_shift=float(np.sqrt(moved @ np.linalg.solve(belief.soil.covariance, moved) / len(moved))),
         autocorrelation=left,
         refused=refused,
     )

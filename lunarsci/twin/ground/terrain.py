@@ -374,15 +374,7 @@ def _column(name: str) -> int:
 
 def _in_si(name: str, values: FloatArray) -> FloatArray:
     # The allowed ranges are intervals, so two checked extremes vouch for every node.
-    anything = Soil(
-        stiffness_kpa_m_n=1.0,
-        sinkage_exponent=1.0,
-        cohesion_pa=0.0,
-        friction_angle_deg=0.0,
-        shear_modulus_mm=1.0,
-        external_friction_angle_deg=0.0,
-        lateral_modulus_mm=1.0,
-    )
+    anything = Soil(**dict.fromkeys(SOIL_COLUMNS, 1.0))
     for extreme in (values.min(), values.max()):
         if not math.isfinite(extreme):
             raise ParameterError(f"soil {name} has a value that is not finite")

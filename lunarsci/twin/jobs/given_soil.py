@@ -30,6 +30,7 @@ class GivenSoil:
     named : a soil's name, or its TOML file; None where none was given.
     file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
     belief, soil_map : what it holds.
+    untaught : whether the belief is that of priors, which no wheel has taught.
     """
 
     named: str | None = None
@@ -37,6 +38,7 @@ class GivenSoil:
     of: Literal["none", "belief", "map", "samples"] = "none"
     belief: SoilBelief | None = None
     soil_map: SoilMap | None = None
+    untaught: bool = False
 
     @classmethod
     def read(cls, soil: str | Sequence[str] | None) -> "GivenSoil":
@@ -55,7 +57,7 @@ class GivenSoil:
         """With the belief before any drive by these laws."""
         if self.file is not None:
             raise RequestError(f"{self.name} and {file.name} as `soil` are two ways to name the soils; give one")
-        return replace(self, file=file, of="belief", belief=first_belief(laws))
+        return replace(self, file=file, of="belief", belief=first_belief(laws), untaught=True)
 
     @property
     def name(self) -> str:
@@ -73,11 +75,6 @@ class GivenSoil:
     def one_soil(self) -> bool:
         """Whether all drives have one soil."""
         return self.file is None
-
-    @property
-    def rests_on_states(self) -> bool:
-        """Whether the belief rests on drives or wheel tests, and with them on what was taken for their wheels."""
-        return self.belief is not None and bool(self.belief.history or self.belief.verdict)
 
     def _with(self, name: str) -> "GivenSoil":
         if name == PRIORS:

@@ -57,7 +57,7 @@ class Soils:
         ranges = None if sweep is None else _parsed_sweep(sweep)
         soils = cls(inputs, ranges, members, seed)
         if given.belief is not None:
-            known = given.belief if given.rests_on_states else given.belief.opened(inputs.rover.wheel)
+            known = given.belief.opened(inputs.rover.wheel) if given.untaught else given.belief
             drawn = known.draws(members or OF_A_BELIEF, seed)
             soils = replace(soils, samples=drawn, verdict=known.verdict, discrepancy=known.discrepancy)
         elif given.soil_map is not None:
