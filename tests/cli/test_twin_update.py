@@ -59,7 +59,7 @@ def test_other_ground_than_the_believed_is_warned_of(
 ) -> None:
     """A belief as sure as after many drives, of another soil: the exit code stays 0, and the belief keeps it."""
     first = first_belief()
-    away = first.mean + 2.0 * np.sqrt(np.diag(first.covariance))
+    away = first.mean + 3.0 * np.sqrt(np.diag(first.covariance))
     other, new = tmp_path / "other.json", tmp_path / "new.json"
     other.write_text(SoilBelief(first.laws, away, 0.04 * first.covariance).to_json())
     update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32", "--save", new, "--force")
