@@ -30,7 +30,6 @@ class GivenSoil:
     named : a soil's name, or its TOML file; None where none was given.
     file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
     belief, soil_map : what it holds.
-    untaught : whether the belief is that of priors, which no wheel has taught.
     """
 
     named: str | None = None
@@ -38,7 +37,6 @@ class GivenSoil:
     of: Literal["none", "belief", "map", "samples"] = "none"
     belief: SoilBelief | None = None
     soil_map: SoilMap | None = None
-    untaught: bool = False
 
     @classmethod
     def read(cls, soil: str | Sequence[str] | None) -> "GivenSoil":
@@ -57,7 +55,7 @@ class GivenSoil:
         """With the belief before any drive by these laws."""
         if self.file is not None:
             raise RequestError(f"{self.name} and {file.name} as `soil` are two ways to name the soils; give one")
-        return replace(self, file=file, of="belief", belief=first_belief(laws), untaught=True)
+        return replace(self, file=file, of="belief", belief=first_belief(laws))
 
     @property
     def name(self) -> str:

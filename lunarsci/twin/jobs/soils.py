@@ -57,8 +57,7 @@ class Soils:
         ranges = None if sweep is None else _parsed_sweep(sweep)
         soils = cls(inputs, ranges, members, seed)
         if given.belief is not None:
-            known = given.belief.opened(inputs.rover.wheel) if given.untaught else given.belief
-            drawn = known.draws(members or OF_A_BELIEF, seed)
+            drawn, known = given.belief.draws(members or OF_A_BELIEF, seed), given.belief
             soils = replace(soils, samples=drawn, verdict=known.verdict, discrepancy=known.discrepancy)
         elif given.soil_map is not None:
             law = given.soil_map.belief_along(planned_places(inputs.plan, inputs.rover)).discrepancy
