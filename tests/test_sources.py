@@ -24,7 +24,7 @@ NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCEN
 SETTINGS = {
     "they are by definition what they are, or follow from others": (
         "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "lanes.py: LN_2_HIGH, LN_2_LOW",
-        "regolith/belief_history.py: NINETY_FIVE", "regolith/inference/mode.py: RISES",
+        "regolith/inference/mode.py: RISES", "regolith/prior.py: NINETY_FIVE",
         "regolith/inference/verdict.py: OTHER_SIGNS",
         "regolith/inference/verdict.py: UNITS", "spectra/abundance/mixing.py: UNIT_NM",
         "spectra/abundance/nbsr.py: CORRELATION", "spectra/abundance/nbsr.py: NORMAL_95",

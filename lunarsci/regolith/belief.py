@@ -5,7 +5,7 @@ Whether a soil that was fitted to wheel states may be trusted, and the files tha
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,8 @@ from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_json, text
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
-from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
+from lunarsci.regolith.prior import PARAMETERS, ROLLING, Law, default_prior, rolling_prior, values_of
+from lunarsci.regolith.wheel import Wheel
 
 SCHEMA = "lunarsci/soil-belief/1"
 ASYMMETRY = 1e-9
@@ -24,6 +25,8 @@ FARTHEST_WIDTHS = 6.0
 WIDEST = 5.0
 """Drives narrow a belief and forgetting leads back to its laws, past them by at most (0.25 x 6^2 + 1)^0.5 = 3.2 times;
 assumed. [standard deviations of the laws]"""
+OPEN = (*PARAMETERS, *ROLLING)
+"""Parameters of a belief that holds those of its wheel, too."""
 MARK = "# verdict of the fit: "
 CLOSED, CONTACT_ANGLES = "closed", "contact angles"
 """In the name of a law: the closed form, and contact angles that are unknown."""
@@ -120,16 +123,16 @@ def read_verdict(source: InputFile) -> FitVerdict | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SoilBelief:
-    """A normal law of all eight parameters, in the transforms of the laws it began with.
+    """A normal law of all eight parameters, in the transforms of the laws it began with; or with its wheel's, twelve.
 
     Attributes
     ----------
-    laws : the prior laws, by parameter in the order of `PARAMETERS`; they say what is transformed how, and how wide the
-        belief was before any drive.
-    mean : of the transforms. (8,)
-    covariance : of the transforms. (8, 8)
+    laws : the prior laws, by parameter in the order of `PARAMETERS`, or with those of `ROLLING` after them; they say
+        what is transformed how, and how wide the belief was before any drive.
+    mean : of the transforms. (p,)
+    covariance : of the transforms. (p, p)
     history : one entry for each update, oldest first: what it rests on.
-    population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, 8)
+    population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, p)
     verdict : of the fit to wheel states that it comes from, None where it does not.
     discrepancy : what drives are off by beside the soil; that of no drive where a file has none.
 
@@ -145,9 +148,10 @@ class SoilBelief:
     discrepancy: PhysicsDiscrepancy = FIRST
 
     def __post_init__(self) -> None:
-        size = len(PARAMETERS)
-        if tuple(self.laws) != PARAMETERS or self.mean.shape != (size,) or self.covariance.shape != (size, size):
-            raise ParameterError(f"a belief needs laws, a mean and a covariance of {', '.join(PARAMETERS)}")
+        size = len(self.names)
+        if self.names not in (PARAMETERS, OPEN) or self.mean.shape != (size,) or self.covariance.shape != (size, size):
+            told = f"{', '.join(PARAMETERS)}, and of none or all of {', '.join(ROLLING)}"
+            raise ParameterError(f"a belief needs laws, a mean and a covariance of {told}")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise ParameterError("a belief's mean and covariance must be finite")
         if self.population is not None and (
@@ -159,6 +163,42 @@ class SoilBelief:
             raise ParameterError("a belief's covariance must be symmetric")
         if not np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))[0] > 0:
             raise ParameterError("a belief's covariance must be positive definite")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its parameters: those of a soil, or with them those of `ROLLING`."""
+        return tuple(self.laws)
+
+    @property
+    def soil(self) -> "SoilBelief":
+        """What it says of the soil alone, whatever the wheel that taught it may be."""
+        size = len(PARAMETERS)
+        drawn = None if self.population is None else self.population[:, :size]
+        laws = {name: self.laws[name] for name in PARAMETERS}
+        return replace(
+            self, laws=laws, mean=self.mean[:size], covariance=self.covariance[:size, :size], population=drawn
+        )
+
+    def opened(self, wheel: Wheel) -> "SoilBelief":
+        """The same with contact angles and effective radius of a wheel unknown, too, as wide as their priors.
+
+        Of a belief that holds them it is this one. Its soil was learned with the angles of the wheel's file, so these
+        are the middle of what is believed of them; a population is given up.
+        """
+        if self.names == OPEN:
+            return self
+        laws = rolling_prior(wheel)
+        centers, widths = (np.array([getattr(law, what) for law in laws.values()]) for what in ("center", "width"))
+        size = len(self.mean)
+        covariance = np.diag(np.concatenate([np.zeros(size), widths**2]))
+        covariance[:size, :size] = self.covariance
+        mean = np.concatenate([self.mean, centers])
+        return replace(self, laws={**self.laws, **laws}, mean=mean, covariance=covariance, population=None)
+
+    def samples(self, transforms: FloatArray) -> dict[str, FloatArray]:
+        """Parameters in their units, each (n,), from transforms (n, p)."""
+        values = values_of(self.laws, transforms, self.names)
+        return {name: values[:, k] for k, name in enumerate(self.names)}
 
     @property
     def ruts(self) -> bool:
@@ -192,15 +232,13 @@ class SoilBelief:
     def sd_ratio(self) -> dict[str, float]:
         """Standard deviation of each parameter's transform as a share of its prior's. [-]"""
         spread = np.sqrt(np.diag(self.covariance))
-        return {name: float(sd / self.laws[name].width) for name, sd in zip(PARAMETERS, spread, strict=True)}
+        return {name: float(sd / self.laws[name].width) for name, sd in zip(self.names, spread, strict=True)}
 
     def intervals(self) -> dict[str, tuple[float, float, float]]:
         """Median and 68 % limits of each parameter, in its unit."""
         spread = np.sqrt(np.diag(self.covariance))
-        rows = values_of(self.laws, np.stack([self.mean, self.mean - spread, self.mean + spread]))
-        return {
-            name: (float(m), float(low), float(high)) for name, (m, low, high) in zip(PARAMETERS, rows.T, strict=True)
-        }
+        rows = self.samples(np.stack([self.mean, self.mean - spread, self.mean + spread]))
+        return {name: (float(m), float(low), float(high)) for name, (m, low, high) in rows.items()}
 
     def draws(self, count: int, seed: int = 0) -> dict[str, FloatArray]:
         """Soils drawn from the belief, by parameter in its unit: its population, in turn, or a normal law. (count,)"""
@@ -208,10 +246,9 @@ class SoilBelief:
         if self.population is not None:
             points = self.population[np.resize(random.permutation(len(self.population)), count)]
         else:
-            noise = random.standard_normal((count, len(PARAMETERS)))
+            noise = random.standard_normal((count, len(self.names)))
             points = self.mean + noise @ np.linalg.cholesky(self.covariance).T
-        values = values_of(self.laws, points)
-        return {name: values[:, k] for k, name in enumerate(PARAMETERS)}
+        return self.samples(points)
 
     def inflated(self, share: float) -> "SoilBelief":
         """Prior inflation for ground further on: the belief gone `share` of the way back to the prior, 0 to 1.
@@ -232,7 +269,7 @@ class SoilBelief:
         """As `read_belief` reads it."""
         document = {
             "schema": SCHEMA,
-            "order": list(PARAMETERS),
+            "order": list(self.names),
             "laws": {name: asdict(law) for name, law in self.laws.items()},
             "mean": self.mean.tolist(),
             "covariance": self.covariance.tolist(),
@@ -248,8 +285,8 @@ class SoilBelief:
 def first_belief(laws: Mapping[str, Law] | None = None) -> SoilBelief:
     """The prior laws, before any drive."""
     laws = default_prior() if laws is None else laws
-    widths = np.array([laws[name].width for name in PARAMETERS])
-    return SoilBelief(laws, np.array([laws[name].center for name in PARAMETERS]), np.diag(widths**2))
+    widths = np.array([law.width for law in laws.values()])
+    return SoilBelief(laws, np.array([law.center for law in laws.values()]), np.diag(widths**2))
 
 
 def belief_of(document: Mapping[str, Any]) -> SoilBelief:
@@ -257,9 +294,9 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
     if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
         raise ParameterError(f"not a soil belief; its schema must be {SCHEMA}")
     try:
-        if tuple(document["order"]) != PARAMETERS:
+        if tuple(document["order"]) not in (PARAMETERS, OPEN):
             raise ParameterError(f"its parameters are not {', '.join(PARAMETERS)}")
-        laws = {name: Law(**document["laws"][name]) for name in PARAMETERS}
+        laws = {name: Law(**document["laws"][name]) for name in document["order"]}
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
         drawn = document.get("population")
         population = None if drawn is None else np.array(drawn, dtype=np.float64)
@@ -277,8 +314,8 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
 
 def _check_likely(belief: SoilBelief) -> None:
     """Raises ParameterError for a belief far from both its own laws and those of `priors.toml`, or much wider."""
-    for k, name in enumerate(PARAMETERS):
-        own, usual = belief.laws[name], default_prior()[name]
+    for k, (name, own) in enumerate(belief.laws.items()):
+        usual = default_prior().get(name, own)
         median, sd = float(own.back(belief.mean[k])), float(belief.covariance[k, k]) ** 0.5
         width = max(own.width, usual.width)
         with np.errstate(all="ignore"):

@@ -10,9 +10,9 @@ from matplotlib.ticker import LogLocator
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, headline, legend_below, page
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.belief_history import NINETY_FIVE, past_beliefs, rolled_back, shared_drives
+from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.figure import PARAMETER_LABELS
-from lunarsci.regolith.prior import PARAMETERS, Law, values_of
+from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law
 
 OWN, OTHER, REFUSED = "#0072B2", "#D55E00", "#26323a"
 
@@ -80,20 +80,19 @@ def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) ->
 
     Intervals are those of `SoilBelief.intervals`, the density that of its soils.
     """
-    center = np.array([belief.laws[name].center for name in PARAMETERS])
-    width = np.array([belief.laws[name].width for name in PARAMETERS])
+    center, width = (np.array([getattr(law, what) for law in belief.laws.values()]) for what in ("center", "width"))
     spread = np.sqrt(np.diag(belief.covariance))
     lines = [belief.mean + k * spread for k in (0.0, -1.0, 1.0, -NINETY_FIVE, NINETY_FIVE)]
     lines += [center + k * width for k in (-NINETY_FIVE, NINETY_FIVE)]
     keys = ("median", "low68", "high68", "low95", "high95", "prior_low95", "prior_high95")
-    columns = values_of(belief.laws, np.stack(lines)).T
+    columns = belief.samples(np.stack(lines)).values()
     rows = [
         {"parameter": name, **dict(zip(keys, column, strict=True)), "shrinkage": 1.0 - left, "determined": False}
         for (name, left), column in zip(belief.sd_ratio.items(), columns, strict=True)
     ]
     soils = belief.draws(SOILS)
     title = f"{title}, doubtful" if belief.doubt else title
-    draws = np.stack([soils[name] for name in PARAMETERS], axis=1)
+    draws = np.stack(list(soils.values()), axis=1)
     return posterior_figure(rows, belief.laws, draws, title, synthetic=synthetic)
 
 

@@ -19,7 +19,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
-from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, values_of
 
 OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
     {
@@ -36,7 +36,6 @@ OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
 """Standard deviation between effective and own values, in widths of the prior: the most probable of 19 updates by
 stress integrals, ruts and changing soils, drawn towards their common 0.8, on the grounds and soils that
 `tests/benchmarks/loop.py --training --seed 1701` drives on, which no reported number is of. [-]"""
-NINETY_FIVE = 1.959964
 STATE = ("mean", "covariance")
 """Keys of an entry that hold the belief after its drive; entries of older files have none."""
 
@@ -86,7 +85,7 @@ def past_beliefs(belief: SoilBelief) -> list[SoilBelief | None]:
     The first is the priors, the last the belief itself, with its population; those between are normal laws.
     Raises ParameterError for an entry whose state is no belief.
     """
-    past: list[SoilBelief | None] = [first_belief(belief.laws)]
+    past: list[SoilBelief | None] = [first_belief(belief.soil.laws)]
     for number, entry in enumerate(belief.history[:-1], 1):
         past.append(_state(belief, entry, number))
     return [*past, belief] if belief.history else [belief]
@@ -99,7 +98,8 @@ def _state(belief: SoilBelief, entry: Mapping[str, Any], number: int) -> SoilBel
         mean, covariance = (np.array(entry[key], dtype=np.float64) for key in STATE)
         kept = entry.get("discrepancy")
         discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(_with_lines(kept, belief))
-        return SoilBelief(belief.laws, mean, covariance, belief.history[:number], discrepancy=discrepancy)
+        laws = belief.laws if len(mean) == len(belief.laws) else belief.soil.laws
+        return SoilBelief(laws, mean, covariance, belief.history[:number], discrepancy=discrepancy)
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"history, drive {number}: {error}") from error
 
@@ -137,7 +137,7 @@ def moved_sd(belief: SoilBelief) -> list[dict[str, float] | None]:
 
     None for a drive before or after which the state was not kept. What was forgotten before the drive counts as moved.
     """
-    past = past_beliefs(belief)
+    past = [state and state.soil for state in past_beliefs(belief)]
     return [
         None if one is None or two is None else _named((two.mean - one.mean) / np.sqrt(np.diag(one.covariance)))
         for one, two in pairwise(past)
@@ -200,11 +200,12 @@ class BeliefDistance:
 
 
 def compare_beliefs(one: SoilBelief, other: SoilBelief) -> BeliefDistance:
-    """Hold two beliefs beside each other, as the normal laws of their means and covariances.
+    """Hold what two beliefs say of the soil beside each other, as the normal laws of their means and covariances.
 
     Sources: A. Bhattacharyya (1946), Sankhya 7, 401; S. Kullback & R. A. Leibler (1951), Ann. Math. Stat. 22, 79,
     10.1214/aoms/1177729694. Raises ParameterError for beliefs whose parameters are transformed otherwise.
     """
+    one, other = one.soil, other.soil
     strange = [name for name in PARAMETERS if one.laws[name].of != other.laws[name].of]
     if strange:
         raise ParameterError(f"the beliefs do not compare: {strange[0]} is transformed otherwise in the two")
@@ -257,6 +258,7 @@ def ground_moments(belief: SoilBelief) -> tuple[FloatArray, FloatArray]:
     What the drives say, which is the belief without its prior, is widened by what other physics would change, and
     joined with the prior again; so no interval is wider than before any drive.
     """
+    belief = belief.soil
     center = np.array([belief.laws[name].center for name in PARAMETERS])
     width = np.array([belief.laws[name].width for name in PARAMETERS])
     off, variance = (belief.mean - center) / width, np.diag(belief.covariance) / width**2
@@ -284,8 +286,13 @@ def parameter_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
     ground = ground_intervals(belief)
     return {
         name: row | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
-        for name, row in effective_rows(belief).items()
+        for name, row in effective_rows(belief.soil).items()
     }
+
+
+def contact_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
+    """Effective rows of the wheels' parameters, those of `ROLLING`; none where the belief holds them for known."""
+    return {name: row for name, row in effective_rows(belief).items() if name not in PARAMETERS}
 
 
 def effective_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:

@@ -37,6 +37,7 @@ PARAMETER_LABELS = {
     "max_stress_c1": "angle of largest stress c$_1$ [-]",
     "max_stress_c2": "rise of that angle with slip c$_2$ [-]",
     "exit_c3": "exit angle c$_3$ [-]",
+    "shearing_radius_ratio": "effective over stated radius [-]",
 }
 """A parameter of the soil along an axis, the same in every picture."""
 LEAST_PA = 10.0

@@ -133,7 +133,8 @@ def contact_forces(
     half, half_e = root(q), root(q_e)
     theta_1, theta_1e = 2.0 * arcsin(half), 2.0 * arcsin(half_e)
     cos_1, sin_1, sin_1e = 1.0 - 2.0 * q, 2.0 * half * root(1.0 - q), 2.0 * half_e * root(1.0 - q_e)
-    theta_2, theta_m = c3 * theta_1, (c1 + c2 * slip) * theta_1
+    # As in the integrals, the largest stress stays within the contact at any slip.
+    theta_2, theta_m = c3 * theta_1, lowest(highest(c1 + c2 * slip, c3 + 1e-3), 0.999) * theta_1
     cos_2, sin_2, cos_m, sin_m = cosine(theta_2), sine(theta_2), cosine(theta_m), sine(theta_m)
     front, rear = theta_1 - theta_m, theta_m - theta_2
     a = (cos_m - cos_2) / rear + (cos_m - cos_1) / front

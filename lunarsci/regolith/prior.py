@@ -3,7 +3,7 @@
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
@@ -14,6 +14,7 @@ from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
 from lunarsci.names import one_of
+from lunarsci.regolith.wheel import Wheel
 from lunarsci.tables import table_hashes
 
 PRIORS = "priors.toml"
@@ -29,13 +30,18 @@ PARAMETERS = (
 )
 CONTACT = ("skid_exponent_slip", "max_stress_c1", "max_stress_c2", "exit_c3")
 """What a contact may have unknown beside its soil: n2 of `ContactModel`, c1-c3 of `Wheel`."""
+ROLLING = ("max_stress_c1", "max_stress_c2", "exit_c3", "shearing_radius_ratio")
+"""What a rolling wheel may have unknown in the closed form: c1-c3, and r_s as a multiple of `shearing_radius_m`."""
 UNITS = dict(zip(PARAMETERS, ("kPa/m^N", "-", "-", "Pa", "deg", "mm", "deg", "mm"), strict=True)) | dict.fromkeys(
-    CONTACT, "-"
+    (*CONTACT, *ROLLING), "-"
 )
 """Unit of every parameter."""
 TRANSFORMS = ("ln", "ln tan", "value")
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
+STRANGE = 3.0
+"""Widths of the prior beyond which no parameter lies: 3 in 1000 by chance; assumed."""
+NINETY_FIVE = 1.959964
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 
@@ -107,17 +113,39 @@ LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "1.6 kPa of Yutu-2, some 6 kPa of the 
 
 
 @cache
+def _laws(names: tuple[str, ...]) -> Mapping[str, Law]:
+    table = tomllib.loads((files(__package__) / PRIORS).read_text("utf-8"))
+    return {name: Law(**table[name]) for name in names}
+
+
 def default_prior() -> Mapping[str, Law]:
     """The laws of `priors.toml`, by parameter in the order of `PARAMETERS`."""
-    table = tomllib.loads((files(__package__) / PRIORS).read_text("utf-8"))
-    return {name: Law(**table[name]) for name in PARAMETERS}
+    return _laws(PARAMETERS)
 
 
-@cache
 def contact_prior() -> Mapping[str, Law]:
     """The laws of `priors.toml` for the parameters of `CONTACT`, in their order."""
-    table = tomllib.loads((files(__package__) / PRIORS).read_text("utf-8"))
-    return {name: Law(**table[name]) for name in CONTACT}
+    return _laws(CONTACT)
+
+
+def rolling_prior(wheel: Wheel) -> dict[str, Law]:
+    """The laws for `ROLLING`: about the angles that the wheel's file has, as wide as those of `priors.toml`."""
+    return {name: replace(law, median=getattr(wheel, name, law.median)) for name, law in _laws(ROLLING).items()}
+
+
+def strange(laws: Mapping[str, Law], transforms: FloatArray, sd: FloatArray) -> list[str]:
+    """Parameters that no soil or wheel of the priors has, whatever what was found leaves open of them, in sentences.
+
+    `transforms` and their standard deviations `sd` are in the order of `laws`. (p,), (p,)
+    """
+    width = np.array([law.width for law in laws.values()])
+    off = (transforms - np.array([law.center for law in laws.values()])) / width
+    return [
+        f"{name} is {float(law.back(transforms[k])):.3g}, {abs(off[k]):.1f} standard deviations of its prior from "
+        f"{law.median:g}"
+        for k, (name, law) in enumerate(laws.items())
+        if abs(off[k]) - NINETY_FIVE * sd[k] / width[k] > STRANGE
+    ]
 
 
 def prior_hash() -> dict[str, str]:
@@ -144,8 +172,10 @@ def read_prior(source: InputFile, contact: bool = False) -> dict[str, Law]:
     return laws
 
 
-def values_of(prior: Mapping[str, Law], transforms: FloatArray) -> FloatArray:
-    """Parameters in their units, (…, 8) or with those of `CONTACT` (…, 12), from transforms of the same shape."""
-    names = (*PARAMETERS, *CONTACT)[: transforms.shape[-1]]
+def values_of(
+    prior: Mapping[str, Law], transforms: FloatArray, names: tuple[str, ...] = (*PARAMETERS, *CONTACT)
+) -> FloatArray:
+    """Parameters in their units, the first of `names`, (…, n) from transforms of the same shape."""
+    names = names[: transforms.shape[-1]]
     columns = [prior[name].back(transforms[..., k]) for k, name in enumerate(names)]
     return np.stack(columns, axis=-1)

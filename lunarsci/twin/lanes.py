@@ -31,7 +31,7 @@ nowhere [J], and how far forces along the wheels are from what the steps took th
 WHEEL = Fields(
     GROUP, center=3, arm=3, swing=3, bogie_swing=3, axle=3, acceleration=3, ground=3, soil=8, sinkage=1, velocity=3,
     normal=1, drawbar=1, side=1, resistance=1, forward=3, across=3, upward=3, force=3, moment=3, by_forward=3,
-    by_across=3, stiff=2, steer=1, rim=1, slip=1, travel=1, last=1, hold=3, twist=3, rate=3, rut=2, missed=1,
+    by_across=3, stiff=2, steer=1, rim=1, slip=1, travel=1, last=1, hold=3, twist=3, rate=3, rut=2, missed=1, tread=5,
 )  # fmt: skip
 """Rows of one wheel of `Work.wheels`, vectors in the world frame.
 
@@ -40,7 +40,8 @@ remains without generalised acceleration; height and gradient of the terrain; so
 velocity along the contact frame, forces, and the axes of that frame; force and moment of wheel and inertia along them;
 derivatives of the wrench by the forward velocity (drawbar, normal, resistance) and by the lateral one (side force, its
 moments about the first and last axis); what normal damping and stiffness add to the matrix, and to the right side.
-Commands: steering angle, and speed of the rim over ground, r_s omega, negative backwards.
+Commands: steering angle, and speed of the rim over ground, r_s omega, negative backwards. The wheel's own r_s, c1, c2
+and c3, and r_s as a multiple of the stated one: these turn at the stated rate.
 What the contact remembers: the slip ratio that the bearing has taken up; the travel ratio before the rim stood still;
 the speed of the rim in the step before; force and torque along the surface at the end of it, for a wheel that does not
 move, and how they change with its speed. How deep wheels before pressed the ground, and how deep it is still. How far

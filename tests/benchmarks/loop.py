@@ -131,9 +131,10 @@ def learned(
         predicted = with_discrepancy(predicted, belief.discrepancy)
     done = predicted.finished
     driven = predicted.paths[done]
-    sd = np.sqrt(np.diag(belief.covariance))
-    own, own_sd = ground_moments(belief)
-    ranks = None if belief.population is None else (belief.population < theta).mean(axis=0).tolist()
+    soil = belief.soil
+    sd = np.sqrt(np.diag(soil.covariance))
+    own, own_sd = ground_moments(soil)
+    ranks = None if soil.population is None else (soil.population < theta).mean(axis=0).tolist()
     return region(predicted.endpoints_m[done], end) | {
         "soil_only": region(driven[:, -1, :2], end),
         "after_m": float(np.hypot(*(middle(driven[:, -1, :2]) - end))),
@@ -149,10 +150,10 @@ def learned(
         "wheel_errors": dict(found.wheel_errors),
         "surprise": found.prior_shift,
         "persistence": found.autocorrelation,
-        "z": ((belief.mean - theta) / sd).tolist(),
+        "z": ((soil.mean - theta) / sd).tolist(),
         "ground_z": ((own - theta) / own_sd).tolist(),
         "rank": ranks,
-        "left": list(belief.sd_ratio.values()),
+        "left": list(soil.sd_ratio.values()),
         "took_s": took,
     }
 

@@ -59,9 +59,9 @@ def test_other_ground_than_the_believed_is_warned_of(
 ) -> None:
     """A belief as sure as after many drives, of another soil: the exit code stays 0, and the belief keeps it."""
     first = first_belief()
-    away = first.mean + 2.0 * np.sqrt(np.diag(first.covariance))
+    away = first.mean + 2.5 * np.sqrt(np.diag(first.covariance))
     other, new = tmp_path / "other.json", tmp_path / "new.json"
-    other.write_text(SoilBelief(first.laws, away, 0.04 * first.covariance).to_json())
+    other.write_text(SoilBelief(first.laws, away, 0.02 * first.covariance).to_json())
     update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32", "--save", new, "--force")
     done = run(*update, "--soil", other, "--json")
     assert done.code == 0 and any("is it the same ground" in line for line in done.err), done.err
@@ -144,7 +144,7 @@ def test_ruts_are_driven_as_options_and_belief_say(run: Run, short_plan: Path, t
         return (
             result["ruts"],
             result["before"],
-            max(row["max"] for row in result["limits"] if "sinkage" in row["quantity"]),
+            max(row["p50"] for row in result["limits"] if "sinkage" in row["quantity"]),
         )
 
     plain, ruts, back = driven(), driven("--ruts"), driven("--before", short_plan)

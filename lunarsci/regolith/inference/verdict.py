@@ -9,10 +9,9 @@ from scipy.special import chdtri
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import FitVerdict
-from lunarsci.regolith.belief_history import NINETY_FIVE
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.inference.problem import LEAST_SHARE, JointProblem, error_covariance, part_of
-from lunarsci.regolith.prior import LOAD_PRESSURE_PA, values_of
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, strange
 from lunarsci.regolith.questions import question
 from lunarsci.regolith.states import WheelStates
 
@@ -25,7 +24,7 @@ REDUCED, RARE = (0.5, 2.0), 1e-3
 lie too: few forces scatter more widely than the range. Assumed."""
 MOST_LEFT_OUT = 0.1
 """Share of outliers beyond which a fit is doubted; assumed."""
-GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
+GOOD, GOOD_REDUCED = 0.02, 1.5
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
 no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
 assumed."""
@@ -174,14 +173,8 @@ def _misfit(mode: Mode, reduced: float | None, given: bool, states: WheelStates)
 
 def _strange(mode: Mode) -> list[str]:
     """Parameters that no soil or wheel of the priors has, whatever the states leave open of them."""
-    problem = mode.problem
-    off, sd = (mode.point - problem.center) / problem.width, np.sqrt(np.diag(mode.covariance)) / problem.width
-    values = values_of(problem.prior, mode.point)
-    return [
-        f"{problem.names[k]} is {values[k]:.3g}, {abs(off[k]):.1f} standard deviations of its prior from "
-        f"{problem.prior[problem.names[k]].median:g}"
-        for k in np.flatnonzero(np.abs(off) - NINETY_FIVE * sd > STRANGE)
-    ]
+    laws = {name: mode.problem.prior[name] for name in mode.problem.names}
+    return strange(laws, mode.point, np.sqrt(np.diag(mode.covariance)))
 
 
 def _loads(mode: Mode) -> list[str]:

@@ -196,7 +196,7 @@ def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) 
     try:
         document = json_document(content)
         if isinstance(document, dict) and document.get("schema") == SCHEMA:
-            belief = read_belief(file)
+            belief = read_belief(file).soil
             if told := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
                 warnings.warn(f"{file.name}: a doubtful belief: {told}", LunarSciWarning, stacklevel=3)
             left = OpenSite(belief, belief.sd_ratio)

@@ -13,7 +13,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.prior import PARAMETERS, Law, values_of
+from lunarsci.regolith.prior import PARAMETERS, Law
 from lunarsci.twin.assimilation.drive_record import (
     OBSERVED,
     DriveRecord,
@@ -176,7 +176,7 @@ def robust_cost(white: FloatArray) -> FloatArray:
 
 
 def cost_of(drive: FloatArray, prior: FloatArray) -> FloatArray:
-    """-2 ln of likelihood times prior of whitened residuals (points, r), (points, 8), up to a constant. (points,)"""
+    """-2 ln of likelihood times prior of whitened residuals (points, r), (points, p), up to a constant. (points,)"""
     return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
 
 
@@ -283,16 +283,13 @@ class DriveResiduals:
         return share * np.array(list(levers))
 
     def simulated(self, transforms: FloatArray) -> Prediction:
-        """Drives on soils of these transforms. (points, 8)"""
-        values = values_of(self.belief.laws, transforms)
-        samples = {name: values[:, k] for k, name in enumerate(PARAMETERS)}
-        return predict(
-            self.rover, self.terrain, self.plan, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts
-        )
+        """Drives on soils, and wheels, of these transforms. (points, p)"""
+        drive, samples = (self.rover, self.terrain, self.plan), self.belief.samples(transforms)
+        return predict(*drive, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts)
 
     def near(self, transforms: FloatArray) -> BoolArray:
         """Soils that are no farther from the first laws than `FARTHEST`. (points,)"""
-        center, width = _center_and_width(tuple(self.belief.laws[name] for name in PARAMETERS))
+        center, width = _center_and_width(tuple(self.belief.laws.values()))
         with np.errstate(invalid="ignore"):
             return np.asarray((np.abs(transforms - center) < FARTHEST * width).all(axis=1))
 

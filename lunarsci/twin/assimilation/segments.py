@@ -14,7 +14,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import effective_rows
-from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.change_point import (
     FEWEST_BINS,
     ChangePoint,
@@ -137,10 +137,9 @@ def _drives(record: DriveRecord, found: SoilUpdate) -> tuple[FloatArray, FloatAr
     In bends a step of 0.2 s puts the side slip off by 0.1 deg, which would look like another soil. (n, 6, 8), (n, 6)
     """
     laws, drive, plan = found.belief.laws, found.prediction, found.prediction.plan
-    best = np.array([laws[name].transformed(drive.parameters[name])[0] for name in PARAMETERS])
-    nudges = NUDGE * np.diag([laws[name].width for name in PARAMETERS])
-    values = values_of(laws, np.concatenate([best + nudges, best - nudges]))
-    samples = {name: values[:, k] for k, name in enumerate(PARAMETERS)}
+    best = np.array([law.transformed(drive.parameters[name])[0] for name, law in laws.items()])
+    nudges = NUDGE * np.diag([law.width for law in laws.values()])[: len(PARAMETERS)]
+    samples = found.belief.samples(np.concatenate([best + nudges, best - nudges]))
     sample_m = min(float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9), LONGEST_SAMPLE_M)
     step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
     count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
@@ -280,6 +279,7 @@ def drive_segments(
             particles=particles,
             seed=seed,
             ruts=found.prediction.ruts,
+            wheel=False,
             progress=progress,
         )
         return _Part(low, high, own, before, drive)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.residuals import SAMPLE_M, STEP_S
 from lunarsci.twin.assimilation.update import SoilUpdate
-from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.ensemble import predict
 
 LEAST_LEAN, LEAN_ERRORS, LEAN_SOILS = 0.02, 2.0, 64
 """Slip that a belief may lean by: so much, or so many standard errors where that is more; and soils that tell the
@@ -22,13 +21,14 @@ spread. Of 70 right beliefs the farthest lean by 0.017 and by 1.7 errors, measur
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipLean:
-    """Median slip of a drive as measured, and on the soil that was learned of it.
+    """Median slip of a drive as measured, and on the soils that are believed after it.
 
     Attributes
     ----------
     stretch : of the way that it is about, such as `2.0 to 5.1 m: `; empty for the whole drive.
-    measured, simulated : medians over the measured states, the latter on the soil that explains the drive best. [-]
-    spread : standard deviation of the latter over the soils of the belief. [-]
+    measured, simulated : medians over the measured states, the latter the middle one of drives on soils of the belief,
+        as a prediction of the same plan from it has them. [-]
+    spread : standard deviation of the latter over these soils. [-]
     sigma : error of the former, that of a single state, as neighbours share their errors. [-]
     """
 
@@ -50,15 +50,12 @@ class SlipLean:
             best.rover, best.terrain, best.plan, samples=soils, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=best.ruts
         )
 
-        def medians(drives: Prediction) -> FloatArray:
-            states = states_at(record, drives.time_s, drives.states[drives.finished], best.rover.wheels)
-            return np.asarray(np.median(states[:, known, column], axis=1))
-
-        spread = medians(driven)
+        states = states_at(record, driven.time_s, driven.states[driven.finished], best.rover.wheels)
+        slips = np.median(states[:, known, column], axis=1)
         return cls(
             measured=float(np.median(record.values[known, column])),
-            simulated=float(medians(best)[0]),
-            spread=float(spread.std(ddof=1)) if spread.size > 1 else 0.0,
+            simulated=float(np.median(slips)),
+            spread=float(slips.std(ddof=1)) if slips.size > 1 else 0.0,
             sigma=float(np.median(record.sigmas[known, column])),
             stretch=stretch,
         )

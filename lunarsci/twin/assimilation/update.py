@@ -17,7 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.prior import PARAMETERS, strange
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.particles import draw_particles
 from lunarsci.twin.assimilation.posterior import (
@@ -98,7 +98,7 @@ class SoilUpdate:
     wheel_errors : by quantity, standard deviation of what each wheel was found to be off by throughout, in its unit.
     chi_square, values : of the values that are no outliers, and their number, positions included.
     prior_shift : distance of the new mean from the old one in standard deviations of the old belief, root mean square
-        over the parameters: about 1 or less where the ground is the one that was believed. [-]
+        over the parameters of the soil: about 1 or less where the ground is the one that was believed. [-]
     autocorrelation : largest correlation of the particles with where they were before their last moves. [-]
     refused : empty, or why the belief was not moved.
     """
@@ -151,12 +151,19 @@ class SoilUpdate:
         In simulations one soil that explained a drive only with errors so much larger put the return off by 0.5 m.
         """
         worst = max(self.inflation, key=lambda name: self.inflation[name], default="")
-        if self.refused or not worst or self.inflation[worst] <= MOST_INFLATION:
+        if self.refused:
             return ""
-        return (
-            f"one soil explains {worst} only with {self.inflation[worst]:.1f} times its errors: the ground may change "
-            "along the way or carry ruts, so predictions from this belief are doubtful"
-        )
+        belief = self.belief
+        told = [
+            f"{text}: no soil or wheel of the priors has that; look for a wrong rover, terrain or track depth"
+            for text in strange(belief.laws, belief.mean, np.sqrt(np.diag(belief.covariance)))
+        ]
+        if worst and self.inflation[worst] > MOST_INFLATION:
+            told.append(
+                f"one soil explains {worst} only with {self.inflation[worst]:.1f} times its errors: the ground may "
+                "change along the way or carry ruts, so predictions from this belief are doubtful"
+            )
+        return "; ".join(told)
 
     @property
     def caution(self) -> str:
@@ -182,6 +189,7 @@ def assimilate(
     seed: int = 0,
     teach: bool = True,
     ruts: bool | None = None,
+    wheel: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> SoilUpdate:
     """Update the belief of a soil by a drive.
@@ -202,6 +210,8 @@ def assimilate(
     seed : of the population.
     ruts : whether simulated wheels meet the ruts of those before them; None takes what explains the drive better, and
         `SoilUpdate.prediction` says which that is.
+    wheel : whether contact angles and effective radius of the wheels are unknown, too, and in the belief afterwards;
+        False takes those of the rover's file, or what the belief holds of them.
     teach : whether the discrepancy learns, False where a comparison taught it this drive already.
     progress : called with (done, total).
 
@@ -216,7 +226,8 @@ def assimilate(
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     bias = DriveBias(common, turns=model_error * float(np.sqrt(TURNS.variance)))
     floor = max(model_error, LEAST_FLOOR)
-    drive = DriveResiduals(rover, terrain, plan, record, belief, bias=bias, floor=floor)
+    prior = belief.opened(rover.wheel) if wheel else belief
+    drive = DriveResiduals(rover, terrain, plan, record, prior, bias=bias, floor=floor)
     posterior, mode = _best_soil(drive, random, ruts)
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.drive.parts(residual)
@@ -233,8 +244,9 @@ def assimilate(
         points = posterior.coordinates.transforms(drawn)
         discrepancy = _taught(belief.discrepancy, posterior.drive, expected, best) if teach else belief.discrepancy
         moments = (points.mean(axis=0), np.cov(points.T))
-        learned = SoilBelief(belief.laws, *moments, belief.history, points, belief.verdict, discrepancy)
-    moved = posterior.coordinates.transforms(mode.point) - belief.mean if refused else learned.mean - belief.mean
+        learned = SoilBelief(prior.laws, *moments, belief.history, points, belief.verdict, discrepancy)
+    moved = (posterior.coordinates.transforms(mode.point) if refused else learned.mean) - prior.mean
+    moved = moved[: len(PARAMETERS)]
     return SoilUpdate(
         belief=learned,
         prediction=best,
@@ -244,7 +256,7 @@ def assimilate(
         wheel_errors=wheels,
         chi_square=float((states[kept] ** 2).sum() + (places**2).sum()),
         values=int(kept.sum() + places.size),
-        prior_shift=float(np.sqrt(moved @ np.linalg.solve(belief.covariance, moved) / len(PARAMETERS))),
+        prior_shift=float(np.sqrt(moved @ np.linalg.solve(belief.soil.covariance, moved) / len(moved))),
         autocorrelation=left,
         refused=refused,
     )

@@ -171,7 +171,8 @@ def median_soil(prediction: Prediction) -> Soil:
         values[name] *= 1e3
     for name in ("friction_angle_deg", "external_friction_angle_deg"):
         values[name] = math.degrees(math.atan(values[name]))
-    return Soil(**values | {name: float(np.median(given)) for name, given in prediction.parameters.items()})
+    given = {name: float(np.median(own)) for name, own in prediction.parameters.items() if name in SOIL_COLUMNS}
+    return Soil(**values | given)
 
 
 def _traction(rover: Rover, prediction: Prediction) -> Traction | None:

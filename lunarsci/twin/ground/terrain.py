@@ -13,6 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.names import one_of
+from lunarsci.regolith.prior import ROLLING
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.written_names import ground_written
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
@@ -29,6 +30,8 @@ SOIL_COLUMNS = {
     "external_friction_angle_deg": 6,
     "lateral_modulus_mm": 7,
 }
+OVERRIDES = SOIL_COLUMNS | {name: len(SOIL_COLUMNS) + k for k, name in enumerate(ROLLING)}
+"""Columns of what a member has for itself: of its soil, and of its wheels."""
 
 
 STEEPEST = math.tan(math.radians(60.0))
@@ -274,7 +277,7 @@ CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
-    """Soil of every lane: that of `override` (GROUP, 8) where it is not NaN, else the terrain's first."""
+    """Soil of every lane: that of `override` (GROUP, 12) where it is not NaN, else the terrain's first."""
     for lane in range(GROUP):
         for k in range(8):
             value = override[lane, k]
@@ -285,7 +288,7 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
     """Height, gradient and soil below a wheel of a group; `code` takes who left the map, met a hole or a cliff.
 
-    `override` (GROUP, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
+    `override` (GROUP, 12) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
     `lay_soil` left it. Lanes with another outcome keep what they had.
     """
     ny, nx = grid.height.shape
@@ -348,42 +351,35 @@ def build_terrain(
 
 
 def soil_override(values: dict[str, float]) -> FloatArray:
-    """Soil vector with the given parameters in SI units, NaN elsewhere. (8,)"""
-    override = np.full(8, np.nan)
+    """Soil vector with the given parameters in SI units, and those of `ROLLING`, NaN elsewhere. (12,)"""
+    override = np.full(len(OVERRIDES), np.nan)
     for name, value in values.items():
         override[_column(name)] = _in_si(name, np.asarray(value, dtype=float))
     return override
 
 
 def soil_overrides(parameters: Mapping[str, npt.ArrayLike], count: int) -> FloatArray:
-    """`soil_override` of several members at once, from one value of each parameter for each. (count, 8)"""
-    override = np.full((count, 8), np.nan)
+    """`soil_override` of several members at once, from one value of each parameter for each. (count, 12)"""
+    override = np.full((count, len(OVERRIDES)), np.nan)
     for name, values in parameters.items():
         override[:, _column(name)] = _in_si(name, np.asarray(values, dtype=float))
     return override
 
 
 def _column(name: str) -> int:
-    if name not in SOIL_COLUMNS:
-        raise ParameterError(f"'{name}' is not a soil parameter; {one_of(name, SOIL_COLUMNS)}")
-    return SOIL_COLUMNS[name]
+    if name not in OVERRIDES:
+        raise ParameterError(f"'{name}' is not a soil parameter; {one_of(name, OVERRIDES)}")
+    return OVERRIDES[name]
 
 
 def _in_si(name: str, values: FloatArray) -> FloatArray:
     # The allowed ranges are intervals, so two checked extremes vouch for every node.
-    anything = Soil(
-        stiffness_kpa_m_n=1.0,
-        sinkage_exponent=1.0,
-        cohesion_pa=0.0,
-        friction_angle_deg=0.0,
-        shear_modulus_mm=1.0,
-        external_friction_angle_deg=0.0,
-        lateral_modulus_mm=1.0,
-    )
+    anything = Soil(**dict.fromkeys(SOIL_COLUMNS, 1.0))
     for extreme in (values.min(), values.max()):
         if not math.isfinite(extreme):
             raise ParameterError(f"soil {name} has a value that is not finite")
-        anything.replace(**{name: float(extreme)})
+        if name in SOIL_COLUMNS:
+            anything.replace(**{name: float(extreme)})
     return _to_si(name, values)
 
 

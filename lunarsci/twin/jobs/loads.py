@@ -296,7 +296,7 @@ def _uncertain(
     if asked.correlation is not None and motion.sigmas is None:
         raise RequestError("`correlation` is of the motion's errors, and it has none; add x_m_sigma and others")
     states = read_pose_states(files["states"], known.rover) if "states" in files else None
-    belief = read_belief(files["belief"]) if "belief" in files else first_belief()
+    belief = read_belief(files["belief"]).soil if "belief" in files else first_belief()
     length, basis = correlation_length(motion, states) if asked.correlation is None else (asked.correlation, "given")
     draws, seed = asked.draws or DRAWS, asked.seed or 0
     error = BALANCE_ERROR if asked.balance_error is None else asked.balance_error

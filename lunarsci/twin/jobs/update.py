@@ -183,11 +183,12 @@ class LearnedSoil(Result):
         return list(dict.fromkeys(text for text in told if text))
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.belief_history import parameter_rows
+        from lunarsci.regolith.belief_history import contact_rows, parameter_rows
 
         found, soil_map = self.found, self.soil_map
         return {
             "parameters": parameter_rows(found.belief),
+            "contact": contact_rows(found.belief) or None,
             "values": found.values,
             "outliers": int(found.outliers.sum()),
             "chi_square": found.chi_square,
@@ -296,9 +297,10 @@ def update(
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
     along = record if fixes is None else read_record(table, known.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
+    of_map = before.soil_map is not None
     teach = not before.belief.discrepancy.has_scored(source.sha256)
     drive = (known.rover, known.terrain, known.plan)
-    found = assimilate(*drive, record, before.belief, ruts=asked.ruts, teach=teach, **drawing)
+    found = assimilate(*drive, record, before.belief, ruts=asked.ruts, wheel=not of_map, teach=teach, **drawing)
     pace = pace_of(along, known.rover, known.plan)
     line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     slip = SlipLean.of(along, found)

@@ -14,7 +14,7 @@ from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, read_state_table
-from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain import OVERRIDES, Terrain
 from lunarsci.twin.lanes import BODY, DIVERGED, FINISHED, GROUP, SANK, UNSETTLED, WHEEL, new_work, outcome_texts
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of
 from lunarsci.twin.plans.path import CREEP_M_S
@@ -23,7 +23,7 @@ from lunarsci.twin.simulation.contact import HELD
 from lunarsci.twin.simulation.contact_frame import shear_center
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.members import record, take_commands
-from lunarsci.twin.simulation.settle import balance, settle
+from lunarsci.twin.simulation.settle import balance, settle, tread
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,14 +89,14 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     and joints take their equilibrium under weight and wheel forces while x, y and yaw are held. The loads follow from
     the levers of the suspension, sinkages from the loads, slip from the motion. The inertia of speeding up is left out:
     at 0.05 m/s it is below a thousandth of the weight. `soil` takes the place of the terrain's at every node, a row of
-    `soil_overrides`. (8,)
+    `soil_overrides`. (12,)
 
     Raises ParameterError where the motion has commands for another number of wheels.
     """
     count, wheels = len(motion.time_s), len(rover.wheels)
     if motion.speed_m_s.shape != (count, wheels) or motion.steering_deg.shape != (count, wheels):
         raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
-    override = np.full((GROUP, 8), np.nan) if soil is None else np.tile(soil, (GROUP, 1))
+    override = np.full((GROUP, len(OVERRIDES)), np.nan) if soil is None else np.tile(soil, (GROUP, 1))
     known = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
     poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
     paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
@@ -135,6 +135,7 @@ def _place(known: tuple[Any, Any, Any, Any], motion: Motion, own: IntArray, work
     """Let a group of rovers rest on the ground at its poses."""
     start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[own]
     speed = np.where(motion.speed_m_s == 0, CREEP_M_S, motion.speed_m_s)
+    tread(known[1], known[3], work)
     take_commands(work, np.radians(motion.steering_deg[own])[:, None], speed[own][:, None], 0)
     settle(*known, start, work)
 

@@ -22,6 +22,7 @@ from lunarsci.twin.simulation.contact_frame import (
     contact_frame,
     keep_hold,
     lean,
+    own_tyre,
     pressed_depth,
     shear_center,
     stand,
@@ -82,6 +83,7 @@ def meet_ground(
     a touch-down. [N s/m]
     """
     body, wheel, kg = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane), rover.wheel_kg
+    tyre = own_tyre(tyre, wheel)
     driven, shear, free = mode == DRIVEN, mode != AT_REST, choose(mode == HELD, 0.0, 1.0)
     turning, ground, soil, last = abs(wheel.rim), wheel.ground, wheel.soil, wheel.last
     rim = highest(SLOWEST, turning)

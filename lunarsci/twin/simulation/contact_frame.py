@@ -27,6 +27,11 @@ def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
     return forward, cross(normal, forward), normal
 
 
+def own_tyre(tyre: Any, wheel: Any) -> Any:
+    """`Wheel.vector()` with what the wheel of each rover has for itself."""
+    return (*tyre[:3], *wheel.tread[:4])
+
+
 def shear_center(sinkage: Any, slip: Any, tyre: Any) -> Any:
     """How far ahead of and below the axle the shear stress is centred. [m]"""
     r, _, _, r_s, c1, c2, c3 = tyre
@@ -87,6 +92,7 @@ def stand(wheels: Any, w: Any, tyre: Any, time_step_s: Any, load: Any, lane: Any
     the resistance of the ground that the wheel has piled up is added: the ends of the law of a wheel that rolls.
     """
     wheel = WHEEL.of(wheels, w, lane)
+    tyre = own_tyre(tyre, wheel)
     d, v, rate = wheel.across, wheel.velocity, wheel.rate
     held_x, held_y = dot(wheel.hold, wheel.forward) + rate[0] * v[0], dot(wheel.hold, d) + rate[1] * v[1]
     still, on = abs(wheel.rim) < SLOWEST, wheel.normal > 0.0
@@ -123,7 +129,7 @@ def stand(wheels: Any, w: Any, tyre: Any, time_step_s: Any, load: Any, lane: Any
 def lean(wheels: Any, w: Any, tyre: Any, lane: Any) -> None:
     """Put the force of `hold`, as far as it lies along the surface, on a wheel that rests."""
     wheel = WHEEL.of(wheels, w, lane)
-    ahead, below = shear_center(pressed_depth(wheel.sinkage, tyre), 0.0, tyre)
+    ahead, below = shear_center(pressed_depth(wheel.sinkage, tyre), 0.0, own_tyre(tyre, wheel))
     x, y = dot(wheel.hold, wheel.forward), dot(wheel.hold, wheel.across)
     wheel.force = plus(wheel.force, (x, y, 0.0))
     wheel.moment = (below * y, -below * x, ahead * y)

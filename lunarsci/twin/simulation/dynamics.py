@@ -287,7 +287,7 @@ def weigh(work: Any, w: Any, tyre: Any, rover: Any, weight: Any, lane: Any) -> N
     pressed = wheel.normal * highest(0.0, wheel.sinkage) / (wheel.soil[1] + 1.5)
     own = rover.wheel_kg * (0.5 * dot(wheel.velocity, wheel.velocity) + rover.gravity * wheel.center[2])
     body.energy = body.energy + own + pressed
-    body.power = body.power + highest(0.0, wheel.resistance) * (abs(wheel.rim) / tyre[3])
+    body.power = body.power + highest(0.0, wheel.resistance) * (abs(wheel.rim) / wheel.tread[0])
     body.error = body.error + wheel.missed
     falls = highest(abs(body.speed[2]), -wheel.velocity[2]) > IMPACT
     body.outcome = choose((wheel.normal > MOST_LOAD * weight) & ~falls, DIVERGED, body.outcome)

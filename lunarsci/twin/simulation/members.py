@@ -32,7 +32,7 @@ from lunarsci.twin.simulation.contact import DRIVEN
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import advance, assemble, check_sense, orient
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid
-from lunarsci.twin.simulation.settle import settle
+from lunarsci.twin.simulation.settle import settle, tread
 
 # Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
 # they start, and dig 4 mm deeper than in short ones.
@@ -40,16 +40,21 @@ SLOW_PARTS = 4
 
 
 STEER, RIM = (WHEEL.first[name] for name in ("steer", "rim"))
+RATIO = WHEEL.first["tread"] + 4
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def take_commands(work: Any, steering: Any, speed: Any, step: int) -> None:
-    """Steering angle and rim speed of every wheel in a step; (rovers, steps, wheels), one rover stands for all."""
+    """Steering angle and rim speed of every wheel in a step; (rovers, steps, wheels), one rover stands for all.
+
+    Speeds are of rims with the stated r_s; the wheels' own turn as fast.
+    """
     last = len(steering) - 1
     for w in range(len(work.wheels)):
         for lane in range(GROUP):
             work.wheels[w, STEER * GROUP + lane] = steering[min(lane, last), step, w]
-            work.wheels[w, RIM * GROUP + lane] = speed[min(lane, last), step, w]
+            rim = speed[min(lane, last), step, w] * work.wheels[w, RATIO * GROUP + lane]
+            work.wheels[w, RIM * GROUP + lane] = rim
 
 
 def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
@@ -72,7 +77,8 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
     """Pose (x, y, z, roll, pitch, yaw [rad]) and wheel states of one rover at this instant, one row of the results.
 
     State: x, y, sinkage below the undisturbed ground, slip ratio, side slip [rad], F_N, F_DP, F_L, M_R, valid (1 or 0).
-    A wheel that turns backwards is seen along its own direction of travel.
+    A wheel that turns backwards is seen along its own direction of travel. The slip ratio is that of the stated r_s, as
+    telemetry has it.
     """
     body = work.body[lane:]
     path[0], path[1], path[2] = body[0], body[GROUP], body[2 * GROUP]
@@ -82,7 +88,8 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
     for w in range(len(states)):
         wheel, state = work.wheels[w, lane:], states[w]
         sinkage = wheel[SINKAGE * GROUP] + wheel[(RUT + 1) * GROUP]
-        forward, across, rim = wheel[VELOCITY * GROUP], wheel[(VELOCITY + 1) * GROUP], abs(wheel[RIM * GROUP])
+        forward, across = wheel[VELOCITY * GROUP], wheel[(VELOCITY + 1) * GROUP]
+        rim = abs(wheel[RIM * GROUP]) / wheel[RATIO * GROUP]
         slip = slip_ratio(forward / rim) if rim >= SLOWEST else 0.0
         state[0], state[1] = wheel[CENTER * GROUP], wheel[(CENTER + 1) * GROUP]
         state[2], state[3], state[4] = max(sinkage, 0.0), slip, math.atan2(across, abs(forward))
@@ -96,6 +103,7 @@ def begin(
     work: Work,
 ) -> None:  # fmt: skip
     """Settle the rovers at `start` (GROUP, 3), steered by their first commands, and give them `motion` (3)."""
+    tread(tyre, override, work)
     take_commands(work, steering, speed, 0)
     settle(rover, tyre, grid, override, start, work)
     roll_on(work, *motion)
@@ -124,7 +132,7 @@ def drive(
 
     Parameters
     ----------
-    override : (GROUP, 8) soil of each; lanes beyond the members repeat one of them.
+    override : (GROUP, 12) soil and wheels of each; lanes beyond the members repeat one of them.
     steering, speed : (rovers, steps, wheels) commanded angles and ground speeds; one rover stands for all.
     time_step_s, first : step [s], and number of the first one since the drive began.
     every : steps between records.

@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import Fields, choose, highest, lowest
-from lunarsci.twin.ground.terrain import lay_soil, read_ground
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, lay_soil, read_ground
 from lunarsci.twin.lanes import (
     BODY,
     CLIFF,
@@ -48,6 +48,13 @@ REST_SIZE, LEFT_AT = REST.rows * GROUP, REST.first["left"] * GROUP
 VELOCITY = Fields(GROUP, all=9)
 
 
+def tread(tyre: Any, override: FloatArray, work: Work) -> None:
+    """Contact angles and r_s of each rover's wheels: those of `override` (GROUP, 12), else of the stated wheel."""
+    angles, ratio = override[:, len(SOIL_COLUMNS) : -1], np.nan_to_num(override[:, -1], nan=1.0)
+    own = np.where(np.isnan(angles), tyre[4:], angles)
+    WHEEL.view(work.wheels, "tread")[:] = np.column_stack([ratio * tyre[3], own, ratio]).T
+
+
 def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
     """Put the rovers above the plane through the ground under their wheels, 1 cm deep.
 
@@ -61,6 +68,7 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, wo
     center = WHEEL.view(work.wheels, "center")
     center[:, 0] = start[:, 0] + np.multiply.outer(x, c) - np.multiply.outer(y, s)
     center[:, 1] = start[:, 1] + np.multiply.outer(x, s) + np.multiply.outer(y, c)
+    tread(tyre, override, work)
     for wheel in work.wheels:
         lay_soil(grid, override, wheel)
         read_ground(grid, override, wheel, work.code)
