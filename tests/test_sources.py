@@ -38,7 +38,9 @@ SETTINGS = {
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/loads/alternating.py: ALIKE",
         "twin/plans/limits.py: MOST", "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
-        "twin/telemetry/positions.py: READINGS", "twin/telemetry/wheel_motion.py: UNITS"),
+        "twin/telemetry/findings_of_drive.py: HELD", "twin/telemetry/readings.py: ANY",
+        "twin/telemetry/readings.py: AS_NAMED", "twin/telemetry/readings.py: READINGS",
+        "twin/telemetry/smoother.py: MEDIAN_OF_TWO", "twin/telemetry/wheel_motion.py: UNITS"),
     "the source stands in each of the entries": ("constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
     "places in rows, not numbers of the world": (
         "spectra/band_choice.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),

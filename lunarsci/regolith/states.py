@@ -26,7 +26,7 @@ COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawba
 IDENTIFIERS = (
     *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
     *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
-    *("rim_m_s", "doubt", "rover", "ground"),
+    *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
 )
 KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"

@@ -56,7 +56,8 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
-from lunarsci.twin.telemetry.states import DriveStates, position_table, wheel_table
+from lunarsci.twin.telemetry.state_tables import position_table, wheel_table
+from lunarsci.twin.telemetry.states import DriveStates
 
 CASES = {
     "right": 48,

@@ -99,9 +99,12 @@ def read_record(
     they would count what the positions say a second time. Rows that are there twice count once, with a warning. Raises
     DataError, also for rows that contradict each other, several members, columns that are nearly known ones, and
     sinkages of a wrong sign or unit.
+
+    Errors of slip are without the part that all states share (`slip_ratio_shared`): it is that of the wheels' radius,
+    which an update finds.
     """
     found = _valid_rows(read_drive_states(states, rover, errors) if isinstance(states, InputFile) else states)
-    values = found.values.copy()
+    values, sigmas = found.values.copy(), _without_shared(found)
     if positions is not None:
         _forget_slips(found.file, found.table, values)
     fixes = Positions.none() if positions is None else read_positions(positions)
@@ -110,7 +113,7 @@ def read_record(
             time_s=found.numbers("time_s"),
             wheel=found.wheels,
             values=values,
-            sigmas=found.sigmas,
+            sigmas=sigmas,
             fix_time_s=fixes.time_s,
             fix_m=fixes.place_m,
             fix_covariance_m2=fixes.covariance_m2,
@@ -120,6 +123,15 @@ def read_record(
         )
     except ParameterError as error:
         raise DataError(f"{found.file}: {error}") from error
+
+
+def _without_shared(found: StateTable) -> FloatArray:
+    """Errors of the values, that of slip without what all states share. (n, 6)"""
+    sigmas = found.sigmas.copy()
+    if "slip_ratio_shared" in found.table:
+        shared, k = np.nan_to_num(found.numbers("slip_ratio_shared")), OBSERVED.index("slip_ratio")
+        sigmas[:, k] = np.sqrt(np.maximum(sigmas[:, k] ** 2 - shared**2, 0.0))
+    return sigmas
 
 
 def _valid_rows(found: StateTable) -> StateTable:

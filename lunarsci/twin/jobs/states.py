@@ -125,7 +125,7 @@ class MeasuredStates(Result):
     @cached_property
     def tables(self) -> dict[str, Any]:
         """States, positions and motion, which `update` and `loads` take: name of the file to table."""
-        from lunarsci.twin.telemetry.states import motion_table, position_table, wheel_table
+        from lunarsci.twin.telemetry.state_tables import motion_table, position_table, wheel_table
 
         makers = {"states.csv": wheel_table, "positions.csv": position_table, "motion.csv": motion_table}
         return {name: make(self.drive) for name, make in makers.items()}
@@ -220,7 +220,7 @@ def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
     """Slip and side slip, as a tangent, for slopes of 45 degrees along and across, were they proportional."""
     import numpy as np
 
-    from lunarsci.twin.telemetry.filter import EFFECTS
+    from lunarsci.twin.telemetry.motion_nodes import EFFECTS
 
     state, covariance = drive.smoothed.state[-1], drive.smoothed.covariance[-1]
     return {

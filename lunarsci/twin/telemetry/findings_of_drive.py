@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, SCALE, SLIDES, Nodes
+from lunarsci.twin.telemetry.motion_nodes import DRIFT, LAG, LEVER, SCALE, SLIDES, Nodes
 from lunarsci.twin.telemetry.nuisances import Hypothesis, Posterior, Priors
 from lunarsci.twin.telemetry.reading import Findings
 from lunarsci.twin.telemetry.smoother import MEDIAN_OF_TWO, Smoothed

@@ -13,17 +13,19 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, Reference, at_nodes
+from lunarsci.twin.telemetry.filter import ReferenceMotion
+from lunarsci.twin.telemetry.motion_nodes import EFFECTS, SCALE, ErrorChain, Nodes, at_nodes
 from lunarsci.twin.telemetry.nuisances import Priors
 from lunarsci.twin.telemetry.odometry import ground_velocities, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
-from lunarsci.twin.telemetry.smoother import Smoothed, believed_change, probable
+from lunarsci.twin.telemetry.slip_process import believed_change
+from lunarsci.twin.telemetry.smoother import Smoothed, probable
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
 SAME_S = 1e-3
-"""Times that differ by less are one. [s]"""
+"""Times that differ by less are one; assumed. [s]"""
 MOST_NODES = 30_000
 """That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
@@ -241,7 +243,7 @@ def _mean_about(values: FloatArray, rows: IndexArray) -> FloatArray:
 
 
 def on_ground(
-    rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, priors: Priors, reference: Reference
+    rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, priors: Priors, reference: ReferenceMotion
 ) -> Nodes:
     """Nodes that know what the shape and the slopes of the ground do to the motion, from a motion that is about right.
 

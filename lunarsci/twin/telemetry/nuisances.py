@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, OFFSET, SCALE, SLIDES, FilterRun, Nodes
+from lunarsci.twin.telemetry.filter import FilterRun
+from lunarsci.twin.telemetry.motion_nodes import DRIFT, LAG, LEVER, OFFSET, SCALE, SLIDES, Nodes
 
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""

@@ -7,12 +7,16 @@ loads, and those across by how much stiffer the ground is against side slip than
 forces where slips are small, and inertia is none.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.telemetry.reading import Findings
+from lunarsci.twin.telemetry.wheel_motion import WheelMotion
 
 
 def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -81,6 +85,53 @@ def fitted_twist(
     weights = np.ones_like(right) if weight is None else np.concatenate(weight, axis=1)
     normal = np.einsum("nk,nki,nkj->nij", weights, rows, rows)
     return np.asarray(np.linalg.solve(normal, np.einsum("nk,nki,nk->ni", weights, rows, right)[..., None])[..., 0])
+
+
+DISAGREE = 0.03
+"""Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
+SAID, UNDER_WAY = 0.01, 0.3
+"""How far an encoder's scale must be off to be said, and share of the highest speed from which a wheel tells it;
+assumed."""
+MOST_STEPS = 2000
+"""Steps between rows that the scale is found from."""
+
+
+def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, findings: Findings) -> WheelMotion:
+    """Wheels whose rims tell of the motions of one rigid rover, with the encoder mended that fits the others least.
+
+    It is the wheel without which all others agree best; it turned as they say, times a scale, which is 1 where nothing
+    is wrong. What all wheels have in common does not show here, nor which wheel of a side it is where none is steered.
+
+    Parameters
+    ----------
+    steering_rad : between rows. (n - 1, wheels) [rad]
+    """
+    known = np.flatnonzero(np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving)
+    some = known[:: max(1, len(known) // MOST_STEPS)]
+    if not some.size or not rover.steered_mask.any():
+        return wheels
+    rims, steering = wheels.rim_m_s.copy(), steering_rad[some]
+    along, _ = wheel_rows(rover, steering)
+    left = []
+    for k in range(len(rover.wheels)):
+        others = rims[some].copy()
+        others[:, k] = np.nan
+        twist, off = body_twist(rover, others, steering)
+        left.append((float(np.mean(off**2)), k, np.einsum("ni,ni->n", along[:, k], twist)))
+    _, k, expected = min(left)
+    turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
+    ratio = rims[some, k][turning] / expected[turning]
+    scale = float(np.median(ratio))
+    if abs(scale - 1.0) > SAID:
+        what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
+        findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
+    rims[:, k] /= scale
+    off_m_s = float(np.median(body_twist(rover, rims[some], steering)[1])) / wheels.usual_m_s
+    if off_m_s > DISAGREE:
+        what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
+        done = "their best fit is taken; are the wheels named as they should be?"
+        findings.add("wheels disagree", what, done, doubt=True)
+    return replace(wheels, rim_m_s=rims)
 
 
 LEAST_LOAD = 0.05

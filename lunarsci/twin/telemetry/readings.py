@@ -17,6 +17,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.smoother import FREEDOM
 
 SLIPS, CHANGES, TURNS, TURNS_PER_M = np.array([0.3, 0.1]), 0.05, 0.1, math.radians(0.5)
 """Standard deviation of what slip makes of ways ahead and to the left throughout, and of how it changes between
@@ -24,8 +25,6 @@ positions; of a turn, and of a turn on a straight way. The first are `nuisances.
 rad/m]"""
 SKID_TURNS = 0.5
 """The same of a turn for a rover that steers by its sides' speeds; see `nuisances.SKID_SIGMA`."""
-FREEDOM = 4.0
-"""Of Student's law, as in `smoother`."""
 ALIKE = math.log(20.0)
 """ln of the odds of the best reading against another up to which the two are alike; assumed."""
 STRANGE, RARE = math.log(0.01), math.log(1e-4)

@@ -10,207 +10,23 @@ the whole drive (Bell 1994, 10.1137/0804035).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray, IndexArray
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.twin.telemetry.filter import (
-    AHEAD,
-    EFFECTS,
-    MEANS,
-    SCALE,
-    SIZE,
-    Assumptions,
-    Model,
-    Nodes,
-    Reference,
-    at_nodes,
-    filtered,
-    linearised,
-    smoothed_back,
-)
-from lunarsci.twin.telemetry.nuisances import EFFECT_MEAN, Posterior, Priors, averaged, likely_sets
+from lunarsci.twin.telemetry.filter import Model, ReferenceMotion, TriedProcesses, filtered, linearised, smoothed_back
+from lunarsci.twin.telemetry.motion_nodes import AHEAD, EFFECTS, MEANS, SCALE, SIZE, Nodes, at_nodes
+from lunarsci.twin.telemetry.nuisances import Posterior, Priors, averaged, likely_sets
+from lunarsci.twin.telemetry.slip_process import SlipProcess, change_of
 
-LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
-"""Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
-it, to much more where the ground is smooth. Assumed. [m]"""
-AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
-"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m. Assumed."""
-SHARES = np.array([1.0, 1.0, 0.3])
-"""How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
-LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
-"""What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
-long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with stress
-integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
-UNKNOWN = 0.02
-"""The same where the slopes are not known; assumed."""
-WIDTH = 1.7
-"""How widely it is believed, in ln; assumed."""
-WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
-"""Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
-by some centimetres a root metre; assumed. [m / sqrt(m)]"""
-COARSE = np.array([0.1, 0.1, 0.05])
-"""How slip changes while nothing is known of it: widely; assumed."""
-ORDER = (2, 1, 0)
-"""Of the velocities, the best known first: headings tell how the turn changes."""
-DRAWN = 12
-STRIDES = (1, 5, 7, 11)
-"""By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
 FAR = 20.0
 """Mahalanobis distance squared from which on a measurement is looked at alone; assumed: once in 22 000 by chance."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 FREEDOM = 4.0
 """Of Student's law of the errors of positions and headings (Gelman et al. 2013, ch. 17: few degrees, as 4)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SlipProcess:
-    """How the deviations ahead [-], left [-] and turn [1/m] change along the way, and how the error of positions grows.
-
-    Attributes
-    ----------
-    amplitude, length_m : equally probable candidates. (m, 3), (m, 3) [m]
-    walk : growth of the error that positions share. (m,) [m / sqrt(m)]
-    usual, usual_length_m, usual_walk : their means, in ln but for the walk. (3,), (3,)
-    spread : standard deviation of ln amplitude. (3,)
-    information : what the data tell of amplitude and length beside what was believed, as the Kullback-Leibler
-        divergence; 0 where they tell nothing. (3,) [nat]
-    """
-
-    amplitude: FloatArray
-    length_m: FloatArray
-    walk: FloatArray
-    usual: FloatArray
-    usual_length_m: FloatArray
-    usual_walk: float
-    spread: FloatArray
-    information: FloatArray
-
-    @classmethod
-    def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "SlipProcess":
-        """Known amplitudes and lengths, and no walk. (3,), (3,) [m]"""
-        zero = np.zeros(3)
-        return cls(
-            amplitude=amplitude[None],
-            length_m=length_m[None],
-            walk=np.zeros(1),
-            usual=amplitude,
-            usual_length_m=length_m,
-            usual_walk=0.0,
-            spread=zero,
-            information=zero,
-        )
-
-    @classmethod
-    def coarse(cls) -> "SlipProcess":
-        """What is taken while nothing is known."""
-        return cls.fixed(COARSE, np.full(3, LENGTHS_M[1]))
-
-    @property
-    def middle(self) -> Assumptions:
-        """The usual ones alone."""
-        walk = np.array([self.usual_walk])
-        return Assumptions(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
-
-    @property
-    def all(self) -> Assumptions:
-        """All candidates."""
-        return Assumptions(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
-
-
-def believed_change(nodes: Nodes) -> SlipProcess:
-    """What is believed before positions and headings say anything."""
-    return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
-
-
-def change_of(nodes: Nodes, priors: Priors | None = None, reference: Reference | None = None) -> SlipProcess:
-    """How deviations change, from positions and headings: each in turn, the others as they are found to be.
-
-    Parameters
-    ----------
-    priors : of the constants; None takes the plain ones.
-    reference : a motion that is about right; None takes that of what is believed.
-    """
-    priors = priors or Priors.plain(nodes)
-    believed = _believed(nodes)
-    amplitude, length, walk = COARSE.copy(), np.full(3, LENGTHS_M[1]), 0.0
-    if reference is None:
-        reference = _round(nodes, Reference.first(nodes), SlipProcess.fixed(amplitude, length), priors)
-    sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
-    if priors.hypotheses:
-        usual = Assumptions(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
-        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), kept=False).squares[0])
-
-    def likelihood(tried_a: FloatArray, tried_l: FloatArray, tried_w: FloatArray) -> FloatArray:
-        assumed = Assumptions(amplitude=tried_a, length_m=tried_l, walk=tried_w)
-        run = filtered(Model.about(nodes, reference, assumed), kept=False)
-        return np.array([one.ln_likelihood for one in averaged(priors, run, sets)])
-
-    ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
-    prior = -0.5 * ((ln_a + np.log(SHARES)[:, None] - np.log(believed)[:, None]) / WIDTH) ** 2
-    weights, walked = np.empty_like(prior), np.eye(len(WALKS))[0]
-    for channel in ORDER:
-        if channel == ORDER[1] and nodes.chain is None and priors.hypotheses:
-            # Slip that changes and positions that walk look alike: they are weighed together.
-            step, level = (part.ravel() for part in np.meshgrid(np.arange(len(WALKS)), AMPLITUDES, indexing="ij"))
-            tried_a = np.column_stack([level, level, np.full(len(level), amplitude[2])])
-            tried_l = np.tile([LENGTHS_M[1], LENGTHS_M[1], length[2]], (len(level), 1))
-            ln_weight = likelihood(tried_a, tried_l, np.array(WALKS)[step]) + np.log(WALK_ODDS)[step]
-            ln_weight -= 0.5 * (np.log(level[:, None] / believed[:2]) ** 2).sum(axis=1) / WIDTH**2
-            walked = np.bincount(step, _normed(ln_weight))
-            walk = float(walked @ WALKS)
-        tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
-        tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
-        weights[channel] = _normed(prior[channel] + likelihood(tried_a, tried_l, np.full(len(ln_a), walk)))
-        amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
-        length[channel] = math.exp(weights[channel] @ ln_l)
-    spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
-    drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
-    picked = np.column_stack(drawn[:3])
-    return SlipProcess(
-        amplitude=np.exp(ln_a[picked]) * SHARES,
-        length_m=np.exp(ln_l[picked]),
-        walk=np.array(WALKS)[drawn[3]],
-        usual=amplitude,
-        usual_length_m=length,
-        usual_walk=walk,
-        spread=spread,
-        information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
-    )
-
-
-def _believed(nodes: Nodes) -> FloatArray:
-    """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
-    if nodes.effect is None:
-        return UNKNOWN * SHARES
-    effect = nodes.effect[:, :2] @ np.array(EFFECT_MEAN)
-    way = np.append(0.0, np.cumsum(nodes.way_m))
-    later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
-    ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
-    return np.asarray(np.array([ahead, left, ahead]) * SHARES)
-
-
-def _normed(ln_weight: FloatArray) -> FloatArray:
-    weight = np.exp(ln_weight - ln_weight.max())
-    return np.asarray(weight / weight.sum())
-
-
-def _spread(weight: FloatArray, values: FloatArray) -> float:
-    return math.sqrt(weight @ (values - weight @ values) ** 2)
-
-
-def _divergence(weight: FloatArray, believed: FloatArray) -> float:
-    return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
-
-
-def _drawn(weight: FloatArray, stride: int) -> IndexArray:
-    """Candidates as often as they are probable, in an order of their own. (m,)"""
-    levels = (np.arange(DRAWN) + 0.5) / DRAWN
-    picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
-    return np.asarray(picked[(stride * np.arange(DRAWN)) % DRAWN])
 
 
 ROUNDS = 4
@@ -249,10 +65,10 @@ class Smoothed:
     posterior: Posterior
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> ReferenceMotion:
         """What the same model may be linearised about."""
         state, constants = self.state[:, :SIZE], self.posterior.mean
-        return Reference(state=state, constants=constants, fix_weight=self.fix_weight, yaw_weight=self.yaw_weight)
+        return ReferenceMotion(state=state, constants=constants, fix_weight=self.fix_weight, yaw_weight=self.yaw_weight)
 
     @property
     def picks(self) -> FloatArray:
@@ -279,7 +95,7 @@ class Smoothed:
 
 
 def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | None = None,
-           start: Reference | None = None) -> Smoothed:  # fmt: skip
+           start: ReferenceMotion | None = None) -> Smoothed:  # fmt: skip
     """The motion that explains positions and headings best, with its uncertainty.
 
     Parameters
@@ -295,7 +111,7 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | Non
         raise DataError("fewer than two positions of use; slip needs two or more")
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
-        reference = start or Reference.first(nodes)
+        reference = start or ReferenceMotion.first(nodes)
         if robust and (reference.fix_weight == 1.0).all():
             reference = _without_far_ones(nodes, reference, priors)
         for number in range(ROUNDS):
@@ -326,7 +142,7 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | Non
 
 
 def _residuals(
-    nodes: Nodes, reference: Reference, state: FloatArray, covariance: FloatArray
+    nodes: Nodes, reference: ReferenceMotion, state: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """What positions and headings are off (n, 3), and how well it is known where they should be (n, 3, 3).
 
@@ -337,7 +153,7 @@ def _residuals(
     return linear.value - np.einsum("nij,nj->ni", seen, state), seen @ covariance @ np.swapaxes(seen, 1, 2)
 
 
-def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: Reference) -> tuple[FloatArray, float]:
+def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: ReferenceMotion) -> tuple[FloatArray, float]:
     """Constants (k,), and ln of how probable positions and headings are, up to a constant."""
     run = filtered(Model.about(nodes, reference, change.middle), kept=False)
     (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
@@ -345,18 +161,18 @@ def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: Refer
 
 
 def _round(
-    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors, *, robust: bool = False
-) -> Reference:
+    nodes: Nodes, reference: ReferenceMotion, change: SlipProcess, priors: Priors, *, robust: bool = False
+) -> ReferenceMotion:
     """The motion about a reference, as the next one, with weights by Student's law where it is `robust`."""
     state, covariance, constants = _about(nodes, reference, change, priors)
     fix_weight, yaw_weight = reference.fix_weight, reference.yaw_weight
     if robust:
         fix_weight, yaw_weight = _weights(nodes, *_residuals(nodes, reference, state, covariance))
-    return Reference(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+    return ReferenceMotion(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
 
 
 def _about(
-    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors
+    nodes: Nodes, reference: ReferenceMotion, change: SlipProcess, priors: Priors
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
     model = Model.about(nodes, reference, change.middle)
@@ -370,7 +186,7 @@ def _about(
     return state, covariance, found.mean
 
 
-def _without_far_ones(nodes: Nodes, reference: Reference, priors: Priors) -> Reference:
+def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
     """Weights to begin with: the position that is farthest from where all others put it hardly counts, then the next.
 
     Student's law has several modes. Where a wrong position counts as much as any at first, its neighbours may end as
@@ -378,14 +194,15 @@ def _without_far_ones(nodes: Nodes, reference: Reference, priors: Priors) -> Ref
     """
     fix_weight, yaw_weight = reference.fix_weight.copy(), reference.yaw_weight.copy()
     for _ in range(len(nodes.time_s)):
-        reference = Reference(state=reference.state, constants=reference.constants, fix_weight=fix_weight,
-                              yaw_weight=yaw_weight)  # fmt: skip
+        reference = replace(reference, fix_weight=fix_weight, yaw_weight=yaw_weight)
         state, covariance, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
         off, spread = _residuals(nodes, reference, state, covariance)
         fixes = np.nan_to_num(_squared_distances(nodes, off, spread, fix_weight)[0])
         headings = np.nan_to_num(_yaw_squared_distances(nodes, off, spread, yaw_weight))
         fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
-        reference = Reference(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+        reference = ReferenceMotion(
+            state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight
+        )
         if max(fixes.max(), headings.max()) < FAR:
             return reference
         far = fixes >= max(FAR, fixes.max())
@@ -419,7 +236,7 @@ def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatAr
 
 
 def _averaged(
-    nodes: Nodes, reference: Reference, change: SlipProcess, priors: Priors
+    nodes: Nodes, reference: ReferenceMotion, change: SlipProcess, priors: Priors
 ) -> tuple[FloatArray, FloatArray, Posterior]:
     """State and constants with their covariance, averaged over assumptions, linearised about a reference."""
     whole, every = SIZE + nodes.constants, change.all
@@ -429,7 +246,7 @@ def _averaged(
     means, covariance, found = np.zeros((many, count, whole)), np.zeros((count, whole, whole)), list[Posterior]()
     for first in range(0, many, each):
         some = slice(first, first + each)
-        assumed = Assumptions(amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some])
+        assumed = TriedProcesses(amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some])
         model = Model.about(nodes, reference, assumed)
         run = smoothed_back(model, filtered(model))
         for k, posterior in enumerate(averaged(priors, run, sets)):

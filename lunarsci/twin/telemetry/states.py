@@ -19,8 +19,6 @@ from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedu
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
-    FAST,
-    MOST_FAST,
     WheelPace,
     check_pace,
     check_slips,
@@ -29,7 +27,6 @@ from lunarsci.twin.telemetry.checks import (
     steering_angles,
     time_gaps,
 )
-from lunarsci.twin.telemetry.filter import LAG, LINEAR_S, Nodes, lag_of_turns
 from lunarsci.twin.telemetry.findings_of_drive import (
     Lag,
     left_out_of,
@@ -38,6 +35,7 @@ from lunarsci.twin.telemetry.findings_of_drive import (
     say_scatter,
     shifted,
 )
+from lunarsci.twin.telemetry.motion_nodes import LAG, LINEAR_S, Nodes, lag_of_turns
 from lunarsci.twin.telemetry.nodes import (
     Rows,
     denser,
@@ -52,16 +50,17 @@ from lunarsci.twin.telemetry.nodes import (
     within,
 )
 from lunarsci.twin.telemetry.nuisances import LATE_S, Priors
-from lunarsci.twin.telemetry.odometry import body_twist
+from lunarsci.twin.telemetry.odometry import body_twist, of_one_motion
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
-from lunarsci.twin.telemetry.reading import SHARED, Findings, Telemetry
+from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.readings import as_meant
-from lunarsci.twin.telemetry.smoother import SlipProcess, Smoothed, smooth
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, of_one_motion, wheel_motion
+from lunarsci.twin.telemetry.slip_process import SlipProcess
+from lunarsci.twin.telemetry.smoother import Smoothed, smooth
+from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 
 MOST_LAGS = 3
@@ -389,81 +388,3 @@ def _chosen(
         raise DataError(f"{file}: no two positions with a drive between them that has neither gap nor halt; no slip")
     nodes_found = np.array(sorted({*result, *halts}), dtype=np.intp)
     return nodes_found, np.isin(nodes_found, halts)
-
-
-BASIS = "positions"
-"""What slip and side slip rest on: the positions of `position_table`."""
-
-
-def wheel_table(drive: DriveStates) -> "pd.DataFrame":
-    """A row for each time and wheel: what `lunarsci twin update` reads as states.
-
-    Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
-    side_slip_deg, side_slip_deg_sigma, slip_ratio_shared, valid, slip_basis, rim_m_s, rover, ground, and doubt where
-    there is some.
-    """
-    import pandas as pd
-
-    rows, names, each = drive.rows, drive.rover.wheels, len(drive.rover.wheels)
-    columns = {
-        "time_s": np.repeat(drive.nodes.time_s[rows.node], each),
-        "distance_m": np.repeat(rows.distance_m, each),
-        "wheel": np.tile(names, len(rows.node)),
-        "x_m": rows.place_m[..., 0].ravel(),
-        "y_m": rows.place_m[..., 1].ravel(),
-    }
-    for name in ("sinkage_m", "slip_ratio", "side_slip_deg"):
-        columns[name] = getattr(rows, name).ravel()
-        columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
-    columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
-    columns["valid"] = rows.valid.ravel()
-    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive)
-
-
-def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
-    """With the rover, its ground, and why the states, or a soil learned from them, are doubtful, where they are."""
-    doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt]
-    if drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum():
-        doubts += [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.kind == FAST]
-    table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
-    return table.assign(doubt="; ".join(doubts)) if doubts else table
-
-
-def position_table(drive: DriveStates) -> "pd.DataFrame":
-    """The localised positions that were used: time_s, x_m, y_m, xx_m2, xy_m2, yy_m2, and `SHARED` where it is known."""
-    import pandas as pd
-
-    telemetry = drive.telemetry
-    rows = telemetry.fixed & ~np.isin(telemetry.time_s, drive.left_out[:, 0])
-    covariance = telemetry.fix_covariance_m2[rows]
-    columns = {
-        "time_s": telemetry.time_s[rows],
-        "x_m": telemetry.fix_m[rows, 0],
-        "y_m": telemetry.fix_m[rows, 1],
-        "xx_m2": covariance[:, 0, 0],
-        "xy_m2": covariance[:, 0, 1],
-        "yy_m2": covariance[:, 1, 1],
-    }
-    if telemetry.fix_shared_m2 is not None:
-        after_used = np.append(False, rows[telemetry.fixed][:-1])[rows[telemetry.fixed]]
-        shared = telemetry.fix_shared_m2[rows] * after_used[:, None, None]
-        columns |= dict(zip(SHARED, shared.reshape(-1, 4).T, strict=True))
-    return pd.DataFrame(columns)
-
-
-def motion_table(drive: DriveStates) -> "pd.DataFrame":
-    """The smoothed motion with the wheels' measured commands: what `lunarsci twin loads` reads.
-
-    Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, steering_W_deg, speed_W_m_s of each wheel W, rover,
-    ground, and doubt where there is some.
-    """
-    import pandas as pd
-
-    motion, covariance = drive.motion, drive.smoothed.covariance
-    columns = {name: getattr(motion, name) for name in ("time_s", "x_m", "y_m", "yaw_deg")}
-    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
-    columns |= {"x_m_sigma": errors[:, 0], "y_m_sigma": errors[:, 1], "yaw_deg_sigma": np.degrees(errors[:, 2])}
-    for k, wheel in enumerate(drive.rover.wheels):
-        columns[f"steering_{wheel}_deg"] = motion.steering_deg[:, k]
-        columns[f"speed_{wheel}_m_s"] = motion.speed_m_s[:, k]
-    return _named(pd.DataFrame(columns), drive)

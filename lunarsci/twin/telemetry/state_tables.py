@@ -1,0 +1,90 @@
+"""Tables of what a drive's telemetry says: states, positions and motion, which other commands read."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lunarsci.twin.telemetry.checks import FAST, MOST_FAST
+from lunarsci.twin.telemetry.reading import SHARED
+from lunarsci.twin.telemetry.states import DriveStates
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+BASIS = "positions"
+"""What slip and side slip rest on: the positions of `position_table`."""
+
+
+def wheel_table(drive: DriveStates) -> "pd.DataFrame":
+    """A row for each time and wheel: what `lunarsci twin update` reads as states.
+
+    Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
+    side_slip_deg, side_slip_deg_sigma, slip_ratio_shared, valid, slip_basis, rim_m_s, rover, ground, and doubt where
+    there is some.
+    """
+    import pandas as pd
+
+    rows, names, each = drive.rows, drive.rover.wheels, len(drive.rover.wheels)
+    columns = {
+        "time_s": np.repeat(drive.nodes.time_s[rows.node], each),
+        "distance_m": np.repeat(rows.distance_m, each),
+        "wheel": np.tile(names, len(rows.node)),
+        "x_m": rows.place_m[..., 0].ravel(),
+        "y_m": rows.place_m[..., 1].ravel(),
+    }
+    for name in ("sinkage_m", "slip_ratio", "side_slip_deg"):
+        columns[name] = getattr(rows, name).ravel()
+        columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
+    columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
+    columns["valid"] = rows.valid.ravel()
+    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive)
+
+
+def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
+    """With the rover, its ground, and why the states, or a soil learned from them, are doubtful, where they are."""
+    doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt]
+    if drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum():
+        doubts += [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.kind == FAST]
+    table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
+    return table.assign(doubt="; ".join(doubts)) if doubts else table
+
+
+def position_table(drive: DriveStates) -> "pd.DataFrame":
+    """The localised positions that were used: time_s, x_m, y_m, xx_m2, xy_m2, yy_m2, and `SHARED` where it is known."""
+    import pandas as pd
+
+    telemetry = drive.telemetry
+    rows = telemetry.fixed & ~np.isin(telemetry.time_s, drive.left_out[:, 0])
+    covariance = telemetry.fix_covariance_m2[rows]
+    columns = {
+        "time_s": telemetry.time_s[rows],
+        "x_m": telemetry.fix_m[rows, 0],
+        "y_m": telemetry.fix_m[rows, 1],
+        "xx_m2": covariance[:, 0, 0],
+        "xy_m2": covariance[:, 0, 1],
+        "yy_m2": covariance[:, 1, 1],
+    }
+    if telemetry.fix_shared_m2 is not None:
+        after_used = np.append(False, rows[telemetry.fixed][:-1])[rows[telemetry.fixed]]
+        shared = telemetry.fix_shared_m2[rows] * after_used[:, None, None]
+        columns |= dict(zip(SHARED, shared.reshape(-1, 4).T, strict=True))
+    return pd.DataFrame(columns)
+
+
+def motion_table(drive: DriveStates) -> "pd.DataFrame":
+    """The smoothed motion with the wheels' measured commands: what `lunarsci twin loads` reads.
+
+    Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, steering_W_deg, speed_W_m_s of each wheel W, rover,
+    ground, and doubt where there is some.
+    """
+    import pandas as pd
+
+    motion, covariance = drive.motion, drive.smoothed.covariance
+    columns = {name: getattr(motion, name) for name in ("time_s", "x_m", "y_m", "yaw_deg")}
+    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
+    columns |= {"x_m_sigma": errors[:, 0], "y_m_sigma": errors[:, 1], "yaw_deg_sigma": np.degrees(errors[:, 2])}
+    for k, wheel in enumerate(drive.rover.wheels):
+        columns[f"steering_{wheel}_deg"] = motion.steering_deg[:, k]
+        columns[f"speed_{wheel}_m_s"] = motion.speed_m_s[:, k]
+    return _named(pd.DataFrame(columns), drive)
