@@ -573,6 +573,65 @@ def test_attitude_differs_from_the_terrains_by_60_percent_of_a_slope_or_a_degree
     assert bool(findings.doubt) == (said is not None)
 
 
+TURNING = Plan(
+    name="turning", legs=(Leg(2.5, 0.2), Leg(turn_deg=40.0), Leg(stop_s=20.0), Leg(2.5, -0.2)), speed_m_s=0.05
+)
+
+
+@pytest.fixture(scope="module")
+def turning(yutu2: Rover) -> SyntheticDrive:
+    prediction = predict(yutu2, GROUND, TURNING, sweep=(), time_step_s=0.05, sample_m=0.05)
+    return simulate_telemetry(prediction, SensorErrors(fix_sigma_m=0.01), 4)
+
+
+def drifting(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(yaw_deg=table.yaw_deg + 6.0 * table.time_s / table.time_s.iloc[-1])
+
+
+def of_a_mast(table: pd.DataFrame) -> pd.DataFrame:
+    yaw = np.radians(table.yaw_deg)
+    x, y = (0.3 * np.cos(yaw) + 0.2 * np.sin(yaw), 0.3 * np.sin(yaw) - 0.2 * np.cos(yaw))
+    return table.assign(x_m=table.x_m + x, y_m=table.y_m + y)
+
+
+SHARED: dict[str, tuple[Spoil, str]] = {
+    "none": (lambda t: t, ""),
+    "heading drifts by 6 deg": (drifting, r"headings drift by [3-8]\.\d+ \+-"),
+    "mast 0.3 m ahead, 0.2 m to the right": (of_a_mast, r"a point 0\.\d+ \+- \S+ m ahead and -0\.\d+ \+- \S+ m to the left"),
+    "one encoder": (set_to(ALL, ["angle_ML_deg", "rate_ML_deg_s"], lambda v: 0.88 * v), r"wheel ML turns 0\.88"),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize("name", list(SHARED))
+def test_what_a_whole_drive_shares_is_found_and_lies_within_the_errors(
+    name: str, turning: SyntheticDrive, yutu2: Rover
+) -> None:
+    """Slips, and the pose at the end, from which the next drive is planned."""
+    spoil, says = SHARED[name]
+    found = states(csv(spoil(turning.telemetry)), yutu2, TURNING)
+    assert not found.findings.doubt and len(
+        [one for one in found.findings.entries if one.kind != "odd heading"]
+    ) == len(says[:1])
+    assert re.search(says, " ".join(entry.what for entry in found.findings.entries))
+    assert worst(found, turning) < 4.0
+    path, covariance = turning.prediction.paths[0, -1], found.smoothed.covariance[-1, :2, :2]
+    off = np.array([found.motion.x_m[-1] - path[0], found.motion.y_m[-1] - path[1]])
+    assert off @ np.linalg.solve(covariance, off) < 9.2 and np.hypot(*off) < 0.1
+
+
+def test_positions_that_repeat_the_way_of_the_wheels_teach_no_slip(drive: SyntheticDrive, yutu2: Rover) -> None:
+    table, steps = drive.telemetry.copy(), np.diff(drive.telemetry.time_s)
+    yaw, speed = np.radians(table.yaw_deg), table.speed_ML_m_s + table.speed_MR_m_s
+    middle, ahead = 0.5 * (yaw[1:].to_numpy() + yaw[:-1].to_numpy()), 0.5 * speed[:-1].to_numpy() * steps
+    for column, part in (("x_m", np.cos(middle)), ("y_m", np.sin(middle))):
+        rolled = np.append(0.0, np.cumsum(part * ahead)) + 0.0005 * np.random.default_rng(1).normal(size=len(table))
+        table[column] = np.where(table[column].notna(), rolled, np.nan)
+    with pytest.warns(LunarSciWarning, match="positions are odometry"):
+        found = states(csv(table), yutu2)
+    assert "no slip can be learned" in found.findings.doubt
+
+
 BENDS = Plan(name="more bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(2.5, 0.25)), speed_m_s=0.05)
 STEERS = Plan(name="bends", legs=(Leg(1.5, 0.3), Leg(1.5, -0.3), Leg(1.5, 0.25)), speed_m_s=0.05)
 

@@ -31,6 +31,7 @@ from lunarsci.twin.telemetry.motion_nodes import (
     SLIDES,
     START_M,
     START_RAD,
+    TURN_PER_STEP,
     Nodes,
     dead_reckoned,
 )
@@ -239,7 +240,8 @@ class Model:
             matrix[..., k : k + 2, k : k + 2] = block
             noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
         noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + loose**2)[:, None]
-        noise[..., 2, 2] = ((loose / LOOSE_M) ** 2)[:, None]
+        turn = nodes.twist[first:last, 2] * np.diff(nodes.time_s[first : last + 1])
+        noise[..., 2, 2] = ((loose / LOOSE_M) ** 2 + (TURN_PER_STEP * turn) ** 2)[:, None]
         if nodes.chain is None:
             matrix[..., OFF, OFF] = np.eye(2)
             noise[..., OFF, OFF] = (assumed.walk**2 * way)[..., None, None] * np.eye(2)
