@@ -658,7 +658,11 @@ def drive_readers() -> dict[str, Reader]:
 
         return with_rover("twin.telemetry.reading:read_telemetry", Findings(str(path)))(path)
 
+    public = of_path("twin.drives.layouts:read_public_drive")
+    captured, run = public_drives()
     return {
+        "captured drive": Reader(public, ["Processed_Data.csv"], [captured]),
+        "run of a public drive": Reader(public, ["wheel-encoder.txt"], [run.pop("wheel-encoder.txt")], run),
         "plan": Reader(of_path("twin.plans.plan:read_plan"), ["spoilt.toml"], [plan]),
         "rover": Reader(lambda path: _function("twin.rover:build_rover")(of_path("rovers:read_rover")(path)),
                         ["spoilt.toml"], [(own / "rovers/yutu2.toml").read_bytes()]),
@@ -677,6 +681,18 @@ def drive_readers() -> dict[str, Reader]:
         "prediction": Reader(lambda path: _function("twin.comparison.forecast:read_forecast")(path.parent),
                              ["prediction.json"], [forecast()[0]], forecast()[1]),
     }  # fmt: skip
+
+
+def public_drives() -> tuple[bytes, dict[str, bytes]]:
+    """Five rows in each layout of a public data set."""
+    from made_trials import HUSKY, ROSEY, made_drive, write_captured, write_run
+
+    with tempfile.TemporaryDirectory() as folder:
+        short = {"speed_m_s": 0.1, "seconds": 6.0, "rate_hz": 4.0}
+        write_captured(Path(folder) / "a", made_drive(**short, **ROSEY))
+        write_run(Path(folder) / "b", made_drive(**short, **HUSKY))
+        captured = (Path(folder) / "a/Processed_Data.csv").read_bytes()
+        return captured, {file.name: file.read_bytes() for file in (Path(folder) / "b").iterdir()}
 
 
 @functools.cache
@@ -860,7 +876,7 @@ READ_BY = {
     "start": "start of a fit",
     "stations": f"{PICTURES}, rig, pose",
     "states": "record",
-    "telemetry": "telemetry .csv, telemetry .ecsv, telemetry .parquet",
+    "telemetry": "telemetry .csv, telemetry .ecsv, telemetry .parquet, captured drive, run of a public drive",
     "terrain": GROUND,
     "track": "track, track in a picture",
     "wavelengths": "wavelengths",
@@ -876,6 +892,7 @@ READ_BY_COMMAND = {
     "spectra library check files": f"library, {SPECTRA}",
     "spectra library plot files": f"library, {SPECTRA}",
     "spectra match rocks": "fitted rocks",
+    "twin compare inputs": "prediction, telemetry .csv, captured drive, run of a public drive",
     "twin loads states": "states of poses",
     "twin plan limits": "plan",
     "twin plan start": "start of a plan",

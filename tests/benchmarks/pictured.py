@@ -292,6 +292,13 @@ def compared() -> Any:
 
 
 @cache
+def trials() -> Any:
+    from lunarsci.twin.jobs.compare_trials import compare_trials
+
+    return compare_trials([f"{driven()}/telemetry.csv"], soil=("longji",))
+
+
+@cache
 def mapped() -> Any:
     """A cube of few pixels, some of them without data, that lies on the Moon."""
     rasterio = pytest.importorskip("rasterio")
@@ -463,6 +470,7 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "loads": lambda: loads().plot(),
     "force bands": lambda: loads_of_states().plot(),
     "compare": lambda: compared().plot(),
+    "compare trials": lambda: trials().plot(),
     "learned soil": lambda: learned().plot(),
     "residuals": lambda: learned().plot(1),
     "soil map": lambda: learned().plot(2),

@@ -597,7 +597,7 @@ def of_a_mast(table: pd.DataFrame) -> pd.DataFrame:
 SHARED: dict[str, tuple[Spoil, str]] = {
     "none": (lambda t: t, ""),
     "heading drifts by 6 deg": (drifting, r"headings drift by [3-8]\.\d+ \+-"),
-    "mast 0.3 m ahead, 0.2 m to the right": (of_a_mast, r"a point 0\.\d+ \+- \S+ m ahead and -0\.\d+ \+- \S+ m to the left"),
+    "mast ahead, to the right": (of_a_mast, r"a point 0\.\d+ \+- \S+ m ahead and -0\.\d+ \+- \S+ m to the left"),
     "one encoder": (set_to(ALL, ["angle_ML_deg", "rate_ML_deg_s"], lambda v: 0.88 * v), r"wheel ML turns 0\.88"),
 }  # fmt: skip
 
