@@ -861,7 +861,6 @@ READ_BY = {
     "positions": "positions",
     "predict": "states to predict",
     "predict_rover": "rover",
-    "predicted": "prediction",
     "prior": "prior",
     "result": "identified soil",
     "results": "results, folder of results, sources",

@@ -19,15 +19,17 @@ from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.smoother import FREEDOM
 
-SLIPS, CHANGES, TURNS, TURNS_PER_M = np.array([0.3, 0.1]), 0.05, 0.1, math.radians(0.5)
+SLIPS, CHANGES, TURNS, TURNS_PER_M = np.array([0.3, 0.1]), 0.1, 0.1, math.radians(0.5)
 """Standard deviation of what slip makes of ways ahead and to the left throughout, and of how it changes between
 positions; of a turn, and of a turn on a straight way. The first are `nuisances.MEAN_SIGMA`; all assumed. [-, -, -,
 rad/m]"""
+USUAL = np.array([0.15, 0.1])
+"""The first ones for a reading that is not as the names say: it has to explain a drive by usual slips; assumed."""
 SKID_TURNS = 0.5
 """The same of a turn for a rover that steers by its sides' speeds; see `nuisances.SKID_SIGMA`."""
 ALIKE = math.log(20.0)
 """ln of the odds of the best reading against another up to which the two are alike; assumed."""
-STRANGE, RARE = math.log(0.01), math.log(1e-4)
+STRANGE, RARE = math.log(1e-6), math.log(1e-9)
 """ln of the odds of a reading that is not as the names say, and of one that fits whatever is there; assumed."""
 ROLLED, FINEST_M = 0.003, 0.001
 """How well positions that were computed from the wheels repeat their way, as a share of it, and to which digit they are
@@ -167,7 +169,7 @@ def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, tu
         # The slip that all ways have in common, as far as it is likely at all.
         mean = np.median(share[rolled] / way[rolled, None], axis=0) if rolled.any() else np.zeros(2)
         mean = np.clip(mean, -3.0 * SLIPS, 3.0 * SLIPS)
-    ln_mean = float(-0.5 * ((mean / SLIPS) ** 2).sum())
+    ln_mean = float(-0.5 * ((mean / (USUAL if reading.meaning else SLIPS)) ** 2).sum())
     share = share - mean * way[:, None]
     yaw_sigma = math.sqrt(2.0) * math.radians(float(np.nanmedian(telemetry.yaw_deg_sigma)))
     turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (TURNS_PER_M * way) ** 2 + yaw_sigma**2)
