@@ -15,7 +15,7 @@ from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.regolith.written_names import written_for
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.electrics import Motors, PowerSupply, read_part
-from lunarsci.twin.rover_limits import check_limits, check_speed
+from lunarsci.twin.rover_limits import check_limits, check_speed, warn_of_unusual
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
@@ -267,6 +267,7 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
         )
         if not varied:
             check_speed(built)
+            warn_of_unusual(built, description.origin)
         return built
     except KeyError as error:
         raise DataError(f"{description.origin}: no {error}; add it as in the yutu2 file") from error

@@ -1,19 +1,48 @@
-"""What no rover can be, whatever its purpose: finds files whose numbers are in another unit than they should be."""
+"""What no rover can be, and what none is: finds files whose numbers are in another unit than they should be."""
 
 import math
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
+from lunarsci.regolith.questions import Question, question
 
 if TYPE_CHECKING:
     from lunarsci.twin.rover import Rover
 
 DENSEST_KG_M3 = 22_600.0
 """Osmium, 22.59 g/cm3: CRC Handbook of Chemistry and Physics, 97th ed., Haynes (2016). [kg/m3]"""
-MOST_RADII = 100.0
-"""From one axle to the next; rovers that drove on the Moon and Mars have 2.5 to 6. Assumed. [wheel radii]"""
+BELLY_RADII = Law("ln", 2.1, 0.3, "1.5 to 2.4 of Lunokhod, Sojourner, MER, Curiosity and Yutu-2; assumed")
+"""Height of the belly above level ground, in radii of the wheels; assumed."""
+AXLE_RADII = Law("ln", 4.0, 0.4, "2.5 to 6 of rovers that drove on the Moon and Mars; width assumed")
+"""From one axle to the next, in radii of the wheels; assumed."""
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2}
+"""In metres, by definition."""
+MASS_UNITS = {"g": 1e-3, "t": 1e3}
+"""In kilograms, by definition."""
+
+
+def rover_questions(rover: "Rover") -> list[Question]:
+    """Whether its belly is as high, its axles as far apart and its wheels as loaded as those of rovers are."""
+    wheel, asked = rover.wheel, []
+    apart = np.linalg.norm(np.diff(rover.wheel_positions_m[::2], axis=0), axis=1).max() / wheel.radius_m
+    asked.append(question("axle to axle [wheel radii]", float(apart), AXLE_RADII, LENGTH_UNITS))
+    pressure = rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels) / (wheel.radius_m * wheel.width_m)
+    asked.append(question("weight over the wheels' radius x width [Pa]", pressure, LOAD_PRESSURE_PA, MASS_UNITS))
+    if rover.body is not None:
+        level = rover.body.belly_z_m - float(rover.wheel_positions_m[:, 2].min()) + wheel.radius_m
+        if level > 0:
+            asked.append(question("belly over the ground [wheel radii]", level / wheel.radius_m, BELLY_RADII, {}))
+    return [one for one in asked if one is not None]
+
+
+def warn_of_unusual(rover: "Rover", called: str) -> None:
+    """Warn of numbers that would be likely in another unit, or that no rover has."""
+    for asked in rover_questions(rover):
+        warnings.warn(f"{called}: {asked.doubt}", LunarSciWarning, stacklevel=3)
 
 
 def check_limits(rover: "Rover") -> None:
@@ -25,7 +54,7 @@ def check_limits(rover: "Rover") -> None:
 
 
 def check_wheels(rover: "Rover") -> None:
-    """Raises ParameterError for wheels that overlap or stand far beyond the size of a rover."""
+    """Raises ParameterError for wheels that overlap."""
     wheel, places = rover.wheel, rover.wheel_positions_m[::2]
     outer = wheel.radius_m + wheel.grouser_height_m
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -33,10 +62,6 @@ def check_wheels(rover: "Rover") -> None:
         raise ParameterError(
             f"wheels of {2 * outer:.3g} m across do not fit {gaps.min():.3g} m from one axle to the next; they meet "
             "(is wheel.radius_m a diameter, or in mm?)"
-        )
-    if gaps.max() > MOST_RADII * outer:
-        raise ParameterError(
-            f"axles {gaps.max():.3g} m apart for wheels of {outer:.3g} m radius; are the wheels' places in mm or cm?"
         )
     if wheel.width_m > 2.0 * (rover.rocker_pivot_y_m + rover.steering_offset_m):
         raise ParameterError(

@@ -11,10 +11,11 @@ from lunarsci.regolith.prior import Law
 from lunarsci.regolith.questions import SLIPS, question
 from lunarsci.regolith.soil import known_soils
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
+from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.predict import predict
-from lunarsci.twin.judgement.plausibility import rover_questions, terrain_questions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.rover_limits import rover_questions
 
 PLAN = Plan(name="short", legs=(Leg(1.0),), speed_m_s=0.05)
 QUICK = {"time_step": 0.2, "sample": 0.25}
@@ -61,6 +62,10 @@ def test_rovers_with_another_unit_are_asked_about(yutu2: Rover) -> None:
     assert "belly over the ground" in str(rover_questions(high)[0])
     light = dataclasses.replace(yutu2, body_kg=0.105, wheel_kg=0.005, body_inertia_kg_m2=(0.0175, 0.0284, 0.0284))
     assert "radius x width" in str(rover_questions(light)[0])
+    names = ("front_wheel_m", "bogie_pivot_m", "middle_wheel_m", "rear_wheel_m")
+    places = {name: (100.0 * getattr(yutu2, name)[0], *getattr(yutu2, name)[1:]) for name in names}
+    [far] = rover_questions(dataclasses.replace(yutu2, **places))
+    assert far.quantity == "axle to axle [wheel radii]" and far.likely_unit == "cm"
 
 
 def soil_file(folder: Path, **changes: float) -> str:

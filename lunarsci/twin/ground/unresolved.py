@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray
+from lunarsci.regolith.prior import Law
+from lunarsci.regolith.questions import Question, question
 from lunarsci.regolith.wheel import Wheel
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
 from lunarsci.twin.ground.terrain import Terrain
@@ -37,6 +39,11 @@ MOST_NODES = 4_000_000
 """Of the finer grid; beyond them nodes lie wider apart."""
 OBSTACLE_SIGMAS = 3.0
 """Of what lies between nodes, that make an obstacle; assumed."""
+SLOPE_SD = 1.0
+"""Standard deviation of the logarithm of median slopes of maps about that of the law: assumed, flat maria to crater
+walls."""
+HEIGHT_UNITS = {"km": 1e3, "cm": 1e-2, "mm": 1e-3}
+"""In metres, by definition; feet and decimetres make slopes that the Moon has, too."""
 
 
 def relief_of_kind(slope_deg: float, hurst: float) -> Relief:
@@ -51,6 +58,21 @@ def lunar_relief() -> tuple[Relief, float]:
     one, other = relief_of_kind(*MARIA), relief_of_kind(*HIGHLANDS)
     apart = 0.25 * math.log(other.at_one_m / one.at_one_m)
     return Relief(math.sqrt(one.at_one_m * other.at_one_m), 0.5 * (one.hurst + other.hurst)), apart
+
+
+def terrain_questions(terrain: Terrain) -> list[Question]:
+    """Whether its median slope is one of the Moon at its spacing, or would be in another unit of heights."""
+    height = terrain.height_m
+    slope = np.hypot(np.diff(height, axis=0)[:, :-1], np.diff(height, axis=1)[:-1]) / terrain.spacing_m
+    known = slope[np.isfinite(slope)]
+    if not known.size:
+        return []
+    relief, _ = lunar_relief()
+    usual = math.sqrt(relief.at_one_m * 2.0 * math.log(2.0)) * terrain.spacing_m ** (relief.hurst - 1.0)
+    law, median = Law("ln", usual, SLOPE_SD), float(np.median(known))
+    asked = question("median slope of the terrain [m/m]", median, law, HEIGHT_UNITS, "--height-unit m")
+    # Ground may be as level as it will: only another unit makes it doubtful.
+    return [asked] if asked is not None and asked.likely_unit else []
 
 
 @dataclass(frozen=True, slots=True)

@@ -284,11 +284,17 @@ def predict(
 
 
 def _questions(inputs: "DriveInputs", asked: PredictRequest) -> "tuple[Question, ...]":
-    """What to ask of the numbers that were given."""
-    from lunarsci.twin.judgement.plausibility import questions_of
+    """What to ask of the numbers that were given: of the rover, of heights without a unit, and of an own soil."""
+    from lunarsci.regolith.soil import known_soils, read_soil, unusual
+    from lunarsci.twin.ground.unresolved import terrain_questions
+    from lunarsci.twin.rover_limits import rover_questions
 
-    by_file = asked.terrain is not None and asked.height_unit is None
-    return questions_of(inputs.terrain if by_file else None, inputs.rover, inputs.given.named)
+    found, soil = rover_questions(inputs.rover), inputs.given.named
+    if asked.terrain is not None and asked.height_unit is None:
+        found += terrain_questions(inputs.terrain)
+    if soil is not None and soil not in known_soils():
+        found += unusual(read_soil(soil), soil)
+    return tuple(found)
 
 
 def _asked_about(found: PredictedDrives, questions: "tuple[Question, ...]") -> PredictedDrives:
