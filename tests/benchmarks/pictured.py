@@ -293,9 +293,14 @@ def compared() -> Any:
 
 @cache
 def trials() -> Any:
+    from made_trials import ROSEY, made_drive, write_captured
+
     from lunarsci.twin.jobs.compare_trials import compare_trials
 
-    return compare_trials([f"{driven()}/telemetry.csv"], soil=("longji",))
+    for k, slip in enumerate((0.05, 0.1, 0.2)):
+        drive = made_drive(speed_m_s=0.1, seconds=20.0, rate_hz=5.0, slip=slip, seed=k, **ROSEY)
+        write_captured(folder() / f"trials/Trial_{k}", drive)
+    return compare_trials([str(folder() / "trials")], soil=("longji",))
 
 
 @cache
