@@ -109,7 +109,8 @@ class ScoredTrials(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.comparison import trials_figure
 
-        title = f"{len(self.trials)} trials beside what the twin predicts from their wheels"
+        what = "1 trial" if len(self.trials) == 1 else f"{len(self.trials)} trials"
+        title = f"{what} beside what the twin predicts from the wheels"
         yield trials_figure(self.trials, title, synthetic=any(trial.synthetic for trial in self.trials))
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.smoother import FREEDOM
@@ -23,6 +23,8 @@ SLIPS, CHANGES, TURNS, TURNS_PER_M = np.array([0.3, 0.1]), 0.1, 0.1, math.radian
 """Standard deviation of what slip makes of ways ahead and to the left throughout, and of how it changes between
 positions; of a turn, and of a turn on a straight way. The first are `nuisances.MEAN_SIGMA`; all assumed. [-, -, -,
 rad/m]"""
+APART_M, FEWEST = 0.4, 4
+"""Way between positions that are compared, and how many there are at least; assumed. [m]"""
 USUAL = np.array([0.15, 0.1])
 """The first ones for a reading that is not as the names say: it has to explain a drive by usual slips; assumed."""
 SKID_TURNS = 0.5
@@ -140,7 +142,7 @@ def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, ski
 
 def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a reading makes positions and headings, up to a constant that all readings share."""
-    rows, times = np.flatnonzero(telemetry.fixed), telemetry.time_s
+    rows, times = _apart(telemetry, twist), telemetry.time_s
     known = np.isfinite(telemetry.yaw_deg)
     yaw = np.radians(np.interp(times, times[known], reading.heading(telemetry.yaw_deg)[known]))
     steps, middle = np.diff(times), 0.5 * (yaw[1:] + yaw[:-1])
@@ -177,6 +179,14 @@ def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, tu
     return (
         ln_mean + 2.0 * len(off) * math.log(reading.metres) + sum(_ln_student(value, sigma) for value, sigma in parts)
     )
+
+
+def _apart(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
+    """Rows with a position, so far apart that slip shows between them; all where they are few."""
+    rows = np.flatnonzero(telemetry.fixed)
+    rolled = np.append(0.0, np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * np.diff(telemetry.time_s)))
+    some = rows[np.unique(np.floor(rolled[rows] / APART_M), return_index=True)[1]]
+    return some if len(some) >= FEWEST else rows
 
 
 def _ln_student(off: FloatArray, sigma: FloatArray) -> float:
