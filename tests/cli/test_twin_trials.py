@@ -65,7 +65,7 @@ def test_a_table_has_a_row_for_each_trial(run: Run, trials: Path) -> None:
     assert row["members"] == row["finished"] == "1" and row["end_m_in_90"] == ""
     assert float(row["slip_ratio_error_wheels_alone"]) == pytest.approx(0.12, abs=0.02)
     text = run("twin", "compare", one, "--members", "16")
-    assert text.code == 0 and "1 trials beside what the twin predicts" in text.out
+    assert text.code == 0 and "1 trial beside what the twin predicts" in text.out
     assert "wheels: rms" in text.out and "1 of the trials are synthetic" in text.out
 
 

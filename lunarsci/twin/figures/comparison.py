@@ -234,7 +234,7 @@ def trials_figure(trials: "Sequence[TrialScore]", title: str, *, synthetic: bool
             [float(getattr(trial.scores["end_m"], part)[0]) for trial in trials if "end_m" in trial.scores]
         )
         ends.plot(np.arange(1, len(errors) + 1), errors, mark, color=color)
-    ends.set(xlabel="trials, by error of the end", ylabel="error of the end [m]")
+    ends.set(xlabel="trial, smallest error first [-]", ylabel="error of the end [m]")
     ends.xaxis.get_major_locator().set_params(integer=True)
     slips.legend(frameon=False)
     headline(figure, title, synthetic=synthetic)
