@@ -328,11 +328,12 @@ def test_one_wrong_position_beside_a_halt_is_no_slide(drive: pd.DataFrame, yutu2
 
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 @pytest.mark.parametrize(("at", "which"), [(0, "first"), (-1, "last")])
-def test_a_wrong_position_with_none_beyond_it_is_in_doubt(
+def test_a_wrong_position_with_none_beyond_it_is_in_doubt_at_the_end(
     drive: pd.DataFrame, yutu2: Rover, at: int, which: str
 ) -> None:
     """It may be right, and the rover there."""
     table = drive.copy()
     table.loc[table.index[table["x_m"].notna()][at], "y_m"] += 0.4
     (said,) = found(csv(table), yutu2).findings.entries
-    assert said.doubt and (said.kind == "position shift" or f"the {which} one too" in said.what)
+    assert said.kind == "position jump" and f"the {which} one too" in said.what
+    assert said.doubt == (which == "last")

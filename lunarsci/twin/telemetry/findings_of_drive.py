@@ -158,7 +158,7 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     if ends:
         what += f", the {' and the '.join(ends)} one too"
         done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
-    doubt = bool(ends) or len(left) > MOST_LEFT_OUT * len(fixes)
+    doubt = "last" in ends or len(left) > MOST_LEFT_OUT * len(fixes)
     findings.add("position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt)
 
 
