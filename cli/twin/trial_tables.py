@@ -25,7 +25,8 @@ def trial_tables(found: "ScoredTrials") -> list[TextTable]:
     rows = [_row(row) for row in result["trials"]]
     heads = ["over all trials", "unit", "trials", "values", "median error", "rms", "in 90 % regions", "wheels: median"]
     summary = [_summary_row(row) for row in result["summary"]]
-    title = f"{len(rows)} trials beside what the twin predicts from their wheels"
+    trials = "1 trial" if len(rows) == 1 else f"{len(rows)} trials"
+    title = f"{trials} beside what the twin predicts from the wheels"
     return [
         TextTable(headers, rows, title=title, notes=notes),
         TextTable([*heads, "wheels: rms"], summary, title="Errors over all trials"),

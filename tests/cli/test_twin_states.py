@@ -58,7 +58,7 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
     document = json.loads(done.out)
     result = document["result"]
     assert document["schema"] == "lunarsci/twin-states/1"
-    assert {entry["kind"] for entry in result["findings"]} <= {"sparse positions"} and result["synthetic"] is True
+    assert result["findings"] == [] and result["synthetic"] is True
     changes = result["slip_changes"]["ahead"]
     assert set(changes) == {"amplitude", "amplitude_factor", "length_m", "information_nat"}
     assert 0 < changes["amplitude"] < 0.05 and changes["amplitude_factor"] > 1 and 0.3 < changes["length_m"] < 3
@@ -85,6 +85,7 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
         "x_m",
         "y_m",
         *both,
+        "slip_ratio_shared",
         "valid",
         "slip_basis",
         "rim_m_s",
@@ -113,13 +114,13 @@ def test_what_is_found_is_listed_and_doubt_is_exit_3(run: Run, plan: Path, sent:
     assert done.code == 0 and "gap" in done.out
     assert any(line.startswith("warning: ") and "gap at time_s" in line for line in done.err)
     findings = json.loads(run("twin", "states", tmp_path / "gap.csv", plan, "--json").out)["result"]["findings"]
-    [finding] = [entry for entry in findings if entry["kind"] != "sparse positions"]
+    [finding] = findings
     assert finding["kind"] == "gap" and finding["doubt"] is False and finding["time_s"] == pytest.approx(14, abs=1.1)
     table.assign(pitch_deg=table["pitch_deg"] + 8.0).to_csv(tmp_path / "tilted.csv", index=False)
     doubted = run("twin", "states", tmp_path / "tilted.csv", plan)
     assert doubted.code == 3 and "attitude against terrain" in doubted.err[-1] and "slip" in doubted.out
-    table.assign(yaw_deg=-table["yaw_deg"]).to_csv(tmp_path / "mirrored.csv", index=False)
-    refused = run("twin", "states", tmp_path / "mirrored.csv", plan, "-o", tmp_path / "none")
+    table.assign(yaw_deg=np.nan).to_csv(tmp_path / "headless.csv", index=False)
+    refused = run("twin", "states", tmp_path / "headless.csv", plan, "-o", tmp_path / "none")
     assert (refused.code, refused.out, len(refused.err)) == (1, "", 1)
     assert not (tmp_path / "none").exists()
 
@@ -133,7 +134,7 @@ def test_wheels_that_turn_otherwise_than_planned_are_said(run: Run, sent: Path, 
     result = json.loads(done.out)["result"]
     pace, said = result["pace"], [one["what"] for one in result["findings"] if one["kind"] == "wheels against plan"]
     assert pace["ratio"] == pytest.approx(1.0 + off, abs=4.0 * pace["sigma"] + 1e-4) and 0 < pace["sigma"] < 0.003
-    assert (pace["off"], done.code, len(said)) == ((True, 3, 1) if off else (False, 0, 0)), done.err
+    assert (pace["off"], done.code, len(said)) == ((True, 0, 1) if off else (False, 0, 0)), done.err
     assert not off or f"{1.0 + off:.3f} ± " in said[0]
     # What `twin update` finds in the states alone is the same.
     states = read_record(read_input(str(tmp_path / "found" / "states.csv")), rover)
@@ -150,7 +151,7 @@ def test_a_plan_of_the_shells_speed_is_told_from_any_other(run: Run, sent: Path,
     plan.write_text(PLAN.replace("0.05", f"{0.05 * wheel.radius_m / wheel.shearing_radius_m:.6f}"))
     assert wheel.shearing_radius_m > 1.01 * wheel.radius_m
     done = run("twin", "states", sent / "telemetry.csv", plan)
-    assert done.code == 3 and "this is r_s / r" in " ".join(done.err) and "write speed_m_s = 0.05" in " ".join(done.err)
+    assert done.code == 0 and "this is r_s / r" in " ".join(done.err) and "write speed_m_s = 0.05" in " ".join(done.err)
     assert f"rolling radius r_s = {1e3 * wheel.shearing_radius_m:.4g} mm" in done.out
 
 

@@ -130,7 +130,9 @@ def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
 def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
     """Nodes whose positions may shift just before or behind those that hardly count."""
     fixes, out = np.flatnonzero(nodes.fixed), _left_out(smoothed, nodes)[nodes.fixed]
-    ways = [pair for pair, odd in zip(pairwise(fixes), out[1:] | out[:-1], strict=True) if odd]
+    # A shift beside the first or the last position is that position's own.
+    inner = list(zip(pairwise(fixes), out[1:] | out[:-1], strict=True))[1:-1]
+    ways = [pair for pair, odd in inner if odd]
     moved = (nodes.way_m[first:last].any() for first, last in ways)
     jumps = tuple((int(a), int(b)) for (a, b), rolls in zip(ways, moved, strict=True) if rolls)
     return replace(nodes, jumps=jumps[:MOST_JUMPS])

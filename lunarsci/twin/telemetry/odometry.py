@@ -122,15 +122,16 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
     turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
     ratio = rims[some, k][turning] / expected[turning]
     scale = float(np.median(ratio))
-    if abs(scale - 1.0) > SAID:
-        what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
-        findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
     rims[:, k] /= scale
     off_m_s = float(np.median(body_twist(rover, rims[some], steering)[1])) / wheels.usual_m_s
     if off_m_s > DISAGREE:
         what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
+        return wheels
+    if abs(scale - 1.0) > SAID:
+        what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
+        findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
     return replace(wheels, rim_m_s=rims)
 
 
