@@ -245,12 +245,15 @@ def test_the_smoother_is_the_generalised_least_squares_of_its_model(follows: flo
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 @pytest.mark.parametrize(
-    ("name", "low", "high"), [("slip_ratio", 0.7, 1.1), ("side_slip_deg", 0.7, 1.2), ("sinkage_m", 0.77, 1.02)]
+    ("name", "low", "high"), [("slip_ratio", 0.7, 1.1), ("side_slip_deg", 0.6, 1.2), ("sinkage_m", 0.77, 1.02)]
 )
 def test_true_states_lie_within_their_errors(
     covered: dict[str, np.ndarray], name: str, low: float, high: float
 ) -> None:
-    """The root mean square of errors over their sigmas scatters by 5 % between sets of twelve drives, 10 % sideways."""
+    """The root mean square of errors over their sigmas scatters by 5 % between sets of twelve drives, 10 % sideways.
+
+    Sigmas hold what these drives have none of, too: headings that drift, positions that walk.
+    """
     assert low < np.sqrt((covered[name] ** 2).mean()) < high
     assert 0.65 < (np.abs(covered[name]) < 1).mean() < 0.85
     assert (np.abs(covered[name]) < 3).mean() > 0.98
@@ -280,7 +283,7 @@ def test_one_state_between_two_positions(states: DriveStates, drive: SyntheticDr
 
 def test_errors_that_positions_share_shift_the_whole_way_and_no_slip(yutu2: Rover) -> None:
     """All positions off by one and the same 20 mm, but for 1 mm: as certain of the slip as with 1 mm, of the place with
-    20 mm; taken as independent they are certain of the place and know little of the slip."""
+    20 mm; taken as independent they may walk as well, and know less of the place and little of the slip."""
     drive, terrain = made_up(yutu2, 0, PLAN, SensorErrors(fix_sigma_m=0.001, fix_distance_m=1.0))
     fixed = np.flatnonzero(drive.telemetry["x_m"].notna())
     places = drive.telemetry[["x_m", "y_m"]].to_numpy()[fixed] + 0.02
@@ -296,7 +299,7 @@ def test_errors_that_positions_share_shift_the_whole_way_and_no_slip(yutu2: Rove
             found_by.append(states_of(sent, yutu2, terrain, findings, PLAN))
     chained, alone = found_by
     place, alone_place = (np.sqrt(states.smoothed.covariance[:, 0, 0]) for states in found_by)
-    assert place.min() > 0.019 and alone_place.min() < 0.9 * place.min()
+    assert place.min() > 0.019 and alone_place.max() > 1.5 * place.max()
     slip, alone_slip = (np.median(own_sigma(states)) for states in found_by)
     assert slip < 0.5 * alone_slip
     assert np.abs(off(chained, drive.prediction, "slip_ratio")).max() < 4
