@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 DENSEST_KG_M3 = 22_600.0
 """Osmium, 22.59 g/cm3: CRC Handbook of Chemistry and Physics, 97th ed., Haynes (2016). [kg/m3]"""
-BELLY_RADII = Law("ln", 2.1, 0.6, "1.5 to 2.4 of Lunokhod, Sojourner, MER, Curiosity, Yutu-2; 0.5 of RoSEy; width assumed")
+BELLY_RADII = Law("ln", 2.1, 0.6, "1.5 to 2.4 of Lunokhod, MER, Curiosity and Yutu-2, 0.5 of RoSEy; width assumed")
 """Height of the belly above level ground, in radii of the wheels; assumed."""
 AXLE_RADII = Law("ln", 4.0, 0.4, "2.5 to 6 of rovers that drove on the Moon and Mars; width assumed")
 """From one axle to the next, in radii of the wheels; assumed."""
