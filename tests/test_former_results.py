@@ -51,13 +51,13 @@ def test_every_job_of_the_package_is_tried() -> None:
 
 
 def test_a_difference_is_seen() -> None:
-    """Six digits of each number, up to twelve places after the point, and every key."""
-    before = {"a": [1.0, {"b": "x"}], "c": None, "d": 2, "e": 2e-9}
+    """Six digits of each number, up to ten places after the point, and every key."""
+    before = {"a": [1.0, {"b": "x"}], "c": None, "d": 2, "e": 2e-7}
     assert former.differences(before, before | {"new": 1}, "") == [".new: new"]
     assert former.differences(before, before | {"d": 3}, "") == [".d: 2 was, 3 is"]
-    assert former.differences(before, before | {"e": 2.01e-9}, "") == [".e: 2e-09 was, 2.01e-09 is"]
+    assert former.differences(before, before | {"e": 2.01e-7}, "") == [".e: 2e-07 was, 2.01e-07 is"]
     assert former.differences(before, before | {"a": [1.0 + 1e-8, {"b": "x"}]}, "") == []
-    assert sorted(former.differences(before, {"a": [1.0, {}], "c": 0, "d": 2, "e": 2e-9}, "")) == [
+    assert sorted(former.differences(before, {"a": [1.0, {}], "c": 0, "d": 2, "e": 2e-7}, "")) == [
         ".a.1.b: gone",
         ".c: None was, 0 is",
     ]

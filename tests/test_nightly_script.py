@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,9 @@ def night(folder: Path, **inputs: str) -> tuple[int, email.message.EmailMessage,
     for name, text in inputs.items():
         (folder / "in" / f"{name}.csv").write_text(text)
     before = {*folder.glob("nights/*")}
+    # A night has a folder by its second; no two begin in the same one.
+    while any(one.name.endswith(time.strftime("%H%M%S")) for one in before):
+        time.sleep(0.1)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
         ["sh", "nightly.sh", "in"], cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True

@@ -23,6 +23,7 @@ from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.positions import check_attitude, usable_headings
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
+from lunarsci.twin.telemetry.state_tables import position_table
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 from lunarsci.twin.telemetry.wheel_motion import wheel_motion
 
@@ -619,6 +620,10 @@ def test_what_a_whole_drive_shares_is_found_and_lies_within_the_errors(
     path, covariance = turning.prediction.paths[0, -1], found.smoothed.covariance[-1, :2, :2]
     off = np.array([found.motion.x_m[-1] - path[0], found.motion.y_m[-1] - path[1]])
     assert off @ np.linalg.solve(covariance, off) < 9.2 and np.hypot(*off) < 0.1
+    # What the next update reads: of the origin, not of the mast.
+    out, at = turning.prediction, found.positions.time_s
+    true = np.column_stack([np.interp(at, out.time_s, out.paths[0, :, k]) for k in (0, 1)])
+    assert np.median(np.hypot(*(found.positions.place_m - true).T)) < 0.06
 
 
 def test_positions_that_repeat_the_way_of_the_wheels_teach_no_slip(drive: SyntheticDrive, yutu2: Rover) -> None:
@@ -677,3 +682,30 @@ def test_honest_clocks_have_no_lag_and_one_arc_does_not_tell(yutu2: Rover) -> No
 def test_a_lag_of_many_seconds_is_found_by_turns(later_s: float, yutu2: Rover) -> None:
     found = states(csv(as_sent(yutu2, BENDS, later_s).telemetry), yutu2, BENDS)
     assert found.lag.found and not found.findings.doubt and abs(found.lag.lag_s - later_s) < 0.3
+
+
+def test_positions_are_by_the_clock_of_the_wheels_and_without_the_one_that_is_wrong(yutu2: Rover) -> None:
+    drive = as_sent(yutu2, BENDS, 2.0)
+    table = drive.telemetry.copy()
+    fixes = np.flatnonzero(table.x_m.notna())
+    wrong = fixes[len(fixes) // 2]
+    table.loc[wrong, "x_m"] += 0.4
+    with pytest.warns(LunarSciWarning) as said:
+        found = states(csv(table), yutu2, BENDS)
+    assert any("position" in str(one.message) and "no motion" in str(one.message) for one in said)
+    sent_s = np.delete(table.time_s.to_numpy()[fixes], len(fixes) // 2)
+    assert found.positions.time_s == pytest.approx(sent_s[sent_s >= 2.0] - found.lag.lag_s, abs=0.6)
+    honest = predict(yutu2, GROUND, BENDS, sweep=(), time_step_s=0.05, sample_m=0.05)
+    true = np.column_stack([np.interp(found.positions.time_s, honest.time_s, honest.paths[0, :, k]) for k in (0, 1)])
+    assert np.sqrt(((found.positions.place_m - true) ** 2).mean()) < 2.0 * SensorErrors().position_m
+    assert position_table(found)["time_s"].to_numpy() == pytest.approx(found.positions.time_s)
+
+
+def test_a_wheel_that_stands_is_left_out_and_no_encoder_in_another_scale(drive: SyntheticDrive, yutu2: Rover) -> None:
+    table = drive.telemetry.drop(columns=[f"speed_{wheel}_m_s" for wheel in WHEELS])
+    table[["angle_MR_deg", "rate_MR_deg_s"]] = 0.0
+    with pytest.warns(LunarSciWarning, match="wheel MR turns 0.000 times as far .* left out"):
+        found = states(csv(table), yutu2, None)
+    assert not found.findings.doubt and not found.rows.measured[:, WHEELS.index("MR")].any()
+    others = found.rows.measured.copy()
+    assert np.delete(others, WHEELS.index("MR"), axis=1).all()

@@ -21,6 +21,7 @@ from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.regolith.soil import read_soil
 from lunarsci.tables import csv_bytes, numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.plans.motion import GAP
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,8 +40,6 @@ GPS_SIGMA_M, POSE_SIGMA_M, POSE_YAW_SIGMA_DEG = 0.03, 0.1, 1.0
 """Errors of the fixes, and of the poses that fuse them with pictures and inertial measurements; assumed. [m, m, deg]"""
 ANTENNA_M = (-0.260, 0.0, 0.340)
 """The GPS antenna from base_link: Lamarre et al. (2020), rover_main.urdf.xacro. [m]"""
-GAP = 5.0
-"""Times the median step from which on nothing is interpolated over a step; assumed, as `motion.GAP`."""
 HEIGHT_SIGMA_M, ATTITUDE_SIGMA = 0.01, 0.035
 """How far heights of a drive are off a plane, and slopes that follow from the attitude, 2 deg; assumed. [m, -]"""
 MARGIN_M, MARGIN_SHARE, NODES = 3.0, 0.25, 200

@@ -17,6 +17,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drives import drive_all, drive_finer
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, for_people
 from lunarsci.twin.simulation.members import SLOW, DriveSetup
+from lunarsci.twin.telemetry.odometry import fitted_twist, wheel_rows
 
 if TYPE_CHECKING:
     from lunarsci.twin.telemetry.reading import Telemetry
@@ -25,7 +26,7 @@ STEP_S, STEP_M = 0.1, 0.01
 """Longest step, in time and in way of the fastest rim; assumed, as the embedded plan has 0.1 s and 5 mm. [s, m]"""
 SAMPLE_S = 0.5
 """Between samples; assumed. [s]"""
-SIDEWAYS = 1e-3
+SIDEWAYS = 1e-6
 """Weight of what wheels do not move sideways, against what they roll, where no wheel steers: it counts where these
 leave a velocity open, hardly where skid steering drags wheels aside; assumed."""
 
@@ -176,23 +177,15 @@ def _stand_in(name: str, start: tuple[float, float, float], commands: Commands) 
     return Plan(name=name or "drive", legs=(leg,), speed_m_s=speed, x_m=x, y_m=y, heading_deg=heading)
 
 
-def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Speed of each wheel along and across its plane for unit velocities of the rover. (n, wheels, 3) each"""
-    x, y = rover.wheel_positions_m[:, :2].T
-    cos, sin = np.cos(steering_rad), np.sin(steering_rad)
-    return np.stack([cos, sin, x * sin - y * cos], axis=-1), np.stack([-sin, cos, x * cos + y * sin], axis=-1)
-
-
 def rigid_twist(rover: Rover, commands: Commands) -> FloatArray:
     """Velocity ahead, to the left [m/s] and turn [rad/s] that fit all rims best: the plain baseline. (steps, 3)
 
     Least squares of what each wheel rolls in its own plane, and does not move sideways; of a rover that steers no wheel
     the latter only decides the rest.
     """
-    along, across = wheel_rows(rover, commands.steering_rad[0])
-    rows = np.concatenate([along, (1.0 if rover.steered else SIDEWAYS) * across], axis=1)
-    right = np.concatenate([commands.speed_m_s[0], 0.0 * commands.speed_m_s[0]], axis=1)
-    return np.asarray(np.einsum("nik,nk->ni", np.linalg.pinv(rows), right))
+    rims = commands.speed_m_s[0]
+    weight = np.ones_like(rims), np.full_like(rims, 1.0 if rover.steered else SIDEWAYS)
+    return fitted_twist(*wheel_rows(rover, commands.steering_rad[0]), rims, 0.0 * rims, weight)
 
 
 def slips_alone(rover: Rover, turns: WheelTurns, time_s: float) -> tuple[FloatArray, FloatArray]:

@@ -48,16 +48,14 @@ def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
     draw_ground(axes, terrain, _window(points, terrain), 0.1)
     for k in range(places.shape[1]):
         axes.plot(*places[:, k].T, **(wheel_line(k) | {"linewidth": 0.9, "alpha": 0.9, "zorder": 3}))
-    motion, telemetry = drive.motion, drive.telemetry
+    motion, fixes = drive.motion, drive.positions
     axes.plot(motion.x_m, motion.y_m, color="white", linewidth=3.0, zorder=4)
     axes.plot(motion.x_m, motion.y_m, color=ACCENT, linewidth=1.6, zorder=5, label="smoothed way of the rover's origin")
     for begin, end in drive.gaps:
         inside = (motion.time_s >= begin) & (motion.time_s <= end)
         axes.plot(motion.x_m[inside], motion.y_m[inside], color=GOLD, linewidth=4.0, zorder=5.5, label="gap")
-    rows = telemetry.fixed & ~np.isin(telemetry.time_s, drive.left_out[:, 0])
-    fixes = telemetry.fix_m[rows]
-    axes.plot(*fixes.T, ".", color=INK, markersize=5, zorder=6, label="localised positions")
-    for (x, y), covariance in zip(fixes, telemetry.fix_covariance_m2[rows], strict=True):
+    axes.plot(*fixes.place_m.T, ".", color=INK, markersize=5, zorder=6, label="localised positions")
+    for (x, y), covariance in zip(fixes.place_m, fixes.covariance_m2, strict=True):
         values, axis = np.linalg.eigh(covariance)
         angle = float(np.degrees(np.arctan2(axis[1, 1], axis[0, 1])))
         size = 6.0 * np.sqrt(values)

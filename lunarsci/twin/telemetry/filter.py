@@ -135,13 +135,16 @@ def linearised(nodes: Nodes, reference: ReferenceMotion) -> Linear:
     moved = np.column_stack([cos * full[:, 0] - sin * full[:, 1], sin * full[:, 0] + cos * full[:, 1], full[:, 2]])
     inputs = onto @ added
     shift = before[:, :3] + moved - np.einsum("nij,nj->ni", pose, before) - inputs @ constants
-    return Linear(pose, inputs, shift, *_measured(nodes, reference, full))
+    return Linear(pose, inputs, shift, *_measured(nodes, reference, moved))
 
 
-def _measured(nodes: Nodes, reference: ReferenceMotion, full: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What positions and headings say of state and constants, about a reference: the last three of `Linear`."""
+def _measured(nodes: Nodes, reference: ReferenceMotion, moved: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What positions and headings say of state and constants, about a reference: the last three of `Linear`.
+
+    `moved` is how far each step goes in x, y and heading, by wheels and deviations. (n - 1, 3) [m, m, rad]
+    """
     state, constants = reference.state, reference.constants
-    back, rate = _put_back(nodes, state, full, float(constants[LAG]))
+    back, rate = _put_back(nodes, moved, float(constants[LAG]))
     turned = state[:, 2] + back[:, 2]
     cos, sin = np.cos(turned), np.sin(turned)
     arm = np.column_stack([cos * constants[9] - sin * constants[10], sin * constants[9] + cos * constants[10]])
@@ -164,20 +167,12 @@ def _measured(nodes: Nodes, reference: ReferenceMotion, full: FloatArray) -> tup
     return seen, by, value
 
 
-def _put_back(nodes: Nodes, state: FloatArray, full: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
+def _put_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
     """How far behind the rover was a lag before each node, and its velocity there. (n, 3), (n, 3) [m, m, rad; a second]
 
     By the velocities of wheels and deviations, not as smoothed: errors of positions would be moved along.
     """
     steps = np.diff(nodes.time_s)[:, None]
-    middle = state[:-1, 2] + 0.5 * full[:, 2]
-    moved = np.column_stack(
-        [
-            np.cos(middle) * full[:, 0] - np.sin(middle) * full[:, 1],
-            np.sin(middle) * full[:, 0] + np.cos(middle) * full[:, 1],
-            full[:, 2],
-        ]
-    )
     rate = moved / steps
     path = np.vstack([np.zeros(3), np.cumsum(moved, axis=0)])
     path = np.vstack([path[:1] - FARTHEST_S * rate[:1], path, path[-1:] + FARTHEST_S * rate[-1:]])
@@ -252,10 +247,8 @@ class Model:
 
     def _stationary(self, channel: int) -> FloatArray:
         """Covariance of a deviation and its derivative. (m, 2, 2)"""
-        rate, still = (
-            math.sqrt(3.0) / self.assumptions.length_m[:, channel],
-            np.zeros((len(self.assumptions.walk), 2, 2)),
-        )
+        rate = math.sqrt(3.0) / self.assumptions.length_m[:, channel]
+        still = np.zeros((len(rate), 2, 2))
         still[:, 0, 0], still[:, 1, 1] = 1.0, rate**2
         return np.asarray(still * self.assumptions.amplitude[:, channel, None, None] ** 2)
 

@@ -6,10 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.twin.telemetry.filter import linearised
 from lunarsci.twin.telemetry.motion_nodes import DRIFT, LAG, LEVER, SCALE, SLIDES, Nodes
 from lunarsci.twin.telemetry.nuisances import Hypothesis, Posterior, Priors
-from lunarsci.twin.telemetry.reading import Findings
+from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.smoother import MEDIAN_OF_TWO, Smoothed
 
 HELD = 0.5
@@ -181,3 +182,19 @@ def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     if scatter > WORST_SCATTER:
         what = f"positions scatter about the motion with {math.sqrt(scatter):.1f} times the errors that they say"
         findings.add("positions scatter", what, "their errors are taken to be so much larger")
+
+
+def counted_positions(
+    sent: Telemetry, rows: IndexArray, nodes: Nodes, smoothed: Smoothed, left_out: FloatArray
+) -> Positions:
+    """Those that count, without what the localised point's place on the rover and what is left of a lag add."""
+    used = nodes.fixed & ~np.isin(nodes.time_s, left_out[:, 0])
+    members = np.r_[LEVER, LAG]
+    added = linearised(nodes, smoothed.reference).by[:, :2, members] @ smoothed.posterior.mean[members]
+    shared = None
+    if sent.fix_shared_m2 is not None:
+        # The one before may have been left out; what the two share is then not known.
+        after_used = np.append(False, used[nodes.fixed][:-1])[used[nodes.fixed]]
+        shared = sent.fix_shared_m2[rows][used] * after_used[:, None, None]
+    place, covariance = sent.fix_m[rows] - added, sent.fix_covariance_m2[rows]
+    return Positions(nodes.time_s[used], place[used], covariance[used], shared)

@@ -32,8 +32,7 @@ LOOSE_M = 1.0
 POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; assumed. [m]"""
 TURN_PER_STEP = 0.03
-"""Share that the turn of a step may be off by, by the shape of the ground below a turn on the spot;
-assumed."""
+"""Share that the turn of a step may be off by, as by the shape of the ground below a turn on the spot; assumed."""
 BEND_M = 5.0
 """Radius of the turn in which slip makes the turn deviate as much again as on a straight way; assumed. [m]"""
 LINEAR_S = 0.5

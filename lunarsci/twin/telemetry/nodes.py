@@ -362,7 +362,8 @@ def slips_of(velocities: WheelVelocities, motion: Motion) -> Slips:
     travel_sigma = np.sqrt(np.einsum("mwi,mij,mwj->mw", by, covariance, by))
     scale_sigma = np.sqrt(np.maximum(covariance[:, 3, 3], 1e-300))[:, None]
     shared = steep * np.abs(np.einsum("mwi,mi->mw", by, covariance[:, :, 3])) / scale_sigma
-    squared = v_x**2 + v_y**2
+    # A wheel that does not move at all, as at a halt, has no direction; its state is not measured.
+    squared = np.maximum(v_x**2 + v_y**2, CREEP_M_S**2)
     weights = (across * np.abs(v_x)[..., None] - velocities.along * (np.sign(v_x) * v_y)[..., None]) / squared[
         ..., None
     ]

@@ -19,8 +19,8 @@ from lunarsci.twin.telemetry.motion_nodes import DRIFT, LAG, LEVER, OFFSET, SCAL
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
 LEVEL, LEVEL_SIGMA = -0.03, (0.15, 0.02)
-"""Deviation ahead on level ground, and its standard deviation and that to the left, as of slips on soils drawn from the
-default priors: 0.03, 16 to 84 % from -0.04 to 0.11; the latter is assumed."""
+"""Deviation ahead on level ground: soils drawn from the default priors slip by 0.03 in the median, and 16 to 84 % by
+-0.04 to 0.11. Its standard deviation is twice as wide, lest it draw the radius along, and that to the left; assumed."""
 EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02, 0.02)
 """Of the coefficients: slip grows about as the slope is steep, side slip about twice so, and a rover that steers turns
 about as its wheels say; assumed, as wide as soils drawn from the default priors differ (0.4 to 2.2, 0.8 to 5, -0.1 to

@@ -92,6 +92,8 @@ DISAGREE = 0.03
 SAID, UNDER_WAY = 0.01, 0.3
 """How far an encoder's scale must be off to be said, and share of the highest speed from which a wheel tells it;
 assumed."""
+MOST_SCALE = 1.5
+"""Farthest that an encoder's scale is off, as by another wheel or gear; assumed."""
 MOST_STEPS = 2000
 """Steps between rows that the scale is found from."""
 
@@ -121,8 +123,12 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
     _, k, expected = min(left)
     turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
     ratio = rims[some, k][turning] / expected[turning]
-    scale = float(np.median(ratio))
-    rims[:, k] /= scale
+    scale, trusted = float(np.median(ratio)), wheels.trusted.copy()
+    if 1.0 / MOST_SCALE < scale < MOST_SCALE:
+        rims[:, k] /= scale
+    else:
+        # A wheel that stands, or turns otherwise altogether, is no encoder that counts in another scale.
+        rims[:, k], trusted[:, k] = np.nan, False
     off_m_s = float(np.median(body_twist(rover, rims[some], steering)[1])) / wheels.usual_m_s
     if off_m_s > DISAGREE:
         what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
@@ -131,8 +137,9 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
         return wheels
     if abs(scale - 1.0) > SAID:
         what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
-        findings.add("encoder scale", what, "its angles and rates are taken to be in that scale")
-    return replace(wheels, rim_m_s=rims)
+        done = "its angles and rates are taken to be in that scale" if trusted[:, k].any() else "it is left out"
+        findings.add("encoder scale", what, done)
+    return replace(wheels, rim_m_s=rims, trusted=trusted)
 
 
 LEAST_LOAD = 0.05

@@ -16,13 +16,14 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.errors import DataError
+from lunarsci.twin.telemetry.nuisances import MEAN_SIGMA
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.smoother import FREEDOM
 
-SLIPS, CHANGES, TURNS, TURNS_PER_M = np.array([0.3, 0.1]), 0.1, 0.1, math.radians(0.5)
-"""Standard deviation of what slip makes of ways ahead and to the left throughout, and of how it changes between
-positions; of a turn, and of a turn on a straight way. The first are `nuisances.MEAN_SIGMA`; all assumed. [-, -, -,
-rad/m]"""
+SLIPS = np.array(MEAN_SIGMA[:2])
+"""Standard deviation of what slip makes of ways ahead and to the left throughout, as in `nuisances`."""
+CHANGES, TURNS, TURNS_PER_M = 0.1, 0.1, math.radians(0.5)
+"""The same of how it changes between positions, of a turn, and of a turn on a straight way; assumed. [-, -, rad/m]"""
 APART_M, FEWEST = 0.4, 4
 """Way between positions that are compared, and how many there are at least; assumed. [m]"""
 USUAL = np.array([0.15, 0.1])
@@ -76,7 +77,6 @@ class Reading:
 AS_NAMED = Reading(meaning="", ln_odds=0.0)
 ROLLED_ALONE = Reading(meaning="x_m and y_m are computed from the wheels", way_sigma=ROLLED, least_m=FINEST_M)
 ANY = Reading(meaning="another frame", way_sigma=2.0, turn=0.0, ln_odds=RARE)
-STEERED_RAD, STEERED_RIGHT = "the steering angles look like rad", "steering is positive to the right"
 READINGS = (
     AS_NAMED,
     ROLLED_ALONE,
@@ -93,8 +93,8 @@ READINGS = (
         heading=_scaled(-1.0),
         place=lambda p: p * [1.0, -1.0],
     ),
-    Reading(meaning=STEERED_RIGHT, turn=-1.0),
-    Reading(meaning=STEERED_RAD, turn=math.degrees(1.0)),
+    Reading(meaning="steering is positive to the right", turn=-1.0),
+    Reading(meaning="the steering angles look like rad", turn=math.degrees(1.0)),
     Reading(meaning="errors of positions look like mm", errors=1e-3),
     Reading(meaning="errors of positions look like cm", errors=1e-2),
     *(

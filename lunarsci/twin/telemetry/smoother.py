@@ -16,7 +16,15 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.twin.telemetry.filter import Model, ReferenceMotion, TriedProcesses, filtered, linearised, smoothed_back
+from lunarsci.twin.telemetry.filter import (
+    FilterRun,
+    Model,
+    ReferenceMotion,
+    TriedProcesses,
+    filtered,
+    linearised,
+    smoothed_back,
+)
 from lunarsci.twin.telemetry.motion_nodes import AHEAD, EFFECTS, MEANS, SCALE, SIZE, Nodes, at_nodes
 from lunarsci.twin.telemetry.nuisances import Posterior, Priors, averaged, likely_sets
 from lunarsci.twin.telemetry.slip_process import SlipProcess, change_of
@@ -27,8 +35,6 @@ MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 FREEDOM = 4.0
 """Of Student's law of the errors of positions and headings (Gelman et al. 2013, ch. 17: few degrees, as 4)."""
-
-
 ROUNDS = 4
 """Of weights, constants and the motion about which the model is linear, until they agree."""
 HELD_BYTES = 1 << 28
@@ -94,8 +100,12 @@ class Smoothed:
         return np.asarray(picks @ self.covariance @ np.swapaxes(picks, 1, 2))
 
 
-def smooth(nodes: Nodes, change: SlipProcess | None = None, priors: Priors | None = None,
-           start: ReferenceMotion | None = None) -> Smoothed:  # fmt: skip
+def smooth(
+    nodes: Nodes,
+    change: SlipProcess | None = None,
+    priors: Priors | None = None,
+    start: ReferenceMotion | None = None,
+) -> Smoothed:
     """The motion that explains positions and headings best, with its uncertainty.
 
     Parameters
@@ -178,12 +188,7 @@ def _about(
     model = Model.about(nodes, reference, change.middle)
     run = smoothed_back(model, filtered(model))
     (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
-    onto = _onto(run.columns[:, 0, :, 1:])
-    covariance = onto @ found.covariance @ np.swapaxes(onto, 1, 2)
-    covariance[:, :SIZE, :SIZE] += run.covariance[:, 0]
-    state = onto @ found.mean
-    state[:, :SIZE] += run.columns[:, 0, :, 0]
-    return state, covariance, found.mean
+    return *_joined(run, 0, found), found.mean
 
 
 def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
@@ -200,9 +205,7 @@ def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) 
         fixes = np.nan_to_num(_squared_distances(nodes, off, spread, fix_weight)[0])
         headings = np.nan_to_num(_yaw_squared_distances(nodes, off, spread, yaw_weight))
         fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
-        reference = ReferenceMotion(
-            state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight
-        )
+        reference = replace(reference, state=state[:, :SIZE], constants=constants)
         if max(fixes.max(), headings.max()) < FAR:
             return reference
         far = fixes >= max(FAR, fixes.max())
@@ -212,10 +215,14 @@ def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) 
     return reference
 
 
-def _onto(columns: FloatArray) -> FloatArray:
-    """State and constants as linear in the constants (n, 11 + k, k), from those of the state. (n, 11, k)"""
-    same = np.broadcast_to(np.eye(columns.shape[2]), (len(columns), columns.shape[2], columns.shape[2]))
-    return np.concatenate([columns, same], axis=1)
+def _joined(run: FilterRun, number: int, found: Posterior) -> tuple[FloatArray, FloatArray]:
+    """State and constants together, and their covariance, for one of the assumptions."""
+    columns, size = run.columns[:, number], len(found.mean)
+    onto = np.concatenate([columns[..., 1:], np.broadcast_to(np.eye(size), (len(columns), size, size))], axis=1)
+    state, covariance = onto @ found.mean, onto @ found.covariance @ np.swapaxes(onto, 1, 2)
+    state[:, :SIZE] += columns[..., 0]
+    covariance[:, :SIZE, :SIZE] += run.covariance[:, number]
+    return state, covariance
 
 
 def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -250,11 +257,8 @@ def _averaged(
         model = Model.about(nodes, reference, assumed)
         run = smoothed_back(model, filtered(model))
         for k, posterior in enumerate(averaged(priors, run, sets)):
-            onto = _onto(run.columns[:, k, :, 1:])
-            covariance += onto @ posterior.covariance @ np.swapaxes(onto, 1, 2)
-            covariance[:, :SIZE, :SIZE] += run.covariance[:, k]
-            means[first + k] = onto @ posterior.mean
-            means[first + k, :, :SIZE] += run.columns[:, k, :, 0]
+            means[first + k], own = _joined(run, k, posterior)
+            covariance += own
             found.append(posterior)
     mean = means.mean(axis=0)
     apart = means - mean

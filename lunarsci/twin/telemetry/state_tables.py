@@ -51,24 +51,20 @@ def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
 
 
 def position_table(drive: DriveStates) -> "pd.DataFrame":
-    """The localised positions that were used: time_s, x_m, y_m, xx_m2, xy_m2, yy_m2, and `SHARED` where it is known."""
+    """`DriveStates.positions`: time_s, x_m, y_m, xx_m2, xy_m2, yy_m2, and `SHARED` where it is known."""
     import pandas as pd
 
-    telemetry = drive.telemetry
-    rows = telemetry.fixed & ~np.isin(telemetry.time_s, drive.left_out[:, 0])
-    covariance = telemetry.fix_covariance_m2[rows]
+    used = drive.positions
     columns = {
-        "time_s": telemetry.time_s[rows],
-        "x_m": telemetry.fix_m[rows, 0],
-        "y_m": telemetry.fix_m[rows, 1],
-        "xx_m2": covariance[:, 0, 0],
-        "xy_m2": covariance[:, 0, 1],
-        "yy_m2": covariance[:, 1, 1],
+        "time_s": used.time_s,
+        "x_m": used.place_m[:, 0],
+        "y_m": used.place_m[:, 1],
+        "xx_m2": used.covariance_m2[:, 0, 0],
+        "xy_m2": used.covariance_m2[:, 0, 1],
+        "yy_m2": used.covariance_m2[:, 1, 1],
     }
-    if telemetry.fix_shared_m2 is not None:
-        after_used = np.append(False, rows[telemetry.fixed][:-1])[rows[telemetry.fixed]]
-        shared = telemetry.fix_shared_m2[rows] * after_used[:, None, None]
-        columns |= dict(zip(SHARED, shared.reshape(-1, 4).T, strict=True))
+    if used.shared_m2 is not None:
+        columns |= dict(zip(SHARED, used.shared_m2.reshape(-1, 4).T, strict=True))
     return pd.DataFrame(columns)
 
 

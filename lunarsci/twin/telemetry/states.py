@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from lunarsci.twin.telemetry.checks import (
 )
 from lunarsci.twin.telemetry.findings_of_drive import (
     Lag,
+    counted_positions,
     left_out_of,
     say_constants,
     say_left_out,
@@ -53,15 +54,11 @@ from lunarsci.twin.telemetry.nuisances import LATE_S, Priors
 from lunarsci.twin.telemetry.odometry import body_twist, of_one_motion
 from lunarsci.twin.telemetry.plan_checks import check_against_plan
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
-from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.readings import as_meant
 from lunarsci.twin.telemetry.slip_process import SlipProcess
 from lunarsci.twin.telemetry.smoother import Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
-
-if TYPE_CHECKING:
-    pass
-
 
 MOST_LAGS = 3
 """Times that a lag is put back and looked for again."""
@@ -123,7 +120,8 @@ class DriveStates:
     nodes, smoothed, motion, held : the motion at its nodes, and the rover along it on the terrain.
     rows : states of the wheels.
     gaps : begin and end of the gaps in time. (g, 2) [s]
-    left_out : positions that hardly count, as they fit no motion: time, x, y. (o, 3) [s, m, m]
+    positions : those that count, of the rover's origin and by the clock of its wheels, with the errors they came with.
+    left_out : those that hardly count, as they fit no motion: time, x, y. (o, 3) [s, m, m]
     findings : what was found wrong.
     lag : how much later the rover moves than its wheels say.
     pace : how fast the wheels turned beside the plan; None where there is no plan, or nothing measured.
@@ -137,6 +135,7 @@ class DriveStates:
     held: PrescribedLoads
     rows: StateRows
     gaps: FloatArray
+    positions: Positions
     left_out: FloatArray
     findings: Findings
     lag: Lag
@@ -238,6 +237,7 @@ def _along_the_ground(
     say_left_out(smoothed, nodes, findings)
     say_scatter(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
+    left_out = left_out_of(smoothed, bare)
     return DriveStates(
         rover=rover,
         telemetry=telemetry,
@@ -247,7 +247,8 @@ def _along_the_ground(
         held=held,
         rows=_state_rows(dense, rover, wheels, nodes, smoothed, motion, held, rows, gaps, findings),
         gaps=between,
-        left_out=left_out_of(smoothed, bare),
+        positions=counted_positions(dense, rows, nodes, smoothed, left_out),
+        left_out=left_out,
         findings=findings,
         lag=lag,
     )
