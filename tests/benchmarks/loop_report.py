@@ -1,6 +1,7 @@
 """Tables of `loop.py`: how well the return is predicted, and whether beliefs hold what is true."""
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ def report(rows: list[dict[str, Any]]) -> str:
     for reading in readings:
         own = [row | row["updates"][reading] for row in rows if reading in row["updates"]]
         parts += [f"\n# Positions known to 4 % of the way, read as {reading}\n", returns(own), "\n" + losses(own)]
-        parts += ["\n" + regions(own), "\n" + parameters(own), "\n" + health(own)]
+        parts += ["\n" + regions(own), "\n" + verdicts(own), "\n" + parameters(own), "\n" + health(own)]
     return "\n".join(parts)
 
 
@@ -103,6 +104,54 @@ def regions(rows: list[dict[str, Any]]) -> str:
                           f"{np.median(of(found, 'radius_90_m')):.3f}"])  # fmt: skip
     head = ["physics", "discrepancy", "90 % regions hold", "50 % regions hold", "spread [m]", "radius of 90 % [m]"]
     return "Regions of the return (wanted: 0.85-0.95, 0.40-0.60, spread <= 0.15 m)\n" + table(head, lines)
+
+
+RISKS = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+"""Edges of the bins of stated risk."""
+
+
+def clustered(pairs: list[tuple[int, bool]]) -> str:
+    """A share, and twice its standard error, by soils, each of which may have several."""
+    if not pairs:
+        return "-"
+    soils, hits = (np.array(part) for part in zip(*pairs, strict=True))
+    share, each = float(hits.mean()), np.unique(soils)
+    sums = np.array([(hits[soils == soil] - share).sum() for soil in each])
+    error = np.sqrt((sums**2).sum() * len(each) / max(len(each) - 1, 1)) / len(hits)
+    return f"{share:.2f}±{2.0 * error:.2f} of {len(hits)}"
+
+
+def verdicts(rows: list[dict[str, Any]]) -> str:
+    """Of plans with one limit each: how many keep it, by verdict, and the Brier score of the stated risk."""
+    lines, bins = [], []
+    for (name, _), own in groups(rows, terrains=False).items():
+        kinds = {
+            "before the drive": [(r["soil"], one["kept"], one["untaught"]) for r in own for one in r["limits"]],
+            "after it": [
+                (r["soil"], one["kept"], said)
+                for r in own
+                for one, said in zip(r["limits"], r["verdicts"], strict=True)
+            ],
+        }
+        for kind, found in kinds.items():
+            by = {
+                word: clustered([(soil, kept) for soil, kept, said in found if said["verdict"] == word])
+                for word in ("go", "no-go")
+            }
+            failed, risk = (np.array(part, dtype=float) for part in zip(*((not k, s["risk"]) for _, k, s in found),
+                                                                        strict=True))  # fmt: skip
+            plain = failed.mean()
+            lines.append([name, kind, f"{1.0 - plain:.2f}", *by.values(), f"{np.mean((risk - failed) ** 2):.3f}",
+                          f"{plain * (1.0 - plain):.3f}"])  # fmt: skip
+            for low, high in pairwise(RISKS):
+                some = (risk > low) & (risk <= high)
+                if some.any():
+                    bins.append([name, kind, f"{low:g}-{high:g}", str(int(some.sum())), f"{risk[some].mean():.3f}",
+                                 f"{failed[some].mean():.3f}"])  # fmt: skip
+    head = ["physics", "belief", "keep", "GO keep (wanted >= 0.93)", "NO-GO would keep (<= 0.25)", "Brier",
+            "Brier of the mean"]  # fmt: skip
+    risks = ["physics", "belief", "stated risk", "plans", "its mean", "failed"]
+    return "Plans with a drawn limit\n" + table(head, lines) + "\n\nStated risks\n" + table(risks, bins)
 
 
 def losses(rows: list[dict[str, Any]]) -> str:

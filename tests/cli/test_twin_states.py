@@ -173,7 +173,7 @@ def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
     bare = table.drop(columns=["x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"])
     fixed.to_csv(tmp_path / "fixed.csv", index=False)
     bare.to_csv(tmp_path / "bare.csv", index=False)
-    assert "columns are missing: x_m, y_m, sigma_m" in run("twin", "states", tmp_path / "bare.csv", plan).err[-1]
+    assert "columns are missing: x_m, y_m;" in run("twin", "states", tmp_path / "bare.csv", plan).err[-1]
     wheels = []
     for lines in (
         (sent / "telemetry.csv", plan),

@@ -396,15 +396,32 @@ def test_other_formats_say_the_same(drive: SyntheticDrive, yutu2: Rover, suffix:
     assert other.synthetic and one.synthetic
 
 
-def test_units_of_an_ecsv_must_be_those_of_its_names(drive: SyntheticDrive, yutu2: Rover) -> None:
+def test_units_of_an_ecsv_and_of_names_are_taken_as_they_say(drive: SyntheticDrive, yutu2: Rover) -> None:
     from astropy import units as u
     from astropy.table import Table
 
-    table = Table.from_pandas(drive.telemetry)
-    table["yaw_deg"].unit = u.rad
+    plain = read_telemetry(file(drive.telemetry), yutu2, Findings("a.csv"))
+    other = {"yaw_deg": (u.rad, "yaw_rad"), "x_m": (u.mm, "x_mm"), "xx_m2": (u.mm**2, "xx_mm2"),
+             "rate_FL_deg_s": (u.rad / u.s, "rate_FL_rad_s"), "speed_MR_m_s": (u.km / u.h, "speed_MR_km_h"),
+             "time_s": (u.ms, "time_ms"), "yaw_deg_sigma": (u.rad, "yaw_rad_sigma")}  # fmt: skip
+    table, named = Table.from_pandas(drive.telemetry), drive.telemetry.copy()
+    for name, (unit, meant) in other.items():
+        own = {"yaw_deg": u.deg, "x_m": u.m, "xx_m2": u.m**2, "rate_FL_deg_s": u.deg / u.s, "speed_MR_m_s": u.m / u.s,
+               "time_s": u.s, "yaw_deg_sigma": u.deg}[name]  # fmt: skip
+        table[name] = own.to(unit, np.asarray(table[name], dtype=float)) * unit
+        named = named.rename(columns={name: meant}).assign(**{meant: own.to(unit, named[name].to_numpy())})
     text = io.StringIO()
     table.write(text, format="ascii.ecsv")
-    with pytest.raises(DataError, match="yaw_deg is in rad"):
+    for found in (
+        read_telemetry(InputFile("a.ecsv", text.getvalue().encode()), yutu2, Findings("a.ecsv")),
+        read_telemetry(file(named), yutu2, Findings("a.csv")),
+    ):
+        for name in ("time_s", "fix_m", "fix_covariance_m2", "yaw_deg", "yaw_deg_sigma", "rate_deg_s", "speed_m_s"):
+            np.testing.assert_allclose(getattr(found, name), getattr(plain, name), rtol=1e-9)
+    table["yaw_deg"].unit = u.kg
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    with pytest.raises(DataError, match="yaw_deg is in kg"):
         read_telemetry(InputFile("a.ecsv", text.getvalue().encode()), yutu2, Findings("a.ecsv"))
 
 

@@ -56,11 +56,6 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
         )
     if len(telemetry.time_s) < LEAST_ROWS:
         raise DataError(f"{telemetry.file}: {len(telemetry.time_s)} rows with a time; give {LEAST_ROWS} or more")
-    if telemetry.time_s[0] < 0:
-        raise DataError(
-            f"{telemetry.file}: time_s begins at {telemetry.time_s[0]:.6g}; it counts from the start of the plan: give "
-            f"`start_time` {telemetry.time_s[0]:.6g} if that is its start, or `since` 0 to leave out what was before"
-        )
     return telemetry
 
 
@@ -124,10 +119,9 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     """Steering of every row and wheel, and where it is known, not found from the rows beside. (n, wheels) [deg]
 
     Readings that hang or jump away from the command are replaced by it and said. Raises DataError for a wheel that has
-    none, and for angles that are in rad or beyond 90 degrees.
+    none, and for angles beyond 90 degrees.
     """
     measured, told = telemetry.steered_deg.copy(), telemetry.steering_deg
-    _check_unit(telemetry.file, measured, told)
     for k, wheel in enumerate(rover.wheels):
         _mend(telemetry, k, wheel, measured, told, findings)
     angle = np.where(np.isfinite(measured), measured, told)
@@ -148,20 +142,6 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     if np.abs(angle).max() > 90.0:
         raise DataError(f"{telemetry.file}: steering angles reach {np.abs(angle).max():.4g} deg; give -90 to 90 deg")
     return angle, known
-
-
-def _check_unit(file: str, measured: FloatArray, told: FloatArray) -> None:
-    both = np.isfinite(measured) & np.isfinite(told)
-    both &= np.maximum(np.abs(measured), np.abs(told)) > 1.0
-    if both.sum() < 5:
-        return
-    a, b = measured[both], told[both]
-    ratio = float((a * b).sum() / (b * b).sum())
-    if ratio < -0.5:
-        raise DataError(f"{file}: steered_W_deg and steering_W_deg have opposite signs; both are positive to the left")
-    if 0.01 < ratio < 0.03 or 30 < ratio < 100:
-        wrong = "steered_W_deg" if ratio < 1 else "steering_W_deg"
-        raise DataError(f"{file}: {wrong} looks like rad beside the other; convert it to degrees")
 
 
 def _mend(telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, told: FloatArray, findings: Findings) -> None:

@@ -10,11 +10,16 @@ from typing import TYPE_CHECKING
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, InputStream
 from lunarsci.tables import csv_tables, line_pieces, parquet_tables
+from lunarsci.twin.telemetry.columns import UNIT, UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from lunarsci.twin.telemetry.reading import Findings
+
+
+SPELLED = {"deg_s": "deg/s", "rpm": "cycle/min", "turns": "cycle", "m2": "m2", "cm2": "cm2", "mm2": "mm2"}
+"""Units that astropy spells otherwise than names of columns do."""
 
 
 def tables_of(stream: InputStream, findings: "Findings") -> "Iterator[pd.DataFrame]":
@@ -51,19 +56,21 @@ def _read_ecsv(source: InputFile) -> "pd.DataFrame":
             frame = _flat(source.name, table.to_pandas())
     except Exception as error:
         raise DataError(f"{source.name}: not an ECSV table that can be read ({_line(error)})") from error
-    for name, unit in units.items():
-        _check_unit(source.name, name, unit)
-    return frame
+    return frame.rename(columns={name: _in_unit(source.name, name, unit) for name, unit in units.items()})
 
 
-def _check_unit(file: str, name: str, unit: str) -> None:
-    """A column must be in the unit that its name says."""
+def _in_unit(file: str, name: str, unit: str) -> str:
+    """The name of a column that ends in the unit the file says, where that is another one than its name has."""
     from astropy import units as u
 
-    ends = {"_m_s": "m/s", "_deg_s": "deg/s", "_m2": "m2", "_deg_sigma": "deg", "_deg": "deg", "_s": "s", "_m": "m"}
-    wanted = next((text for end, text in ends.items() if name.endswith(end)), None)
-    if wanted is not None and u.Unit(unit) != u.Unit(wanted):
-        raise DataError(f"{file}: {name} is in {unit}, its name says {wanted}; convert it")
+    match, said = UNIT.search(name), u.Unit(unit)
+    if match is None:
+        return name
+    for own, others in UNITS.items():
+        for end in (own, *others):
+            if said == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
+                return f"{name[: match.start()]}_{end}{name[match.end() :]}"
+    raise DataError(f"{file}: {name} is in {unit}; give it in {' or '.join(UNITS)}")
 
 
 def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":

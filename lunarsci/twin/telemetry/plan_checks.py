@@ -1,15 +1,15 @@
 """Telemetry beside the plan that is said to have been driven: clock, halts, commands, start."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at, make_schedule
+from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.checks import UNDER_WAY
+from lunarsci.twin.telemetry.checks import UNDER_WAY, taken
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 
 STEERING_DEG, SPEED_SHARE = 2.0, 0.25
@@ -33,19 +33,26 @@ STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
 """What slowing down and speeding up again cost, beside the halt itself; of the ramps assumed. [s]"""
 
 
-def check_against_plan(telemetry: Telemetry, rover: Rover, plan: Plan, findings: Findings) -> None:
-    """Say where telemetry and plan differ: clock, commands, coverage, start.
+def by_the_plan(
+    telemetry: Telemetry, rover: Rover, schedule: Schedule, findings: Findings
+) -> tuple[Telemetry, bool, float]:
+    """Telemetry by the clock of a plan; whether its commands are the plan's, and how much longer it stood still. [s]
 
-    Raises DataError where the commands are those of another plan, or `time_s` of another clock.
+    Another clock is found by the commands, and said. So are halts that the plan does not have, and other commands.
     """
-    schedule = make_schedule(plan, rover)
-    beside = _Beside(telemetry, rover, schedule)
+    plan, beside = schedule.plan, _Beside(telemetry, rover, schedule)
     halts = () if plan.fixes else beside.halts()
     if halts:
         _say_halts(halts, schedule, findings)
     elif plan.fixes is None:
-        _check_commands(beside, findings)
-    _check_coverage(telemetry, schedule, sum(halt.longer_s for halt in halts), findings)
+        return *_clocked(telemetry, beside, findings), 0.0
+    return telemetry, bool(halts), sum(halt.longer_s for halt in halts)
+
+
+def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findings: Findings) -> None:
+    """Say where telemetry begins or ends otherwise than its plan, which halts made so much longer."""
+    plan = schedule.plan
+    _check_coverage(telemetry, schedule, longer_s, findings)
     _check_heading(telemetry, plan, findings)
     rows = np.flatnonzero(telemetry.fixed)
     if rows.size and telemetry.time_s[rows[0]] < EDGE_S:
@@ -241,11 +248,12 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
     return f"split leg {before + number + 1} of the plan after {way}, with a [[leg]] of stop_s = {stop_s:.4g} between"
 
 
-def _check_commands(beside: _Beside, findings: Findings) -> None:
+def _clocked(telemetry: Telemetry, beside: _Beside, findings: Findings) -> tuple[Telemetry, bool]:
+    """Telemetry by the clock of the plan, and whether its commands are the plan's."""
     times, whole = beside.times, np.ones(len(beside.times), dtype=bool)
     now = beside.share_off(times, whole)
     if now <= SOME or now * len(times) < 3:
-        return
+        return telemetry, True
     end = beside.schedule.duration_s
     far = bool(((times >= 0.0) & (times <= end))[beside.under_way].mean() < COVERED)
     first = float(times[beside.under_way][0])
@@ -254,36 +262,40 @@ def _check_commands(beside: _Beside, findings: Findings) -> None:
     shares = np.array([beside.share_off(times - shift, whole) for shift in shifts])
     good = np.flatnonzero(shares <= shares.min() + 1e-12)
     best = int(good[np.argmin(np.abs(shifts[good] - (first if far else 0.0)))])
-    fits = bool(shares[best] < min(FITS, 0.5 * now) and abs(shifts[best]) > step)
     start = f"`start_time` {beside.start_s + shifts[best]:.12g}"
     text = f"the commands of {100 * now:.0f} % of the rows are not those of the plan at their times"
-    if far:
-        told = f"they are those of the plan with {start}" if fits else "give the time_s of its start as `start_time`"
-        raise DataError(
-            f"{beside.file}: time_s counts from the start of the plan, which ends at {end:.4g} s, but goes from "
-            f"{times[0] + beside.start_s:.12g} to {times[-1] + beside.start_s:.12g}; the wheels first turn at "
-            f"{first + beside.start_s:.12g}: {told}"
-        )
-    if fits:
+    if shares[best] < min(FITS, 0.5 * now) and abs(shifts[best]) > step:
         way = "late" if shifts[best] > 0 else "early"
-        what = f"{text}; they fit if the clock is {abs(shifts[best]):.3g} s {way}"
-        done = f"times are kept as they are: give {start}"
-        if abs(shifts[best]) * beside.schedule.plan.speed_m_s <= NEAR_M and beside.first_off()[2]:
-            done += f"; if the clock is right, {BLEND}"
-        findings.add("clock offset", what, done, doubt=True)
-        return
-    off_s, what, joins = beside.first_off()
-    if now > MOST:
-        raise DataError(
-            f"{beside.file}: {text}, at no shift of the clock; first {off_s:.6g} s after its start, "
-            f"where {what}; give the plan that was driven, and its `rover`"
+        what = f"{text}; they fit if the clock is {abs(shifts[best]):.12g} s {way}"
+        near = abs(shifts[best]) * beside.schedule.plan.speed_m_s <= NEAR_M
+        # Wheels that turn before the plan begins, or behind its end, are by another clock.
+        if near and ((times >= 0.0) & (times <= end))[beside.turning].all() and beside.first_off()[2]:
+            findings.add(
+                "clock offset", what, f"times are kept as they are: give {start}; if the clock is right, {BLEND}",
+                doubt=True,
+            )  # fmt: skip
+            return telemetry, False
+        fits = bool(shares[best] <= SOME)
+        findings.add("clock offset", what, f"times count from there, as {start} has it", doubt=not fits)
+        rows = taken(telemetry, times >= shifts[best])
+        return replace(rows, time_s=rows.time_s - shifts[best], start_s=beside.start_s + shifts[best]), fits
+    if far:
+        what = f"the plan ends {end:.4g} s after its start, and time_s goes from {times[0]:.12g} to {times[-1]:.12g}"
+        done = (
+            f"times are kept as they are: give the time_s of its start as `start_time`; wheels turn from {first:.12g}"
         )
+        findings.add("another clock", what, done, doubt=True)
+        return telemetry, False
+    off_s, what, joins = beside.first_off()
     done, doubt = "the telemetry's are taken; give the plan that was driven", beside.last_off_s() > EDGE_S
     if not doubt:
         text += ", all of them at its start"
         done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
+    elif now > MOST:
+        done += ", and its `rover`"
     elif joins:
         text += ", most of them near joins of arcs"
         done = f"the telemetry's are taken; {BLEND}"
     said = f"{text}; first {what}"
     findings.add("other commands", said, done, count=round(now * len(times)), time_s=off_s, doubt=doubt)
+    return telemetry, not doubt

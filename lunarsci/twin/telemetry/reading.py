@@ -13,7 +13,7 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, open_input
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, check_telemetry_columns
+from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, check_telemetry_columns, named_columns
 from lunarsci.twin.telemetry.pieces import tables_of
 from lunarsci.twin.telemetry.rests import RowsKept
 
@@ -137,8 +137,8 @@ class Telemetry:
 OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
 DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
 SYNTHETIC = ("true", "1", "1.0")
-YAW_SIGMA_DEG = 0.3
-"""Error of a heading whose error is not given; assumed. [deg]"""
+YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
+"""Error of a heading, and of a position, whose error is not given; assumed. [deg, m]"""
 
 SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
 """Covariance of x and y of a position with x and y of the one in the row before."""
@@ -259,19 +259,26 @@ def read_telemetry(
 
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
     """The columns that count, of a piece."""
-    names = [str(name) for name in table.columns]
+    columns = named_columns([str(name) for name in table.columns])
+    names = list(columns)
     check_telemetry_columns(file, names, rover, placed=placed)
     known = [name for name in _known(names, rover) if placed or name not in OF_PLACES]
-    for form in WHEEL_COLUMNS.values():
-        present = [form.format(wheel) in names for wheel in rover.wheels]
-        if any(present) and not all(present):
-            missing = form.format(rover.wheels[present.index(False)])
-            raise DataError(f"{file}: no column {missing}, but those of other wheels; add it or drop them all")
-    first = str(next(iter(table["time_s"].dropna()), ""))
+    first = str(next(iter(table[columns["time_s"][0]].dropna()), ""))
     if DATE.match(first):
-        text = "write seconds, such as those since 1970, and give those of the plan's start as `start_time`"
-        raise DataError(f"{file}, time_s: '{first}' is a date; {text}")
-    return {name: numbers_of(file, name, table[name]) for name in known}
+        table = table.assign(**{columns["time_s"][0]: _since_1970_s(file, table[columns["time_s"][0]])})
+    return {name: columns[name][1] * numbers_of(file, columns[name][0], table[columns[name][0]]) for name in known}
+
+
+def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
+    """Dates as seconds since 1970, in UTC where they do not say. Raises DataError for what is none."""
+    import pandas as pd
+
+    try:
+        parsed = pd.to_datetime(dates, utc=True, format="ISO8601")
+    except ValueError as error:
+        text = "give dates as 2026-11-24T10:00:00Z, or seconds"
+        raise DataError(f"{file}, time_s: '{dates.iloc[0]}' is no date that can be read; {text}") from error
+    return (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
 
 
 def _telemetry(
@@ -282,6 +289,10 @@ def _telemetry(
     blank = np.full(count, np.nan)
     if "x_m" not in names:
         values |= dict.fromkeys(("x_m", "y_m", "sigma_m", *ERRORS), blank)
+    if "sigma_m" not in values and not all(name in values for name in ERRORS):
+        done = f"{POSITION_SIGMA_M:g} m assumed, or as much as they scatter by; add a column sigma_m"
+        findings.add("no position error", "no errors of x_m and y_m", done, count=kept.read)
+        values["sigma_m"] = np.full(count, POSITION_SIGMA_M)
     yaw_sigma = values.get("yaw_deg_sigma", blank)
     if not np.isfinite(yaw_sigma).any():
         done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"

@@ -57,7 +57,7 @@ class Reading:
     heading, place : from a column as written to what is meant. (n,) [deg], (n, 2) [m]
     metres : of a position's unit. Positions that are many times smaller than they seem fit any motion the better; so
         their density counts, and not that of headings, whose scatter tells nothing of a unit where a drive is straight.
-    turn : what it makes of the turn that the wheels say.
+    turn, rims : what it makes of the turn that the wheels say, as their steering is, and of how far they roll.
     errors : what is meant over what is written of the errors of positions.
     ln_odds : beforehand.
     way_sigma, least_m : share of the way, and length, by which positions scatter; None takes slips and stated errors.
@@ -68,6 +68,7 @@ class Reading:
     place: Callable[[FloatArray], FloatArray] = _same
     metres: float = 1.0
     turn: float = 1.0
+    rims: float = 1.0
     errors: float = 1.0
     ln_odds: float = STRANGE
     way_sigma: float | None = None
@@ -95,6 +96,7 @@ READINGS = (
     ),
     Reading(meaning="steering is positive to the right", turn=-1.0),
     Reading(meaning="the steering angles look like rad", turn=math.degrees(1.0)),
+    Reading(meaning="the turns of the wheels look like rad", rims=math.degrees(1.0)),
     Reading(meaning="errors of positions look like mm", errors=1e-3),
     Reading(meaning="errors of positions look like cm", errors=1e-2),
     *(
@@ -105,17 +107,20 @@ READINGS = (
 """What writers of telemetry do; another frame is one that no reading explains."""
 
 
-def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, skids: bool = False) -> Telemetry:
+def as_meant(
+    telemetry: Telemetry, twist: FloatArray, findings: Findings, *, skids: bool = False, as_planned: bool = False
+) -> Telemetry:
     """Telemetry as it is most probably meant; said where that is not as its columns are named.
 
-    `twist` is the velocity that wheels without slip say between rows (n - 1, 3), `skids` whether none is steered.
-    Raises DataError where several readings are alike, or where it is the steering that is meant otherwise.
+    `twist` is the velocity that wheels without slip say between rows (n - 1, 3), `skids` whether none is steered,
+    `as_planned` whether steering is that of a plan. Raises DataError where several readings are alike.
     """
+    readings = [one for one in READINGS if not as_planned or one.turn in (0.0, 1.0)]
     ln_probable = np.array(
-        [one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in READINGS]
+        [one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in readings]
     )
-    best = READINGS[int(np.argmax(ln_probable))]
-    near = [one for one, own in zip(READINGS, ln_probable, strict=True) if own > ln_probable.max() - ALIKE]
+    best = readings[int(np.argmax(ln_probable))]
+    near = [one for one, own in zip(readings, ln_probable, strict=True) if own > ln_probable.max() - ALIKE]
     if AS_NAMED in near:
         return telemetry
     if best is ROLLED_ALONE:
@@ -124,7 +129,7 @@ def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, ski
     elif best is ANY:
         what = "positions, headings and wheels tell of different motions, in any frame and unit"
         findings.add("heading against motion", what, "kept as they are", doubt=True)
-    elif len(near) > 1 or best.turn != 1.0:
+    elif len(near) > 1:
         told = ", or ".join(one.meaning for one in near)
         raise DataError(
             f"{telemetry.file}: {told}; x is to the right of the map, y up, yaw_deg from x towards y in degrees, "
@@ -135,14 +140,22 @@ def as_meant(telemetry: Telemetry, twist: FloatArray, findings: Findings, *, ski
         yaw = best.heading(telemetry.yaw_deg)
         known = np.isfinite(yaw)
         yaw[known] = np.unwrap(yaw[known], period=360.0)
-        errors = best.errors**2 * telemetry.fix_covariance_m2
-        return dataclasses.replace(telemetry, yaw_deg=yaw, fix_m=best.place(telemetry.fix_m), fix_covariance_m2=errors)
+        return dataclasses.replace(
+            telemetry,
+            yaw_deg=yaw,
+            fix_m=best.place(telemetry.fix_m),
+            fix_covariance_m2=best.errors**2 * telemetry.fix_covariance_m2,
+            steering_deg=best.turn * telemetry.steering_deg,
+            steered_deg=best.turn * telemetry.steered_deg,
+            angle_deg=best.rims * telemetry.angle_deg,
+            rate_deg_s=best.rims * telemetry.rate_deg_s,
+        )
     return telemetry
 
 
 def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a reading makes positions and headings, up to a constant that all readings share."""
-    rows, times = _apart(telemetry, twist), telemetry.time_s
+    rows, times, twist = _apart(telemetry, twist), telemetry.time_s, reading.rims * twist
     known = np.isfinite(telemetry.yaw_deg)
     yaw = np.radians(np.interp(times, times[known], reading.heading(telemetry.yaw_deg)[known]))
     steps, middle = np.diff(times), 0.5 * (yaw[1:] + yaw[:-1])

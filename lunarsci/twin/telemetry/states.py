@@ -3,13 +3,14 @@
 import dataclasses
 import itertools
 import math
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import CLIFF, HOLE, LEFT, OVERTURNED
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
@@ -52,13 +53,14 @@ from lunarsci.twin.telemetry.nodes import (
 )
 from lunarsci.twin.telemetry.nuisances import LATE_S, Priors
 from lunarsci.twin.telemetry.odometry import body_twist, of_one_motion
-from lunarsci.twin.telemetry.plan_checks import check_against_plan
+from lunarsci.twin.telemetry.plan_checks import by_the_plan, check_ends
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.readings import as_meant
 from lunarsci.twin.telemetry.slip_process import SlipProcess
 from lunarsci.twin.telemetry.smoother import Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
+from lunarsci.twin.telemetry.wheel_readings import in_units
 
 MOST_LAGS = 3
 """Times that a lag is put back and looked for again."""
@@ -173,41 +175,49 @@ def states_of(
 
     Raises DataError for telemetry that cannot be used, or that is not in the frame or the units it should be.
     """
-    telemetry = ordered(telemetry, findings)
-    gaps = time_gaps(telemetry, findings)
-    wheels = wheel_motion(telemetry, rover, gaps, findings, planned=plan is not None)
-    angle, known = steering_angles(telemetry, rover, findings)
-    wheels = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1])
-    steering = np.radians(angle)
-    schedule = None if plan is None else make_schedule(plan, rover)
-    wheels = of_one_motion(wheels, rover, 0.5 * (steering[1:] + steering[:-1]), findings)
-    twist, way = _way(rover, telemetry, wheels, steering, schedule)
-    turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
-    telemetry = usable_positions(telemetry, way, findings)
-    telemetry = usable_headings(telemetry, turned, findings)
-    telemetry = as_meant(telemetry, twist, findings, skids=not rover.steered_mask.any())
-    pace = None
+    telemetry, schedule = in_units(ordered(telemetry, findings), rover, findings), None
+    as_planned, longer_s, pace = False, 0.0, None
     if plan is not None:
-        check_against_plan(telemetry, rover, plan, findings)
-        pace = check_pace(wheels.rim_m_s, wheels.measured, telemetry, rover, plan, findings)
-    found = _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, lag_s, findings)
+        schedule = make_schedule(plan, rover)
+        telemetry, as_planned, longer_s = by_the_plan(telemetry, rover, schedule, findings)
+    sent = _turned(telemetry, rover, findings, planned=plan is not None)
+    twist, way = _way(rover, sent, schedule)
+    turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
+    telemetry = usable_headings(usable_positions(telemetry, way, findings), turned, findings)
+    skids = not rover.steered_mask.any()
+    meant = as_meant(telemetry, twist, findings, skids=skids, as_planned=as_planned)
+    if (meant.turned_deg != telemetry.turned_deg).any() or (meant.angle_deg != telemetry.angle_deg).any():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LunarSciWarning)
+            sent = _turned(meant, rover, Findings(meant.file), planned=plan is not None)
+    sent = sent._replace(telemetry=meant)
+    if plan is not None and schedule is not None:
+        check_ends(meant, schedule, longer_s, findings)
+        pace = check_pace(sent.wheels.rim_m_s, sent.wheels.measured, meant, rover, plan, findings)
+    found = _along_the_ground(sent, rover, terrain, schedule, lag_s, findings)
     return dataclasses.replace(found, pace=pace)
 
 
+def _turned(telemetry: Telemetry, rover: Rover, findings: Findings, *, planned: bool) -> Rows:
+    """How the wheels turned and were steered."""
+    gaps = time_gaps(telemetry, findings)
+    wheels = wheel_motion(telemetry, rover, gaps, findings, planned=planned)
+    angle, known = steering_angles(telemetry, rover, findings)
+    wheels, steering = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1]), np.radians(angle)
+    return Rows(telemetry, of_one_motion(wheels, rover, 0.5 * (steering[1:] + steering[:-1]), findings), steering, gaps)
+
+
 def _along_the_ground(
-    telemetry: Telemetry,
+    sent: Rows,
     rover: Rover,
     terrain: Terrain,
-    wheels: WheelMotion,
-    steering_rad: FloatArray,
-    gaps: BoolArray,
     schedule: Schedule | None,
     lag_s: float,
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
-    between = np.column_stack([telemetry.time_s[:-1][gaps], telemetry.time_s[1:][gaps]])
-    sent = Rows(telemetry, wheels, steering_rad, gaps)
+    times = sent.telemetry.time_s
+    between = np.column_stack([times[:-1][sent.gaps], times[1:][sent.gaps]])
     found = _first_motion(sent, rover, schedule, lag_s)
     if far_s := lag_of_turns(found.nodes):
         # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
@@ -240,7 +250,7 @@ def _along_the_ground(
     left_out = left_out_of(smoothed, bare)
     return DriveStates(
         rover=rover,
-        telemetry=telemetry,
+        telemetry=sent.telemetry,
         nodes=nodes,
         smoothed=smoothed,
         motion=motion,
@@ -267,7 +277,7 @@ class _FirstMotion(NamedTuple):
 
 def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: float) -> _FirstMotion:
     sent = denser(put_back(sent, lag_s))
-    twist, way = _way(rover, sent.telemetry, sent.wheels, sent.steering_rad, schedule)
+    twist, way = _way(rover, sent, schedule)
     nodes, rows = nodes_of(sent, twist, way)
     nodes = dataclasses.replace(nodes, effect=turn_effect(nodes))
     priors = _priors_of(nodes, rover, sent.wheels)
@@ -278,17 +288,15 @@ def _priors_of(nodes: Nodes, rover: Rover, wheels: WheelMotion) -> Priors:
     return Priors.of_drive(nodes, skids=not rover.steered_mask.any(), told_share=wheels.told_share)
 
 
-def _way(
-    rover: Rover, telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray, schedule: Schedule | None
-) -> tuple[FloatArray, FloatArray]:
+def _way(rover: Rover, sent: Rows, schedule: Schedule | None) -> tuple[FloatArray, FloatArray]:
     """Twist that wheels without slip say between rows, and the way of the rims.
 
     A wheel that slips on purpose counts as fast as it would turn without.
     """
-    times, rims = telemetry.time_s, wheels.rim_m_s
+    times, rims, steering = sent.telemetry.time_s, sent.wheels.rim_m_s, sent.steering_rad
     if schedule is not None:
         rims = rims / commanded_ratios(rover, schedule, 0.5 * (times[1:] + times[:-1]))
-    twist, _ = body_twist(rover, rims, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
+    twist, _ = body_twist(rover, rims, 0.5 * (steering[1:] + steering[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, way
 

@@ -9,21 +9,8 @@ from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.rests import TURNED_DEG
+from lunarsci.twin.telemetry.wheel_readings import between
 
-UNITS = {
-    np.pi / 180.0: "rad where degrees are wanted",
-    180.0 / np.pi: "degrees where rad are wanted",
-    100.0: "cm instead of m",
-    1000.0: "mm instead of m",
-    3.6: "km/h instead of m/s",
-    1.0 / 60.0: "turns a minute or a unit of minutes",
-    6.0: "degrees a second where turns a minute are meant",
-}
-"""Factors by which a value in the wrong unit is off."""
-ALIKE = 0.15
-"""How near, in ln, a ratio must come to such a factor; assumed."""
-APART = 0.5
-"""Share by which rate and commanded speed may differ in the median unsaid; assumed. A motor may be slower than told."""
 MISFIT = 0.25
 """Share of the expected turn, and [deg] `MISFIT_DEG`, by which an encoder's step may differ from its rate; assumed."""
 MISFIT_DEG = 3.0
@@ -36,8 +23,6 @@ STILL_SHARE = 0.05
 """Share of the usual rim speed below which a wheel stands; assumed."""
 MOSTLY = 0.6
 """Share of equal readings above which a channel is merely coarse or free of noise; assumed."""
-TOO_FAST = 3.0
-"""Times the rover's highest speed which no rim has; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,17 +57,16 @@ def wheel_motion(
 
     `gaps` are steps between rows over which nothing was sent (n - 1,); `planned` says that the clock will be compared
     with a plan too. Resets and wraps of an encoder, readings that hang, runs without a reading, and a clock that jumps
-    against all encoders are said. Raises DataError for values in another unit.
+    against all encoders are said. Raises DataError where no wheel turns, and for rows that tell of none.
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
-    _check_scale(telemetry, rover, per_deg)
     steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
-    told = _between(telemetry.speed_m_s) / per_deg
+    told = between(telemetry.speed_m_s) / per_deg
     angle = np.diff(telemetry.angle_deg, axis=0)
-    hung = _hanging_angles(telemetry, rover, angle, np.where(np.isfinite(told), told, _between(telemetry.rate_deg_s)))
+    hung = _hanging_angles(telemetry, rover, angle, np.where(np.isfinite(told), told, between(telemetry.rate_deg_s)))
     # The step at which an encoder that hung moves on holds all it missed.
     angle[hung | np.vstack([np.zeros_like(hung[:1]), hung[:-1]])] = np.nan
-    rate = _between(_sound_rates(telemetry, rover, angle / steps, told, findings, hung))
+    rate = between(_sound_rates(telemetry, rover, angle / steps, told, findings, hung))
     # Noise of a wheel that stands is no motion: over hours it would add up to one.
     for turn in (told, rate, angle):
         turn[resting] *= 0.0
@@ -113,13 +97,6 @@ def wheel_motion(
     )
 
 
-def _between(values: FloatArray) -> FloatArray:
-    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
-    before, after = values[:-1], values[1:]
-    both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
-
-
 def resting_steps(telemetry: Telemetry) -> BoolArray:
     """Steps over which the rover stands: all wheels are told so, and none gets any further. (n - 1,)"""
     told = (telemetry.speed_m_s == 0).all(axis=1)
@@ -129,44 +106,6 @@ def resting_steps(telemetry: Telemetry) -> BoolArray:
         turned = np.abs(telemetry.angle_deg[begin + 1 : end + 1] - telemetry.angle_deg[begin])
         resting[begin:end] = not (turned > TURNED_DEG).any()
     return np.asarray(resting | telemetry.rested)
-
-
-def _check_scale(telemetry: Telemetry, rover: Rover, per_deg: float) -> None:
-    """The units of rates, speeds and encoders."""
-    top = TOO_FAST * rover.max_speed_m_s
-    rim, told = per_deg * telemetry.rate_deg_s, telemetry.speed_m_s
-    if np.isfinite(told).any() and np.nanmax(np.abs(told)) > top:
-        largest = np.nanmax(np.abs(told))
-        raise DataError(
-            f"{telemetry.file}: commanded speeds reach {largest:.4g} m/s, {rover.name} drives at most "
-            f"{rover.max_speed_m_s:g} m/s; are they in cm/s, mm/s or deg/s? speed_W_m_s is r_s omega in m/s"
-        )
-    _check_ratio(telemetry.file, "rate_W_deg_s", "speed_W_m_s", rim, told)
-    turned = np.diff(telemetry.angle_deg, axis=0) / np.diff(telemetry.time_s)[:, None]
-    _check_ratio(telemetry.file, "angle_W_deg", "rate_W_deg_s", turned, _between(telemetry.rate_deg_s))
-    _check_ratio(telemetry.file, "angle_W_deg", "speed_W_m_s", per_deg * turned, _between(told))
-    if np.isfinite(rim).any() and np.nanpercentile(np.abs(rim), 90) > top:
-        raise DataError(
-            f"{telemetry.file}: rate_W_deg_s makes rims of up to {np.nanmax(np.abs(rim)):.4g} m/s; is it in another "
-            "unit than deg/s, or of another rover's wheels?"
-        )
-
-
-def _check_ratio(file: str, name: str, other: str, values: FloatArray, wanted: FloatArray) -> None:
-    known = np.isfinite(values) & np.isfinite(wanted)
-    known &= np.abs(wanted) > 0.3 * np.max(np.abs(wanted), where=known, initial=0.0)
-    if known.sum() < 3:
-        return
-    ratio = float(np.median(values[known] / wanted[known]))
-    if abs(ratio - 1.0) <= APART:
-        return
-    factor = next((k for k in UNITS for f in (k, 1 / k) if ratio > 0 and abs(np.log(ratio / f)) < ALIKE), None)
-    if ratio < 0:
-        raise DataError(f"{file}: {name} and {other} have opposite signs; forward is positive in both")
-    if abs(ratio) < 0.02 and factor is None:
-        raise DataError(f"{file}: {name} is {ratio:.3g} of what {other} says; do the wheels turn, is a column wrong?")
-    hint = f" ({UNITS[factor]}?)" if factor else ""
-    raise DataError(f"{file}: {name} is {ratio:.4g} times what {other} says{hint}; convert one of them")
 
 
 def _mended_steps(
@@ -253,7 +192,7 @@ def _sound_rates(
 ) -> FloatArray:
     """Rates without those that hang, or that encoder and command both deny. (n, wheels) [deg/s]"""
     rate = telemetry.rate_deg_s.copy()
-    between = _between(rate)
+    middles = between(rate)
     for k, wheel in enumerate(rover.wheels):
         hung = stuck[:, k]
         if hung.any():
@@ -263,7 +202,7 @@ def _sound_rates(
         same = np.append(False, np.diff(rate[:, k]) == 0)
         still = np.abs(np.nan_to_num(rate[:, k])) == 0
         runs = _long_runs(same & ~still) if same.mean() < MOSTLY else np.zeros(len(same), dtype=bool)
-        both = np.abs(between[:, k] - told[:, k]) > MISFIT_DEG + MISFIT * np.abs(told[:, k])
+        both = np.abs(middles[:, k] - told[:, k]) > MISFIT_DEG + MISFIT * np.abs(told[:, k])
         both &= np.abs(turned[:, k] - told[:, k]) < MISFIT_DEG + MISFIT * np.abs(told[:, k])
         odd = np.zeros(len(same), dtype=bool)
         odd[:-1] |= both
