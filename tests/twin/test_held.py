@@ -10,7 +10,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.lanes import OUTCOMES
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
+from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, _velocities, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
@@ -206,3 +206,12 @@ def test_commands_must_fit_the_rover(yutu2: Rover, slope, driven) -> None:  # ty
     ):
         with pytest.raises(ParameterError, match=says):
             prescribed_loads(yutu2, slope(), dataclasses.replace(motion, **changes))
+
+
+def test_a_turn_at_uneven_times_has_the_spin_of_its_heading() -> None:
+    random = np.random.default_rng(4)
+    times, yaw = np.cumsum(random.uniform(0.5, 3.0, 12)), np.cumsum(random.uniform(-0.2, 0.3, 12))
+    poses = np.zeros((12, 10))
+    poses[:, 3], poses[:, 6] = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    spin = _velocities(times, poses)[:, 3:6]
+    assert spin == pytest.approx(np.column_stack([0.0 * yaw, 0.0 * yaw, np.gradient(yaw, times)]), abs=1e-12)

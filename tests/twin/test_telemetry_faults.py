@@ -748,3 +748,14 @@ def test_a_wheel_that_stands_is_left_out_and_no_encoder_in_another_scale(drive: 
     assert not found.findings.doubt and not found.rows.measured[:, WHEELS.index("MR")].any()
     others = found.rows.measured.copy()
     assert np.delete(others, WHEELS.index("MR"), axis=1).all()
+
+
+def test_a_turn_on_the_spot_has_a_motion_and_no_slip(yutu2: Rover) -> None:
+    plan = Plan(name="turn", legs=(Leg(turn_deg=70.0), Leg(stop_s=10.0)), speed_m_s=0.05)
+    out = predict(yutu2, GROUND, plan, sweep=(), time_step_s=0.05, sample_m=0.05)
+    sent = simulate_telemetry(out, SensorErrors(), 3)
+    with pytest.warns(LunarSciWarning, match="no slip: the rover does not drive between positions"):
+        found = measured_states(InputFile("turn.csv", csv(sent.telemetry)), plan=plan)
+    assert not found.drive.rows.measured.any() and not found.untrusted
+    assert found.drive.motion.yaw_deg[-1] == pytest.approx(out.paths[0, -1, 5], abs=0.5)
+    assert np.isnan(found.to_dict()["wheels"]["FL"]["slip_ratio"]["median"])

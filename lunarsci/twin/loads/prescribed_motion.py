@@ -146,8 +146,11 @@ def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
 
     known: Any = np.isfinite(poses).all(axis=1)
     turned = Rotation.from_quat(np.where(known[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
-    ahead, behind = np.append(np.arange(1, len(poses)), len(poses) - 1), np.append(0, np.arange(len(poses) - 1))
-    spin = (turned[ahead] * turned[behind].inv()).as_rotvec() / (time_s[ahead] - time_s[behind])[:, None]
+    steps = np.diff(time_s)[:, None]
+    spins = (turned[1:] * turned[:-1].inv()).as_rotvec() / steps
+    # Weighed as `np.gradient` does: the nearer step counts the more.
+    inner = (steps[:-1] * spins[1:] + steps[1:] * spins[:-1]) / (steps[1:] + steps[:-1])
+    spin = np.concatenate([spins[:1], inner, spins[-1:]])
     rates = np.gradient(poses, time_s, axis=0)
     return np.column_stack([rates[:, :3], spin, rates[:, 7:]])
 
