@@ -46,6 +46,7 @@ __all__ = [
     "left_out",
     "published_points",
     "published_verdicts",
+    "stated",
     "states_of",
     "with_sign_turned",
 ]
@@ -178,10 +179,10 @@ def states_of(runs: Runs) -> WheelStates:
     faster = travel <= rim
     slip = np.where(faster, 1 - travel / np.maximum(rim, 1e-12), rim / np.maximum(travel, 1e-12) - 1)
     slip = np.where(rim > 0, slip, -1.0)
-    return _stated(np.column_stack([runs.sinkage, slip, runs.angle, runs.forces]))
+    return stated(np.column_stack([runs.sinkage, slip, runs.angle, runs.forces]))
 
 
-def _stated(values: np.ndarray) -> WheelStates:
+def stated(values: np.ndarray) -> WheelStates:
     sigmas = np.column_stack([MeasurementErrors().of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
     return WheelStates(tuple(str(n) for n in range(len(values))), values, np.nan_to_num(sigmas))
 
@@ -280,7 +281,7 @@ def published_verdicts(data: Path) -> dict[str, FitVerdict]:
         names = ("meas_sinkage_m", "slip", "vertical_load_n", "meas_drawbar_pull_n")
         sinkage, slip, load, pull = (group[name].to_numpy(float) for name in names)
         blank = np.full(len(group), np.nan)
-        states = _stated(np.column_stack([sinkage, slip, blank, load, pull, blank]))
+        states = stated(np.column_stack([sinkage, slip, blank, load, pull, blank]))
         law, _ = compare_laws(states, wheel, candidates(states))
         posterior = infer_soil(states, wheel, model=law.model, contact=law.contact)
         found[f"{source}, grousers of {1e3 * height:.0f} mm"] = posterior.verdict

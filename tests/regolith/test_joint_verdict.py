@@ -10,6 +10,7 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
+from lunarsci.regolith.inference.misfit import Lesson, misfit_at
 from lunarsci.regolith.inference.mode import Mode
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import (
@@ -21,10 +22,10 @@ from lunarsci.regolith.inference.prediction import (
     predict_forces,
     predict_states,
 )
-from lunarsci.regolith.inference.problem import problem_of, shares_at
+from lunarsci.regolith.inference.problem import forces_of_many, problem_of, shares_at
 from lunarsci.regolith.inference.verdict import least_chi_square, suspects
 from lunarsci.regolith.integrals import integrated_forces
-from lunarsci.regolith.prior import PARAMETERS, default_prior
+from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import ContactModel, read_wheel
@@ -231,16 +232,40 @@ def test_a_verdict_that_is_not_trusted_says_why() -> None:
 
 
 def test_the_model_errs_more_where_nothing_taught_it(right: SoilPosterior) -> None:
-    """At a taught state its own error; 0.3 of slip away 1 - 1/e of the variance elsewhere comes to it; far off all."""
-    taught = replace(right, taught=np.array([[0.1, 0.0], [0.4, 0.0]]))
+    """At a taught state its own error; 0.6 of slip away 1 - 1/e of the variance elsewhere comes to it; far off all."""
     own = np.array(right.verdict.model_error)
-    elsewhere = max(own.max(), 0.1)
-    found = shares_at(own, taught.taught, np.array([[0.4, 0.0], [0.7, 0.0], [0.1, 15.0], [0.1, 80.0]]))
+    elsewhere = np.maximum(own.max(), [0.4, 0.1, 0.1])
+    places = np.array([[0.1, 0.0], [0.4, 0.0]])
+    found = shares_at(own, places, np.array([[0.4, 0.0], [1.0, 0.0], [0.1, 30.0], [0.1, 150.0]]))
     part = 1.0 - math.exp(-1.0)
     assert found == pytest.approx(np.sqrt(own**2 + np.array([0.0, part, part, 1.0])[:, None] * elsewhere**2), rel=1e-9)
-    drawn = predict_forces(taught, WHEEL, [0.1, 0.1], [0.0, 45.0], [36.0, 36.0], [0.01, 0.01], draws=2000)
+    assert right.lesson is not None
+    straight = Lesson(WHEEL, right.lesson.inputs * [1.0, 1.0, 0.0], right.lesson.forces)
+    taught = replace(right, lesson=straight)
+    drawn = predict_forces(taught, WHEEL, [0.1], [90.0], [36.0], [0.01], draws=2000)
     low, high = drawn.interval()
-    assert (high - low)[1, 2] > 2.0 * 1.6 * elsewhere * 36.0 * 0.9
+    assert (high - low)[0, 2] > 2.0 * 1.6 * elsewhere[2] * 36.0 * 0.9
+
+
+def test_what_a_law_misses_is_found_beside_the_states_that_taught_it(right: SoilPosterior) -> None:
+    """Forces are off by a smooth share of the load and by 1 % of their own at 60 states: 60 others are predicted."""
+    random, best = np.random.default_rng(3), values_of(right.prior, right.mode)
+    inputs = np.column_stack([np.full(120, 0.01), random.uniform(0.0, 0.6, 120), random.uniform(-30.0, 30.0, 120)])
+    own = 0.3 * np.sin(4.0 * inputs[:, 1]) * np.cos(np.radians(3.0 * inputs[:, 2]))
+    shares = np.column_stack([own, -own, 0.5 * own]) + 0.01 * random.standard_normal((120, 3))
+    plain = forces_of_many(best[None], inputs, WHEEL, right.model)[0].T
+    # Loads are those that the wheel then carries.
+    load = plain[:, 0] / (1.0 - shares[:, 0])
+    forces = plain + shares * load[:, None]
+    lesson = Lesson(WHEEL, inputs[::2], forces[::2])
+    assert lesson.missed(best, right.model) == pytest.approx(shares[::2])
+    error = tuple(map(float, shares.std(axis=0)))
+    found = misfit_at(error, lesson, best, right.model, inputs[1::2, 1:])
+    off = (shares[1::2] - found.mean(best)) / found.sigma
+    assert np.sqrt(np.mean((shares[1::2] - found.mean(best)) ** 2)) < 0.02 < 0.3 * max(error)
+    assert 0.5 < off.std() < 1.3
+    nothing = misfit_at(error, None, best, right.model, inputs[:2, 1:])
+    assert (nothing.mean(best) == 0.0).all() and nothing.sigma[0] == pytest.approx(error)
 
 
 def test_a_parameter_that_no_soil_has_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:

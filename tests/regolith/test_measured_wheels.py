@@ -66,7 +66,9 @@ def test_points_of_published_curves(bench: Any, reference_data: Path) -> None:
 
 
 def test_a_joint_fit_explains_the_measured_wheel_and_predicts_repetitions_left_out(bench: Any, runs: Any) -> None:
-    """Measured over all repetitions: drawbar 0.06 of the load without and 0.10 with side slip, lateral 0.09.
+    """Measured over all repetitions: drawbar 0.037 of the load without and 0.031 with side slip, lateral 0.044.
+
+    Intervals hold the stated errors of forces, a thirtieth, which are larger than repetitions scatter by.
 
     It predicts well with numbers that no soil of the Moon and no wheel of the priors has, and says so.
     """
@@ -79,10 +81,27 @@ def test_a_joint_fit_explains_the_measured_wheel_and_predicts_repetitions_left_o
     assert 0.5 <= (found.verdict.reduced_chi_square or 0) <= 2
     misses, held, which = bench.left_out(states, wheel, bench.JOINT, runs.repetition, (1,))
     straight = runs.angle[which] == 0
-    assert np.sqrt(np.mean(misses[straight, 1] ** 2)) <= 0.10
-    assert np.sqrt(np.mean(misses[~straight, 1] ** 2)) <= 0.12
-    assert np.sqrt(np.mean(misses[:, 2] ** 2)) <= 0.12
-    assert 0.82 <= held.mean() <= 0.97
+    assert np.sqrt(np.mean(misses[straight, 1] ** 2)) <= 0.05
+    assert np.sqrt(np.mean(misses[~straight, 1] ** 2)) <= 0.045
+    assert np.sqrt(np.mean(misses[:, 2] ** 2)) <= 0.06
+    assert 0.9 <= held.mean() <= 0.99
+
+
+def test_a_slip_angle_left_out_is_predicted_better_than_by_the_nearest_run(bench: Any, runs: Any) -> None:
+    """At the load alone, where the nearest run misses the pull by 0.21 and the lateral force by 0.42 of it."""
+    states, wheel = bench.states_of(runs), bench.read_wheel("cmu-grouser")
+    out = runs.angle == 30
+    found = bench.infer_soil(bench.part_of(states, ~out), wheel, model=bench.JOINT.model, contact=True)
+    slip, side, load = states.values[out, 1:4].T
+    told = bench.predict_forces(found, wheel, slip, side, load)
+    off = (told.value - states.values[out, 3:])[:, 1:] / load[:, None]
+    columns = states.values[:, 1:4] / states.values[:, 1:4].std(axis=0)
+    near = ((columns[out][:, None] - columns[~out]) ** 2).sum(axis=2).argmin(axis=1)
+    shares = states.values[:, 4:] / states.values[:, 3:4]
+    nearest = shares[~out][near] - shares[out]
+    rms, plain = (np.sqrt(np.mean(part**2, axis=0)) for part in (off, nearest))
+    assert (rms < [0.12, 0.2]).all() and (rms < plain).all()
+    assert told.holds(states.values[out, 3:])[:, 1:].mean() > 0.85
 
 
 @pytest.mark.parametrize("column", ["slip_ratio", "drawbar_pull_n", "lateral_force_n"])

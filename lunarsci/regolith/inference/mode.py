@@ -17,7 +17,6 @@ from lunarsci.regolith.inference.problem import (
     STEP,
     JointProblem,
     common_share,
-    neighbours,
     part_of,
     shares_of,
     states_alike,
@@ -199,10 +198,6 @@ def find_mode(
     return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
 
-MOST_STRETCH = 3.0
-"""Factor by which errors are enlarged at most; assumed."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOut:
     """Residuals of a group of g states that was left out, whitened, state by state F_N, F_DP, F_L.
@@ -240,16 +235,3 @@ def left_out(mode: Mode, groups: IndexArray) -> list[LeftOut]:
         unknown = j @ rest @ j.T
         found.append(LeftOut(own, w + unknown @ w / mode.alike, np.eye(len(w)) + unknown))
     return found
-
-
-def stretch_of(mode: Mode) -> tuple[float, float, float]:
-    """How many times wider than stated errors of F_N, F_DP and F_L are where neighbours were left out, 1 to 3. [-]"""
-    groups = neighbours(mode.problem.inputs, mode.problem.wheel.radius_m)
-    squares, count = np.zeros(3), np.zeros(3)
-    for left in left_out(mode, groups):
-        good = np.isfinite(mode.problem.forces[left.states]) & mode.kept[left.states, None]
-        ratio = (left.away**2 / np.diag(left.spread)).reshape(-1, 3)
-        squares += np.where(good, ratio, 0.0).sum(axis=0)
-        count += good.sum(axis=0)
-    wide = np.clip(np.sqrt(squares / np.maximum(count, 1)), 1.0, MOST_STRETCH)
-    return (float(wide[0]), float(wide[1]), float(wide[2]))

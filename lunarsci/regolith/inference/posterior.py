@@ -20,13 +20,13 @@ from scipy.special import ndtri
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import CLOSED, CONTACT_ANGLES, FitVerdict, SoilBelief, verdict_line
+from lunarsci.regolith.inference.misfit import Lesson
 from lunarsci.regolith.inference.mode import (
     Mode,
     find_mode,
     mode_with_errors,
     mode_without_outliers,
     profile_limits,
-    stretch_of,
 )
 from lunarsci.regolith.inference.problem import part_of, problem_of, tail_of
 from lunarsci.regolith.inference.verdict import judge
@@ -65,12 +65,11 @@ class SoilPosterior:
     model : choices of the exact integrals; None for the closed form.
     verdict : whether a soil of the model explains the states, and the model's error.
     tail : degrees of freedom of the Student law that the residuals follow.
-    stretch : how many times wider than stated errors of F_N, F_DP, F_L are where neighbouring states were left out.
     autocorrelation : of sampled draws, the largest correlation left with where they were before their last moves; None
         for the normal approximation.
     profiled : (4, p) 68 % and 95 % limits by profile, None where they were not asked for.
     disputed : parameters of which another law that predicts as well finds another value.
-    taught : slip ratio [-] and side slip [deg] of the states kept; empty where they are not known. (n, 2)
+    lesson : the states kept; None where they are not known.
     """
 
     mode: FloatArray
@@ -84,11 +83,10 @@ class SoilPosterior:
     model: ContactModel | None
     verdict: FitVerdict
     tail: float
-    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
     autocorrelation: float | None = None
     profiled: FloatArray | None = field(default=None, repr=False)
     disputed: tuple[str, ...] = ()
-    taught: FloatArray = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    lesson: Lesson | None = field(default=None, repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -178,7 +176,6 @@ class SoilPosterior:
             "intervals": self.how,
             "verdict": self.verdict.to_dict(),
             "tail": self.tail,
-            "stretch": list(self.stretch),
         }
 
     def draws_csv(self) -> str:
@@ -267,10 +264,9 @@ def infer_soil(
         model,
         judge(found, law_name(model, contact), model_error is not None, states, float(np.mean(~usable))),
         tail_of(white[measured]),
-        stretch_of(found),
         autocorrelation,
         profiled,
-        taught=found.problem.inputs[found.kept, 1:3],
+        lesson=Lesson(wheel, found.problem.inputs[found.kept], fitted.forces[found.kept]),
     )
 
 

@@ -20,9 +20,10 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
+from lunarsci.regolith.inference.misfit import misfit_at
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
-from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours, shares_at
+from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
 from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
@@ -90,9 +91,9 @@ def predict_forces(
     Returns
     -------
     Draws of the soil, of its contact, of the errors of measurement, and of the model's: a Student law with the tails of
-    the residuals, for each force and state its own; all as many times wider as states left out ask for. The model's
-    error grows away from the slips and side slips that taught it, see `shares_at`. Where the sinkage follows from the
-    load, F_N is the load.
+    the residuals, for each force and state its own. What the model missed at like slips and side slips is taken off
+    (`misfit_at`); its error grows away from those that taught it. Where the sinkage follows from the load, F_N is the
+    load.
 
     Raises ParameterError for loads out of range.
     """
@@ -103,27 +104,32 @@ def predict_forces(
     said = errors or MeasurementErrors()
     best = values_of(posterior.prior, posterior.mode)
     soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
-    share = shares_at(posterior.verdict.model_error, posterior.taught, states)
+    misfit = misfit_at(posterior.verdict.model_error, posterior.lesson, best, posterior.model, states[:, :2])
+    share = misfit.sigma
     depth, forces = np.empty((draws, len(load))), []
     given = None if sinkage_m is None else np.broadcast_to(np.asarray(sinkage_m, dtype=float), load.shape)
     for k, soil in enumerate(soils):
         moved = states[:, :2] + random.standard_normal((len(load), 2)) * _spread(said, states)
+        missed = misfit.mean(soil)
         if given is None:
-            carried = load * np.maximum(1 + share[:, 0] * random.standard_normal(load.shape), LEAST_CARRIED)
+            own = missed[:, 0] + share[:, 0] * random.standard_normal(load.shape)
+            carried = load * np.maximum(1.0 - own, LEAST_CARRIED)
             depth[k] = _under(soil, moved, carried, wheel, posterior)
         else:
             deep = given + said.sinkage_m * random.standard_normal(load.shape)
             depth[k] = np.clip(deep, SHALLOWEST * wheel.radius_m, DEEPEST * wheel.radius_m)
-        forces.append(_forces(soil, depth[k], moved, wheel, posterior))
+        forces.append(_forces(soil, depth[k], moved, wheel, posterior) + missed * load[:, None])
     all_forces = np.stack(forces)
-    here = _under(best, states[:, :2], load, wheel, posterior) if given is None else given
-    value = _forces(best, here, states[:, :2], wheel, posterior)
+    missed = misfit.mean(best)
+    carried = load * np.maximum(1.0 - missed[:, 0], LEAST_CARRIED)
+    here = _under(best, states[:, :2], carried, wheel, posterior) if given is None else given
+    value = _forces(best, here, states[:, :2], wheel, posterior) + missed * load[:, None]
     scale = np.sqrt((posterior.tail - 2) / posterior.tail)
     noise = scale * random.standard_t(posterior.tail, all_forces.shape) * share * load[:, None]
     noise += said.force_relative * np.abs(value) * random.standard_normal(all_forces.shape)
     if given is None:
         noise[..., 0], all_forces[..., 0], value[:, 0] = 0.0, load, load
-    return PredictedForces(value, value + np.array(posterior.stretch) * (all_forces + noise - value), depth)
+    return PredictedForces(value, all_forces + noise, depth)
 
 
 def _spread(errors: MeasurementErrors, states: FloatArray) -> FloatArray:
