@@ -147,17 +147,19 @@ def _check_heights(path: str, height_m: FloatArray) -> None:
 
 
 def check_relief(path: str | Path, height_m: FloatArray, spacing_m: float) -> None:
-    """Heights that are likely in another unit, or none: DataError where more than half of the ground is steeper than
-    any that is loose, a warning where nodes lie far off their neighbours."""
+    """Warn of heights that are likely in another unit, or none: where more than half of the ground is steeper than any
+    that is loose, and where nodes lie far off their neighbours."""
     skip = 1 + height_m.size // _SLOPES_OF
     rows = height_m[:-1:skip]
     along, across = np.diff(rows, axis=1), (height_m[1::skip] - rows)[:, :-1]
     slope = np.degrees(np.arctan(np.hypot(along, across) / spacing_m))
     known = slope[np.isfinite(slope)]
     if known.size and np.median(known) > STEEPEST_DEG:
-        raise DataError(
+        warnings.warn(
             f"{path}: a median slope of {np.median(known):.0f} deg at a spacing of {spacing_m:g} m, "
-            "steeper than soil can lie; are heights in another unit?"
+            "steeper than soil can lie; are heights in another unit?",
+            LunarSciWarning,
+            stacklevel=3,
         )
     if steep := steep_nodes(height_m, spacing_m):
         warnings.warn(

@@ -37,7 +37,7 @@ def test_another_unit_must_be_a_hundred_times_likelier() -> None:
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, None), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm")])
 def test_heights_in_another_unit_are_asked_about(factor: float, unit: str | None) -> None:
-    """Craters on a slope of 8 deg, in nodes of 0.25 to 1 m; steeper than soil lies is a reader's business."""
+    """Craters on a slope of 8 deg, in nodes of 0.25 to 1 m."""
     for spacing in (0.25, 1.0):
         ground = synthetic_terrain(spacing_m=spacing, extent_m=80.0, slope_deg=8.0, craters=40)
         asked = terrain_questions(dataclasses.replace(ground, height_m=factor * ground.height_m))
