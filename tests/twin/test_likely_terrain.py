@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lunarsci.errors import LunarSciWarning
 from lunarsci.images.elevation import read_elevation
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain_files import read_terrain
