@@ -6,6 +6,8 @@ import numpy as np
 
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy, across_of
 
+FEWEST_ENDS = 3
+"""Of drives that finished, from which on they have a spread."""
 REGIONS = {"held": 0.9, "held_50": 0.5}
 """Share of the predicted ends that a region holds."""
 
@@ -61,6 +63,8 @@ def after_past_returns(rows: list[dict[str, Any]], past: int) -> list[dict[str, 
         law = PhysicsDiscrepancy.of(row["discrepancy"])
         for other in (rows[(k + 1 + n) % len(rows)] for n in range(min(past, len(rows) - 1))):
             ends = np.array(other["soil_ends_m"])
+            if len(ends) < FEWEST_ENDS:
+                continue
             known = np.cov(ends.T) + np.array(other["place_m2"])
             law = law.with_miss(np.array(other["place_m"]) - np.median(ends, axis=0), known, np.array(other["way_m2"]))
         cloud = moved(np.array(row["soil_ends_m"]), law, np.array(row["way_m2"]), 11 + k)
