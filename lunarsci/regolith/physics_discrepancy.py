@@ -225,7 +225,7 @@ FIRST = PhysicsDiscrepancy(
     across=VarianceLaw(3.0, 0.011),
     quantities={name: VarianceLaw(5.0, 0.1) for name in SHARED},
 )
-"""Before any drive. The likelihood of 30 returns by a quasi-static rover, stress integrals and ruts, whose way out sent
+"""Before any drive. The likelihood of 37 returns by a quasi-static rover, stress integrals and ruts, whose way out sent
 telemetry, is largest near these shares of the way, with `STATES_TO_WAY` and `STATES_WORTH` as they are
 (`tests/benchmarks/loop.py --training --seed 97 --positions telemetry`: grounds and soils that no reported number is
 of). What contact angles and radius of the wheels may be is part of the soil's own spread. Those of wheel states are
