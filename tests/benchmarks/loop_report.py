@@ -124,6 +124,7 @@ def clustered(pairs: list[tuple[int, bool]]) -> str:
 def verdicts(rows: list[dict[str, Any]]) -> str:
     """Of plans with one limit each: how many keep it, by verdict, and the Brier score of the stated risk."""
     lines, bins = [], []
+    rows = [row for row in rows if "limits" in row]
     for (name, _), own in groups(rows, terrains=False).items():
         kinds = {
             "before the drive": [(r["soil"], one["kept"], one["untaught"]) for r in own for one in r["limits"]],

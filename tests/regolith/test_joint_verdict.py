@@ -248,11 +248,11 @@ def test_the_model_errs_more_where_nothing_taught_it(right: SoilPosterior) -> No
 
 
 def test_what_a_law_misses_is_found_beside_the_states_that_taught_it(right: SoilPosterior) -> None:
-    """Forces are off by a smooth share of the load and by 1 % of their own at 60 states: 60 others are predicted."""
+    """Forces are off by a smooth share of the load and by 3 % of their own at 60 states: 60 others are predicted."""
     random, best = np.random.default_rng(3), values_of(right.prior, right.mode)
     inputs = np.column_stack([np.full(120, 0.01), random.uniform(0.0, 0.6, 120), random.uniform(-30.0, 30.0, 120)])
     own = 0.3 * np.sin(4.0 * inputs[:, 1]) * np.cos(np.radians(3.0 * inputs[:, 2]))
-    shares = np.column_stack([own, -own, 0.5 * own]) + 0.01 * random.standard_normal((120, 3))
+    shares = np.column_stack([own, -own, 0.5 * own]) + 0.03 * random.standard_normal((120, 3))
     plain = forces_of_many(best[None], inputs, WHEEL, right.model)[0].T
     # Loads are those that the wheel then carries.
     load = plain[:, 0] / (1.0 - shares[:, 0])
@@ -262,8 +262,8 @@ def test_what_a_law_misses_is_found_beside_the_states_that_taught_it(right: Soil
     error = tuple(map(float, shares.std(axis=0)))
     found = misfit_at(error, lesson, best, right.model, inputs[1::2, 1:])
     off = (shares[1::2] - found.mean(best)) / found.sigma
-    assert np.sqrt(np.mean((shares[1::2] - found.mean(best)) ** 2)) < 0.02 < 0.3 * max(error)
-    assert 0.5 < off.std() < 1.3
+    assert np.sqrt(np.mean((shares[1::2] - found.mean(best)) ** 2)) < 0.04 < 0.5 * max(error)
+    assert 0.8 < off.std() < 1.25
     nothing = misfit_at(error, None, best, right.model, inputs[:2, 1:])
     assert (nothing.mean(best) == 0.0).all() and nothing.sigma[0] == pytest.approx(error)
 
