@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from loop import ERRORS, measured, rows_of
 from loop_regions import after_past_returns, region
-from loop_report import interval, report
+from loop_report import interval, report, verdicts
 from mujoco_rover import Driven
 from true_drives import Case, way_back
 
@@ -135,3 +135,25 @@ def test_a_region_of_draws_of_one_law_holds_its_share() -> None:
 def test_intervals_are_those_of_clopper_and_pearson() -> None:
     """9 of 10: 0.5550 to 0.9975, as tabulated."""
     assert interval([True] * 9 + [False]) == "0.90 (0.55-1.00)"
+
+
+def test_verdicts_are_counted_by_what_was_kept() -> None:
+    """Two soils with two plans each: one GO that keeps, three NO-GO of which one would have."""
+    said = {"go": {"verdict": "go", "risk": 0.04}, "no": {"verdict": "no-go", "risk": 0.9}}
+    kept = ([True, False], [True, False])
+    rows = [
+        {
+            "physics": "exact",
+            "terrain": "longji",
+            "soil": soil,
+            "limits": [{"kept": one, "untaught": said["no"]} for one in own],
+            "verdicts": [said["go" if soil == 0 and one else "no"] for one in own],
+        }
+        for soil, own in enumerate(kept)
+    ]
+    lines = [line.split() for line in verdicts(rows).splitlines()]
+    brier = (0.04**2 + 0.9**2 + 2 * 0.1**2) / 4
+    after = ["exact", "after", "it", "0.50", "1.00±0.00", "of", "1", "0.33±0.31", "of", "3", f"{brier:.3f}", "0.250"]
+    assert after in lines
+    assert ["exact", "after", "it", "0.8-0.95", "3", "0.900", "0.667"] in lines
+    assert verdicts([{"physics": "exact"}])
