@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lunarsci import inputs
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.names import some_of
@@ -253,14 +253,15 @@ def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[
     pairs[owner] = sigma
 
 
-def only_spectra(table: SpectrumTable) -> SpectrumTable:
-    """A table less the columns that hold one and the same value above any reflectance, as a temperature or a time.
+def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable, IntArray]:
+    """A table, and numbers of its spectra, less the columns that hold one and the same value above any reflectance, as a temperature or a time.
 
     They are named in a LunarSciWarning, and so is a column that looks like the error of the one before it.
     """
     if len(table.spectra) < 2:
-        return table
-    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
+        return table, deleted
+    assert table.block is not None
+    values = table.block
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
     constant = unnamed & (low == high) & (low > MAX_FRACTION)
@@ -269,14 +270,14 @@ def only_spectra(table: SpectrumTable) -> SpectrumTable:
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
         _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, no reflectance")
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
-        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=None)
-        high = high[kept]
+        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
+        high, deleted = high[kept], deleted[kept]
     for (before, known), (column, own), most in zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False):
         if known is None and own is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
             text = f"column {column.label} is below {100 * ERROR_SHARE:g} % of {before.label} before it"
             own_name = quoted(without_unit(before.name) + "_sigma")
             _warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
-    return table
+    return table, deleted
 
 
 def _looks_like_error(values: FloatArray, beside: FloatArray) -> bool:

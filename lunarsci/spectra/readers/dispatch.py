@@ -14,7 +14,10 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
+from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
+from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
+from lunarsci.spectra.readers.quantities import as_reflectance
 from lunarsci.spectra.readers.table import (
     Column,
     ReflectanceChoice,
@@ -146,13 +149,10 @@ def _refuse_by_magic(source: InputFile) -> None:
             raise DataError(f"{source.name}: is {kind}, not a table of spectra; save the spectra as CSV or ECSV")
 
 
-# ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near.
-_DELETED_BELOW = -1e30
-
 _SAID = {
     "channels_unit_overruled": "values read in the reflectance unit that the file states, not in the one you stated",
     "channels_unit_unlikely": "values read in the reflectance unit you stated, which their size makes unlikely",
-    "channels_deleted": "values that mark deleted channels (at or below -1e30), taken as missing",
+    "channels_deleted": "values that mark deleted channels or no data, taken as missing",
     "channels_not_positive": "values not above 0, masked",
     "channels_without_uncertainty": "values whose uncertainty is missing or not above 0, masked",
     "uncertainties_unknown": "values with only missing or zero uncertainties, which are taken as unknown",
@@ -166,9 +166,15 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     """
     file = table.source.name
     kept, left_out = _rows_with_wavelength(table)
-    kept = only_spectra(kept)
+    kept, deleted, said = without_markers(kept)
+    kept, deleted = only_spectra(kept, deleted)
+    kept, converted = as_reflectance(kept)
     values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
+    kept, values, spliced = joined(kept, values)
     order, order_name = _ascending(values, kept)
+    read_as = [f"{file}: {line}" for line in (*table.metadata.get("read_as", ()), *said, *converted, *spliced)]
+    for line in read_as:
+        _warn(line)
     common = {
         "source": file,
         "sha256": table.source.sha256,
@@ -177,8 +183,9 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
         "order": order_name,
         "rows_left_out": left_out,
         **table.metadata,
+        **({"read_as": read_as} if read_as else {}),
     }
-    found, counts = _assembled(kept, values[order], order, stated, common)
+    found, counts = _assembled(kept, values[order], order, stated, common, deleted)
     _report(found, counts, file)
     return found
 
@@ -247,12 +254,14 @@ class _About:
 
 
 def _assembled(
-    table: SpectrumTable, wavelength: FloatArray, order: IntArray, stated: StatedUnits, record: dict[str, Any]
+    table: SpectrumTable, wavelength: FloatArray, order: IntArray, stated: StatedUnits, record: dict[str, Any],
+    deleted: IntArray,
 ) -> tuple[SpectrumRows, dict[str, IntArray]]:
     """The spectra of a table, and the number of channels of each by what is recorded of them."""
     ids = spectrum_ids([column for column, _ in table.spectra], table.source)
     names = [column.name or column.position for column, _ in table.spectra]
-    values, deleted = _present(table)
+    values = table.block
+    assert values is not None
     with np.errstate(invalid="ignore"):
         not_positive = (values <= 0).sum(axis=1)
     measured = np.isfinite(values).sum(axis=1)
@@ -292,20 +301,6 @@ def _assembled(
     return found, counts
 
 
-def _present(table: SpectrumTable) -> tuple[FloatArray, IntArray]:
-    """Reflectances, (n, rows), deleted and infinite ones made NaN, and the number of deleted ones of each."""
-    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
-    return values, _without_deleted(values)
-
-
-def _without_deleted(values: FloatArray) -> IntArray:
-    """Make deleted and infinite values NaN; the number of deleted ones in each row."""
-    with np.errstate(invalid="ignore"):
-        deleted = values <= _DELETED_BELOW
-    values[deleted | ~np.isfinite(values)] = np.nan
-    return np.asarray(deleted.sum(axis=-1))
-
-
 def _units(
     table: SpectrumTable, medians: FloatArray, stated: ReflectanceUnit | None
 ) -> tuple[list[ReflectanceChoice], IntArray, dict[int, float]]:
@@ -337,7 +332,8 @@ def _uncertainties(
         )
     sigma, own = np.full(measured.shape, np.nan), np.array(sorted(factors))
     sigma[own] = [table.spectra[row][1].values for row in own]
-    _without_deleted(sigma)
+    without_deleted(sigma)
+    sigma[np.isin(sigma, markers_of(sigma))] = np.nan
     sigma[own] *= np.array([factors[row] for row in own])[:, None]
     with np.errstate(invalid="ignore"):
         lacking, negative = measured & ~(sigma > 0), (sigma < 0).any(axis=1)

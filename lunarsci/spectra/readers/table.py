@@ -115,7 +115,7 @@ MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
-_MAX_PERCENT = 200.0
+MAX_PERCENT = 200.0
 """A median above this is no reflectance in percent; assumed."""
 
 
@@ -231,7 +231,7 @@ def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | No
     if stated is not None:
         return ReflectanceChoice(_SCALE[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
     what = f"{file}: column {column.label} has a median of {median:.4g}"
-    if median > _MAX_PERCENT:
+    if median > MAX_PERCENT:
         raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
     if found is not None:
         raise DataError(f"{what}, which is no {found} as the file says; give `reflectance_unit` fraction or percent")
@@ -288,7 +288,7 @@ def _unit_of(column: Column) -> str | None:
 
 
 def _contradicts(unit: str, median: float) -> bool:
-    return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > _MAX_PERCENT
+    return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > MAX_PERCENT
 
 
 def _warn(message: str) -> None:

@@ -1,0 +1,160 @@
+"""Detectors of one spectrum that overlap, or repeat wavelengths: told apart, brought to one level, and joined.
+
+As the detectors of VNIS are spliced: the one at shorter wavelengths is scaled to the other where they overlap, by the
+median ratio there, and they are joined in the middle. The grid and the level tell detectors apart; no library does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.spectra.readers.table import Column, SpectrumTable
+
+LEAST_CHANNELS = 5
+"""Of a detector, alone and where it overlaps another in a grid that is sorted; as of the splice of VNIS."""
+MOST_DETECTORS = 4
+"""Of a spectrometer; assumed: field spectrometers have two or three."""
+EVEN = 0.25
+"""Share by which steps of one detector differ from the one before, at most; assumed."""
+SURE, LEAST = 10.0, 0.01
+"""Errors by which levels of two interleaved grids differ, and least ratio in ln R, before they are two detectors;
+those of steps in `likely`."""
+
+
+def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
+    """A table with one row for each channel where detectors overlap, its wavelengths, and what to say. [nm]
+
+    The same where they do not. The reflectances are those of `table.block`.
+    """
+    parts = _runs(wavelength_nm) or _interleaved(table, wavelength_nm)
+    if not parts or table.block is None:
+        return table, wavelength_nm, []
+    gain, keep, said = np.ones(table.block.shape), np.zeros(wavelength_nm.size, bool), list[str]()
+    keep[parts[-1]] = True
+    for low, high in reversed(list(zip(parts[:-1], parts[1:], strict=True))):
+        first, last = wavelength_nm[high[0]], wavelength_nm[low[-1]]
+        middle = 0.5 * (first + last)
+        keep[low], keep[high] = wavelength_nm[low] < middle, keep[high] & (wavelength_nm[high] >= middle)
+        ratio = np.array([_ratio(wavelength_nm, one, low, high) for one in table.block * gain])
+        gain[:, low] *= ratio[:, None]
+        said.append(
+            f"two detectors overlap at {first:.5g}-{last:.5g} nm: read as one spectrum, the first scaled by "
+            f"{float(np.median(ratio)):.4g} to the second and joined at {middle:.5g} nm; give each by itself to keep "
+            "them apart"
+        )
+    chosen = np.concatenate([part[keep[part]] for part in parts])
+    return _taken(table, gain, chosen), wavelength_nm[chosen], said
+
+
+def _runs(wavelength_nm: FloatArray) -> list[IntArray]:
+    """Rows of each detector, ascending, where the file has one after the other and they overlap; else none."""
+    rows = np.arange(wavelength_nm.size)
+    if np.median(np.diff(wavelength_nm)) < 0:
+        rows = rows[::-1]
+    parts = np.split(rows, np.flatnonzero(np.diff(wavelength_nm[rows]) <= 0) + 1)
+    parts.sort(key=lambda part: float(wavelength_nm[part[0]]))
+    return parts if _overlap(wavelength_nm, parts) else []
+
+
+def _overlap(wavelength_nm: FloatArray, parts: Sequence[IntArray]) -> bool:
+    """Whether each of a few detectors begins within the one before it, and ends beyond it."""
+    if not 2 <= len(parts) <= MOST_DETECTORS or min(map(len, parts)) < LEAST_CHANNELS:
+        return False
+    ends = [(wavelength_nm[part[0]], wavelength_nm[part[-1]]) for part in parts]
+    return all(a < c <= b < d for (a, b), (c, d) in zip(ends, ends[1:], strict=False))
+
+
+def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
+    """The same where rows are sorted by wavelength: two even grids, one in the other, on two levels."""
+    order = np.argsort(wavelength_nm, kind="stable")
+    parts = _two_grids(wavelength_nm[order])
+    if not parts or table.block is None:
+        return []
+    low, high = (order[part] for part in parts)
+    if not _overlap(wavelength_nm, [low, high]):
+        return []
+    repeated = bool((np.diff(wavelength_nm[order]) == 0).any())
+    apart = any(_level_sure(wavelength_nm, one, low, high) for one in table.block)
+    return [low, high] if repeated or apart else []
+
+
+def _two_grids(ascending: FloatArray) -> list[IntArray]:
+    """Places of channels that follow each other evenly from the first on, and of the others; none where these are few.
+
+    What follows evenly beyond the last of the others is theirs.
+    """
+    steps = np.diff(ascending)
+    if ascending.size < 4 * LEAST_CHANNELS or (steps[1:] >= (1 - EVEN) * steps[:-1]).all():
+        return []
+    one, other, step = [0], list[int](), steps[0]
+    for k in range(1, ascending.size):
+        if abs(ascending[k] - ascending[one[-1]] - step) <= EVEN * step:
+            step = ascending[k] - ascending[one[-1]]
+            one.append(k)
+        else:
+            other.append(k)
+    if not other:
+        return []
+    end = min(one[-1], other[-1])
+    low, high = np.array([k for k in one if k <= end]), np.array(sorted([*other, *(k for k in one if k > end)]))
+    inside = low > high[0]
+    beside = np.diff(ascending[high[high < low[-1]]])
+    if inside.sum() < LEAST_CHANNELS or beside.size < LEAST_CHANNELS - 1:
+        return []
+    return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
+
+
+def _differences(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
+    """ln of the second detector, by a cubic spline, over the first in their common channels; those above 0."""
+    from scipy.interpolate import CubicSpline, interp1d
+
+    with np.errstate(invalid="ignore"):
+        low, high = (part[values[part] > 0] for part in (low, high))
+    if not low.size or not high.size:
+        return np.empty(0)
+    x = wavelength_nm[high]
+    within = low[(wavelength_nm[low] >= x[0]) & (wavelength_nm[low] <= x[-1])]
+    if not within.size:
+        return np.empty(0)
+    level = np.log(values[high])
+    spline = CubicSpline(x, level) if x.size > LEAST_CHANNELS else interp1d(x, level)
+    return np.asarray(spline(wavelength_nm[within]) - np.log(values[within]))
+
+
+def _ratio(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> float:
+    """Of the second detector to the first, by the median where both measured; 1 where nothing tells."""
+    found = _differences(wavelength_nm, values, low, high)
+    return float(np.exp(np.median(found))) if found.size else 1.0
+
+
+def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> bool:
+    """Whether the levels of two grids differ."""
+    found = _differences(wavelength_nm, values, low, high)
+    if found.size < LEAST_CHANNELS:
+        return False
+    error = float(found.std(ddof=1)) / found.size**0.5
+    return abs(float(found.mean())) > max(LEAST, SURE * error)
+
+
+def _taken(table: SpectrumTable, gain: FloatArray, rows: IntArray) -> SpectrumTable:
+    """Some rows of a table, reflectances and their errors scaled."""
+    assert table.block is not None
+
+    def own(column: Column, factor: FloatArray) -> Column:
+        return replace(column, values=(column.values * factor)[rows])
+
+    spectra = tuple(
+        (own(one, gain[k]), None if sigma is None else own(sigma, gain[k]))
+        for k, (one, sigma) in enumerate(table.spectra)
+    )
+    shifts = {k: tuple((name, own(c, gain[k])) for name, c in each) for k, each in table.systematic.items()}
+    return replace(
+        table,
+        wavelength=replace(table.wavelength, values=table.wavelength.values[rows]),
+        spectra=spectra,
+        systematic=shifts,
+        places=tuple(np.array(table.places)[rows].tolist()),
+        block=(table.block * gain)[:, rows],
+    )
