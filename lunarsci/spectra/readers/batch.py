@@ -19,10 +19,10 @@ from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
+from lunarsci.spectra.readers.libraries import without_wavelength_files
 from lunarsci.spectra.readers.likely import unlikely, unlikely_of_many, without_lone
 from lunarsci.spectra.readers.table import SURELY, Column, ReflectanceUnit, WavelengthUnit, medians_above_0
 from lunarsci.spectra.readers.table import reflectance_unit as choice_of_unit
-from lunarsci.spectra.readers.text import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.name import product_name
@@ -51,12 +51,19 @@ class SpectraBatch:
     origins : name of the input of each.
     inputs : name of each input to its SHA-256.
     failures : what could not be read, one sentence each.
+    read_as : how files were read where there was a choice, one sentence each.
     """
 
     spectra: SpectrumCollection = field(default_factory=lambda: SpectrumCollection([]))
     origins: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
+    read_as: list[str] = field(default_factory=list)
+
+    @property
+    def said(self) -> dict[str, list[str]]:
+        """For a result: `read_as`, where there was a choice in how files were read."""
+        return {"read_as": list(self.read_as)} if self.read_as else {}
 
     @property
     def tables(self) -> dict[str, str]:
@@ -157,6 +164,7 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     batch.origins.extend([source.name] * len(found))
     batch.inputs[source.name] = source.sha256
     batch.inputs.update(found.about(0).get("inputs", {}))
+    batch.read_as.extend(found.about(0).get("read_as", ()))
     yield found
 
 

@@ -16,7 +16,16 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.names import some_of
-from lunarsci.spectra.readers.table import MAX_FRACTION, Column, SpectrumTable, name_tokens, states_unit, without_unit
+from lunarsci.spectra.readers.quantities import quantity_of
+from lunarsci.spectra.readers.table import (
+    MAX_FRACTION,
+    Column,
+    SpectrumTable,
+    name_tokens,
+    only_percent,
+    states_unit,
+    without_unit,
+)
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
 
 
@@ -54,22 +63,32 @@ def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
     return [(line, dict(zip(names, row, strict=True))) for (line, _), row in zip(lines[1:], body, strict=False)]
 
 
-_WAVELENGTH = {"wavelength", "wavelengths", "wellenlänge", "wellenlaenge", "wellenlange"}
-_WAVELENGTH_SHORT = {"wl", "wvl", "wav", "wave", "lambda", "λ", "nm", "um", "μm", "micron", "microns"}
-_UNIT_WORDS = {"nm", "um", "μm", "micron", "microns", "nanometer", "nanometers", "micrometer", "micrometers"}
+_WAVENUMBER = {"wavenumber", "wavenumbers", "wellenzahl"}
+_WAVELENGTH = {"wavelength", "wavelengths", "wellenlänge", "wellenlaenge", "wellenlange", *_WAVENUMBER}
+_WAVELENGTH_SHORT = {
+    *("wl", "wvl", "wvls", "wav", "wave", "lambda", "λ", "nm", "um", "μm", "micron", "microns", "cm", "å", "angstrom"),
+    *("nanometer", "nanometers", "micrometer", "micrometers", "spectral"),
+}
+_UNIT_WORDS = {
+    *("nm", "um", "μm", "micron", "microns", "nanometer", "nanometers", "micrometer", "micrometers"),
+    *("å", "angstrom", "angstroms", "cm", "1", "axis"),
+}
 _POSITION_WORDS = {"band", "channel", "center", "centre", "central", "mean"}
 _NOT_A_SPECTRUM = {
     *("fwhm", "bandwidth", "resolution", "band", "bands", "channel", "channels", "index", "pixel"),
-    *("flag", "flags", "quality", "mask", "weight", "weights", "wavenumber", "wavenumbers", "kanal", "nr"),
+    *("flag", "flags", "quality", "mask", "weight", "weights", "kanal", "nr", "chan", "count", "counts", "n"),
 }
-_NOT_REFLECTANCE = {"radiance", "irradiance", "absorbance", "transmittance", "emissivity", "cal", "calibration"}
-_SIGMA = {"sigma", "1sigma", "σ", "std", "sd", "error", "err", "unc"}
+_NOT_REFLECTANCE = {
+    *("radiance", "irradiance", "transmittance", "emissivity", "cal", "calibration", "dn", "rad", "irrad", "raw"),
+}
+_SIGMA = {"sigma", "1sigma", "σ", "1σ", "std", "sd", "se", "sem", "error", "err", "unc", "+-", "rms", "scatter"}
 _SIGMA_WORD = re.compile(
     r"st(d|and)?(ard)?(abw|afw|dev|err)|s(t|tan)?dev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|"
     r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"
     r"onzekerheid|errore"
 )
 """How names of errors begin in the languages of Europe, Russian, Chinese and Japanese."""
+_PLUS_MINUS = re.compile(r"±|\+/-|\+-")
 _LAST_WORD, _GAP = re.compile(r"^(.+)[ _.-]([^ _.-]+)$"), re.compile(r"[ _.-]")
 _FOREIGN_UNITS = {
     *("ms", "s", "sec", "µs", "μs", "us", "min", "°c", "degc", "celsius", "°f", "degf", "kelvin", "dn", "adu"),
@@ -147,7 +166,12 @@ def assign_roles(
     systematic = _systematic(names, others, source.name)
     shifts = {place for columns in systematic.values() for _, place in columns}
     others = [k for k in others if k not in shifts]
-    dropped = [k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])]
+    dropped = [
+        k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])
+        or is_wavelength(names[k])
+    ]  # fmt: skip
+    plain = [k for k in others if k not in dropped and quantity_of(names[k]) is None]
+    dropped += [k for k in others if plain and k not in (*plain, *dropped) and not _says_error(names[k])]
     rest = [k for k in others if k not in dropped]
     sigmas = _sigmas(names, rest, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
@@ -171,13 +195,14 @@ def _check_unique(names: Sequence[str], file: str) -> None:
 
 def _wavelength_place(names: Sequence[str], file: str) -> int:
     found = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    found = [k for k in found if not _WAVENUMBER & {*name_tokens(names[k])}] or found
     if len(found) > 1:
         raise DataError(
             f"{file}: {quoted(names[found[0]])} and {quoted(names[found[1]])} are both wavelengths; keep one of them"
         )
     if found:
         return found[0]
-    if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM - {"wavenumber", "wavenumbers"}:
+    if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM:
         raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one named wavelength_nm")
     return 0
 
@@ -191,7 +216,8 @@ def _is_wavelength_error(name: str) -> bool:
 
 def _says_error(name: str) -> bool:
     """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
-    word = "".join(name_tokens(name))
+    word = "".join(name_tokens(_PLUS_MINUS.sub(" sd ", name)))
+    word = word.removeprefix("avg").removeprefix("mean").removeprefix("average") or word
     return word in _SIGMA or _SIGMA_WORD.match(word) is not None
 
 
@@ -201,7 +227,7 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
     pairs: dict[int, int] = {}
     bare = []
     for k in places:
-        name = without_unit(names[k])
+        name = _PLUS_MINUS.sub(" sd", without_unit(names[k])).strip()
         last, owner = _LAST_WORD.match(name), _owner(name, plain)
         if owner is not None:
             _pair(pairs, owner, k, names, file)
@@ -254,14 +280,13 @@ def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[
 
 
 def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable, IntArray]:
-    """A table, and numbers of its spectra, less the columns that hold one and the same value above any reflectance, as a temperature or a time.
+    """A table, and numbers of its spectra, less columns of one and the same value above any reflectance, as a time.
 
     They are named in a LunarSciWarning, and so is a column that looks like the error of the one before it.
     """
     if len(table.spectra) < 2:
         return table, deleted
-    assert table.block is not None
-    values = table.block
+    values = table.reflectances
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
     constant = unnamed & (low == high) & (low > MAX_FRACTION)
@@ -297,7 +322,7 @@ def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:
     """
     if len(columns) == 1:
         name = without_unit(columns[0].name)
-        return [source.stem if _is_plain(name) else name]
+        return [source.stem if _is_plain(name) or quantity_of(name) else name]
     ids = [without_unit(c.name) if c.name else f"{source.stem}:column-{c.position}" for c in columns]
     _check_unique(ids, source.name)
     return ids
@@ -306,4 +331,4 @@ def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:
 def _is_plain(name: str) -> bool:
     """Whether a name says nothing but 'reflectance', units and remarks in brackets apart."""
     bare = re.sub(r"[(\[{].*", "", name).strip().casefold()
-    return not bare or bare in _PLAIN or "".join(name_tokens(bare)) in _PLAIN
+    return not bare or bare in _PLAIN or "".join(name_tokens(bare)) in _PLAIN or only_percent(f"{bare} %")

@@ -6,6 +6,7 @@ median ratio there, and they are joined in the middle. The grid and the level te
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,15 +30,15 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
     The same where they do not. The reflectances are those of `table.block`.
     """
     parts = _runs(wavelength_nm) or _interleaved(table, wavelength_nm)
-    if not parts or table.block is None:
+    if not parts:
         return table, wavelength_nm, []
-    gain, keep, said = np.ones(table.block.shape), np.zeros(wavelength_nm.size, bool), list[str]()
+    gain, keep, said = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
     keep[parts[-1]] = True
-    for low, high in reversed(list(zip(parts[:-1], parts[1:], strict=True))):
+    for low, high in reversed(list(pairwise(parts))):
         first, last = wavelength_nm[high[0]], wavelength_nm[low[-1]]
         middle = 0.5 * (first + last)
         keep[low], keep[high] = wavelength_nm[low] < middle, keep[high] & (wavelength_nm[high] >= middle)
-        ratio = np.array([_ratio(wavelength_nm, one, low, high) for one in table.block * gain])
+        ratio = np.array([_ratio(wavelength_nm, one, low, high) for one in table.reflectances * gain])
         gain[:, low] *= ratio[:, None]
         said.append(
             f"two detectors overlap at {first:.5g}-{last:.5g} nm: read as one spectrum, the first scaled by "
@@ -51,7 +52,7 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
 def _runs(wavelength_nm: FloatArray) -> list[IntArray]:
     """Rows of each detector, ascending, where the file has one after the other and they overlap; else none."""
     rows = np.arange(wavelength_nm.size)
-    if np.median(np.diff(wavelength_nm)) < 0:
+    if rows.size > 1 and np.median(np.diff(wavelength_nm)) < 0:
         rows = rows[::-1]
     parts = np.split(rows, np.flatnonzero(np.diff(wavelength_nm[rows]) <= 0) + 1)
     parts.sort(key=lambda part: float(wavelength_nm[part[0]]))
@@ -63,20 +64,20 @@ def _overlap(wavelength_nm: FloatArray, parts: Sequence[IntArray]) -> bool:
     if not 2 <= len(parts) <= MOST_DETECTORS or min(map(len, parts)) < LEAST_CHANNELS:
         return False
     ends = [(wavelength_nm[part[0]], wavelength_nm[part[-1]]) for part in parts]
-    return all(a < c <= b < d for (a, b), (c, d) in zip(ends, ends[1:], strict=False))
+    return all(a < c <= b < d for (a, b), (c, d) in pairwise(ends))
 
 
 def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
     """The same where rows are sorted by wavelength: two even grids, one in the other, on two levels."""
     order = np.argsort(wavelength_nm, kind="stable")
     parts = _two_grids(wavelength_nm[order])
-    if not parts or table.block is None:
+    if not parts:
         return []
     low, high = (order[part] for part in parts)
     if not _overlap(wavelength_nm, [low, high]):
         return []
     repeated = bool((np.diff(wavelength_nm[order]) == 0).any())
-    apart = any(_level_sure(wavelength_nm, one, low, high) for one in table.block)
+    apart = any(_level_sure(wavelength_nm, one, low, high) for one in table.reflectances)
     return [low, high] if repeated or apart else []
 
 
@@ -140,7 +141,6 @@ def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, hi
 
 def _taken(table: SpectrumTable, gain: FloatArray, rows: IntArray) -> SpectrumTable:
     """Some rows of a table, reflectances and their errors scaled."""
-    assert table.block is not None
 
     def own(column: Column, factor: FloatArray) -> Column:
         return replace(column, values=(column.values * factor)[rows])
@@ -156,5 +156,5 @@ def _taken(table: SpectrumTable, gain: FloatArray, rows: IntArray) -> SpectrumTa
         spectra=spectra,
         systematic=shifts,
         places=tuple(np.array(table.places)[rows].tolist()),
-        block=(table.block * gain)[:, rows],
+        block=(table.reflectances * gain)[:, rows],
     )

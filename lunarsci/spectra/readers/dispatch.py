@@ -16,6 +16,7 @@ from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
 from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
+from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
 from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
 from lunarsci.spectra.readers.quantities import as_reflectance
 from lunarsci.spectra.readers.table import (
@@ -31,7 +32,7 @@ from lunarsci.spectra.readers.table import (
     uncertainty_scale,
     wavelength_nm,
 )
-from lunarsci.spectra.readers.text import looks_like_relab, looks_like_splib, read_relab, read_splib, read_text
+from lunarsci.spectra.readers.text import read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 
@@ -175,6 +176,8 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     read_as = [f"{file}: {line}" for line in (*table.metadata.get("read_as", ()), *said, *converted, *spliced)]
     for line in read_as:
         _warn(line)
+    if record["wavelength_unit_from"] == "values":
+        read_as.insert(0, f"{file}: wavelengths read as {record['wavelength_unit']} by their range (`wavelength_unit`)")
     common = {
         "source": file,
         "sha256": table.source.sha256,
@@ -254,14 +257,17 @@ class _About:
 
 
 def _assembled(
-    table: SpectrumTable, wavelength: FloatArray, order: IntArray, stated: StatedUnits, record: dict[str, Any],
+    table: SpectrumTable,
+    wavelength: FloatArray,
+    order: IntArray,
+    stated: StatedUnits,
+    record: dict[str, Any],
     deleted: IntArray,
 ) -> tuple[SpectrumRows, dict[str, IntArray]]:
     """The spectra of a table, and the number of channels of each by what is recorded of them."""
     ids = spectrum_ids([column for column, _ in table.spectra], table.source)
     names = [column.name or column.position for column, _ in table.spectra]
-    values = table.block
-    assert values is not None
+    values = table.reflectances
     with np.errstate(invalid="ignore"):
         not_positive = (values <= 0).sum(axis=1)
     measured = np.isfinite(values).sum(axis=1)

@@ -60,7 +60,7 @@ def _far(size: FloatArray, top: FloatArray) -> BoolArray:
 
 def without_markers(table: SpectrumTable) -> tuple[SpectrumTable, IntArray, list[str]]:
     """A table with NaN for numbers that mark no data, in its `block`; how many were deleted, and what to say."""
-    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
+    values = table.reflectances
     deleted = without_deleted(values)
     said = list[str]()
     if found := markers_of(values):

@@ -65,19 +65,19 @@ def quantity_of(name: str) -> Quantity | None:
 
 def as_reflectance(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
     """A table whose `block`, and errors, are reflectances where columns hold something else; and what to say."""
-    spectra, said = list(table.spectra), dict[str, str]()
+    spectra, said, reflectances = list(table.spectra), dict[str, str](), table.reflectances
     for row, (column, sigma) in enumerate(table.spectra):
-        if (quantity := quantity_of(column.name)) is None or table.block is None:
+        if (quantity := quantity_of(column.name)) is None:
             continue
-        values = table.block[row].copy()
+        values = reflectances[row].copy()
         with np.errstate(invalid="ignore", over="ignore"):
-            table.block[row] = quantity.reflectance(values)
+            reflectances[row] = quantity.reflectance(values)
             spectra[row] = _named(column), None if sigma is None else _error(sigma, values, quantity)
         said.setdefault(
             quantity.name,
             f"column {column.label} read as {quantity.name} and made reflectance; if it is one already, name it so",
         )
-    return replace(table, spectra=tuple(spectra)), list(said.values())
+    return replace(table, spectra=tuple(spectra), block=reflectances), list(said.values())
 
 
 def _named(column: Column) -> Column:
