@@ -47,7 +47,15 @@ def _spectra(file: InputFile) -> Mapping[str, Any]:
 
 
 def _cube(file: InputFile) -> Mapping[str, Any]:
-    return {"bytes": len(file.data)}
+    from lunarsci.spectra.cubes.pds import open_pds
+    from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
+
+    if not is_pds_label(file):
+        return {"bytes": len(file.data)}
+    images = read_pds_label(file).images
+    open_pds(file.name)
+    return {one.file: f"{one.lines} lines, {one.samples} samples, {one.bands} bands"
+            f"{f' in {one.unit}' if one.unit else ''}" for one in images}  # fmt: skip
 
 
 def _craters(file: InputFile) -> Mapping[str, Any]:

@@ -151,7 +151,7 @@ class Layout:
     shape: tuple[int, int]
     dtype: np.dtype[Any]
     wavelength: FloatArray | None
-    unit: WavelengthUnit | None = None
+    unit: str | None = None
     fwhm: FloatArray | None = None
     bad: BoolArray | None = None
     gain: FloatArray | None = None

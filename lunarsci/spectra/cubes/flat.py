@@ -84,7 +84,8 @@ def _pair(path: str) -> tuple[str, str]:
 def has_header(path: str) -> bool:
     """Whether a file is one of the two of an ENVI image, or M3's label of one, by names."""
     given = Path(path)
-    label = given.suffix.lower() == ".lbl" and M3_NAME.search(given.name) is not None
+    label = given.suffix.lower() == ".lbl" and (m3 := M3_NAME.search(given.name)) is not None
+    label = label and not (m3 and m3[2].upper() in ("L1B", "RDN"))
     return label or given.suffix.lower() == SUFFIX or any(Path(name).is_file() for name in header_names(path))
 
 

@@ -15,7 +15,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength
-from lunarsci.spectra.readers.heads import TextTable
+from lunarsci.spectra.readers.heads import TableInText
 from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import DECIMAL_COMMA, Row, is_missing, number, numbers, quoted, split_fields
 
@@ -29,13 +29,13 @@ _NUMBERED = re.compile(r"[ _.-]?\d+$")
 _CHANNEL = re.compile(r"[A-Za-z_. ]{0,12}?(\d+(?:[.,]\d+)?)\s*(nm|um|µm|μm|micron\w*)?", re.IGNORECASE)
 
 
-def spectra_in_rows(table: TextTable, source: InputFile, about: dict[str, Any]) -> SpectrumTable | None:
+def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]) -> SpectrumTable | None:
     """The spectra of a table whose header has wavelengths, one in each row; None for any other table."""
     header, *lines = table.lines
     if table.names or not lines:
         return None
     names = split_fields(header[1], table.separator, f"{source.name}: line {header[0]}")
-    channels, wavelength, unit = _channels(names)
+    channels, wavelength, unit = header_channels(names) or ([], np.empty(0), None)
     if not channels:
         return None
     rows = [Row(n, split_fields(line, table.separator, f"{source.name}: line {n}")) for n, line in lines]
@@ -62,14 +62,14 @@ def _is_text(row: Row, place: int, decimal: bool) -> bool:
     return not is_missing(cell) and number(cell, decimal) is None
 
 
-def _channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | None]:
-    """Places of names that are wavelengths, these and their unit; no places where they are few or in no order."""
+def header_channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | None] | None:
+    """Places of names that are wavelengths, these and their unit; None where they are few or in no order."""
     found = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
     values = np.array([float(match[1].replace(",", ".")) for _, match in found])
     if values.size < FEWEST_CHANNELS or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
-        return [], values, None
+        return None
     if not any(low <= values.min() and values.max() <= high for low, high in SURELY.values()):
-        return [], values, None
+        return None
     units = {length_unit(match[2]) for _, match in found if match[2]}
     return [k for k, _ in found], values, units.pop() if len(units) == 1 else None
 

@@ -21,7 +21,7 @@ EVEN = 0.25
 """Share by which steps of one detector differ from the one before, at most; assumed."""
 SURE, LEAST = 10.0, 0.01
 """Errors by which levels of two interleaved grids differ, and least ratio in ln R, before they are two detectors;
-those of steps in `likely`."""
+those of steps in `likely`, assumed."""
 
 
 def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
@@ -136,7 +136,7 @@ def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, hi
     if found.size < LEAST_CHANNELS:
         return False
     error = float(found.std(ddof=1)) / found.size**0.5
-    return abs(float(found.mean())) > max(LEAST, SURE * error)
+    return bool(abs(float(found.mean())) > max(LEAST, SURE * error))
 
 
 def _taken(table: SpectrumTable, gain: FloatArray, rows: IntArray) -> SpectrumTable:

@@ -18,6 +18,7 @@ from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
 from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
 from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
+from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
 from lunarsci.spectra.readers.quantities import as_reflectance
 from lunarsci.spectra.readers.table import (
     Column,
@@ -36,7 +37,7 @@ from lunarsci.spectra.readers.text import read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib")
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds")
 
 _READERS = {"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib}
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
@@ -75,6 +76,8 @@ def read_spectra(
     source = read_input(input) if isinstance(input, str) else input
     if product_name(source.name) is not None:
         return SpectrumRows.of(_calibrated(source.name))
+    if format is None and (label := label_of_table(source)) is not None:
+        source = label
     table = _reader(format or _format_of(source))(source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
 
@@ -110,6 +113,10 @@ def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
         from lunarsci.spectra.readers.astropy_tables import read_fits
 
         return read_fits
+    if format == "pds":
+        from lunarsci.spectra.readers.pds import read_pds
+
+        return read_pds
     return _READERS[format]
 
 
@@ -124,6 +131,8 @@ def _format_of(source: InputFile) -> str:
     _refuse_by_magic(source)
     if looks_like_envi(source):
         return "envi"
+    if is_pds_label(source):
+        return "pds"
     # The reader decodes the text again and says what there is to say about it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
@@ -153,7 +162,7 @@ def _refuse_by_magic(source: InputFile) -> None:
 _SAID = {
     "channels_unit_overruled": "values read in the reflectance unit that the file states, not in the one you stated",
     "channels_unit_unlikely": "values read in the reflectance unit you stated, which their size makes unlikely",
-    "channels_deleted": "values that mark deleted channels or no data, taken as missing",
+    "channels_deleted": "values that mark deleted channels (at or below -1e30), taken as missing",
     "channels_not_positive": "values not above 0, masked",
     "channels_without_uncertainty": "values whose uncertainty is missing or not above 0, masked",
     "uncertainties_unknown": "values with only missing or zero uncertainties, which are taken as unknown",
@@ -281,7 +290,8 @@ def _assembled(
         "channels_unit_overruled": measured * (remarks == "overruled"),
         "channels_unit_unlikely": measured * (remarks == "unlikely"),
         "channels_missing": values.shape[1] - measured,
-        "channels_deleted": deleted,
+        "channels_deleted": deleted[:, 0],
+        "channels_marked": deleted[:, 1],
         "channels_not_positive": not_positive,
     }
     with np.errstate(invalid="ignore"):

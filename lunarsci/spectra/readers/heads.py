@@ -25,7 +25,7 @@ _UNITS = {*UNITS, "-", "--", "fraction", "reflectance", "å", "angstrom", "cm-1"
 
 
 @dataclass(frozen=True, slots=True)
-class TextTable:
+class TableInText:
     """A table in a text.
 
     Attributes
@@ -48,7 +48,7 @@ class TextTable:
         return {one[1].strip(): one[2].strip() for one in found if one}
 
 
-def text_table(lines: Lines, file: str) -> TextTable:
+def text_table(lines: Lines, file: str) -> TableInText:
     """The table in lines that are no comments. Raises DataError where text stands above numbers that have no names."""
     separator = None
     if stated := _SEPARATOR.match(lines[0][1]):
@@ -58,7 +58,7 @@ def text_table(lines: Lines, file: str) -> TextTable:
     begin = _begin(lines)
     body, below = _without_tail(lines, begin)
     separator = separator or separator_of(body[max(begin - 1, 0) :])
-    table = TextTable(body, separator, about=tuple(line for _, line in below))
+    table = TableInText(body, separator, about=tuple(line for _, line in below))
     return table if begin < 2 else _with_head(table, begin, file)
 
 
@@ -96,7 +96,7 @@ def _without_tail(lines: Lines, begin: int) -> tuple[Lines, Lines]:
     return (lines, ()) if spoilt else (lines[:end], tail)
 
 
-def _with_head(table: TextTable, begin: int, file: str) -> TextTable:
+def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
     """A table with several lines above its numbers; names are those of the lowest line as wide as it, with units."""
     head, body = table.lines[:begin], table.lines[begin:]
     width = len(split_fields(body[0][1], table.separator, file))

@@ -59,14 +59,15 @@ def _far(size: FloatArray, top: FloatArray) -> BoolArray:
 
 
 def without_markers(table: SpectrumTable) -> tuple[SpectrumTable, IntArray, list[str]]:
-    """A table with NaN for numbers that mark no data, in its `block`; how many were deleted, and what to say."""
+    """A table with NaN for numbers that mark no data, in its `block`; how many were deleted, or marked, (n, 2)."""
     values = table.reflectances
     deleted = without_deleted(values)
+    count = np.stack([deleted, np.zeros_like(deleted)], axis=1)
     said = list[str]()
     if found := markers_of(values):
         marked = np.isin(values, found)
         values[marked] = np.nan
-        deleted = deleted + marked.sum(axis=1)
+        count[:, 1] = marked.sum(axis=1)
         listed = ", ".join(f"{one:g}" for one in found)
         said = [f"{listed} read as the mark of no data: {int(marked.sum())} values left out"]
-    return replace(table, block=values), deleted, said
+    return replace(table, block=values), count, said

@@ -17,7 +17,7 @@ from lunarsci.spectra.readers.table import Column, SpectrumTable
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class ColumnQuantity:
     """What a column holds: its name, how a name says so, and the reflectance of it."""
 
     name: str
@@ -42,22 +42,22 @@ def of_kubelka_munk(values: FloatArray) -> FloatArray:
 
 _R = r"\(?r(ef\w*\.?)?\)?"
 QUANTITIES = (
-    Quantity("log10(1/R)", re.compile(rf"(?<![a-z])log(10)?[(\[]?1/{_R}|-log(10)?{_R}(?![a-z])"), of_decadic),
-    Quantity("ln(1/R)", re.compile(rf"(?<![a-z])ln[(\[]?1/{_R}|-ln{_R}(?![a-z])"), of_natural),
-    Quantity("ln R", re.compile(rf"(?<![a-z-])ln{_R}$"), lambda values: of_natural(-values)),
-    Quantity("log10 R", re.compile(rf"(?<![a-z-])log(10)?{_R}$"), lambda values: of_decadic(-values)),
-    Quantity(
+    ColumnQuantity("log10(1/R)", re.compile(rf"(?<![a-z])log(10)?[(\[]?1/{_R}|-log(10)?{_R}(?![a-z])"), of_decadic),
+    ColumnQuantity("ln(1/R)", re.compile(rf"(?<![a-z])ln[(\[]?1/{_R}|-ln{_R}(?![a-z])"), of_natural),
+    ColumnQuantity("ln R", re.compile(rf"(?<![a-z-])ln{_R}$"), lambda values: of_natural(-values)),
+    ColumnQuantity("log10 R", re.compile(rf"(?<![a-z-])log(10)?{_R}$"), lambda values: of_decadic(-values)),
+    ColumnQuantity(
         "the function of Kubelka and Munk",
         re.compile(r"kubelka|^k[-/]?m$|(?<![a-z])k-m(?![a-z])|^f\(r\W*\w*\)|^k/s$|remissionfunction"),
         of_kubelka_munk,
     ),
-    Quantity("absorbance, log10(1/R)", re.compile(r"absorbance|^abs\.?([(\[].*)?$"), of_decadic),
+    ColumnQuantity("absorbance, log10(1/R)", re.compile(r"absorbance|^abs\.?([(\[].*)?$"), of_decadic),
 )
 """What is known of, the first that fits a name in lower case without blanks."""
 
 
 @lru_cache(maxsize=4096)
-def quantity_of(name: str) -> Quantity | None:
+def quantity_of(name: str) -> ColumnQuantity | None:
     """What a column holds by its name; None for a reflectance, as far as the name says."""
     plain = re.sub(r"[\s_]", "", unicodedata.normalize("NFKC", name).replace("−", "-").casefold())
     return next((one for one in QUANTITIES if one.words.search(plain)), None)
@@ -85,7 +85,7 @@ def _named(column: Column) -> Column:
     return replace(column, unit="fraction", unit_text=column.name)
 
 
-def _error(sigma: Column, values: FloatArray, quantity: Quantity) -> Column:
+def _error(sigma: Column, values: FloatArray, quantity: ColumnQuantity) -> Column:
     """Half the way between the reflectances one standard deviation to either side."""
     up, down = quantity.reflectance(values - sigma.values), quantity.reflectance(values + sigma.values)
     return replace(sigma, values=np.abs(up - down) / 2, unit="fraction")

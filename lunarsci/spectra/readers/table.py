@@ -43,7 +43,8 @@ class Column:
     name : as the file has it, '' where it has none.
     values : shape (rows,), NaN where there is no number.
     position : place in the file, from 1.
-    unit : 'nm', 'um', 'angstrom', 'cm-1', 'fraction' or 'percent' where the file has a field for units; None where only the name may tell.
+    unit : 'nm', 'um', 'angstrom', 'cm-1', 'fraction' or 'percent' where the file has a field for units; None
+        where only the name may tell.
     unit_text : the unit as the file writes it, where `values` had to be converted.
     """
 
@@ -198,10 +199,10 @@ def wavelength_nm(column: Column, stated: WavelengthUnit | None, file: str) -> t
     if origin == "file" and stated not in (None, unit):
         _warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
     record = {"wavelength_unit": column.unit_text or unit, "wavelength_unit_from": origin}
-    return _to_nm(column.values, unit), record
+    return to_nm(column.values, unit), record
 
 
-def _to_nm(values: FloatArray, unit: str) -> FloatArray:
+def to_nm(values: FloatArray, unit: str) -> FloatArray:
     """Wavelengths of numbers in a unit; those of wavenumbers in vacuum. [nm]"""
     return np.asarray(1e7 / values if unit == "cm-1" else values * _FACTOR_NM[unit])
 
@@ -228,7 +229,7 @@ def _wavelength_choice(
 
 
 def _plausible(unit: str, low: float, high: float) -> bool:
-    ends = _to_nm(np.array([low, high]), unit)
+    ends = to_nm(np.array([low, high]), unit)
     return bool(ends.min() >= _PLAUSIBLE_NM[0] and ends.max() <= _PLAUSIBLE_NM[1])
 
 

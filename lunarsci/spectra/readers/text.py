@@ -56,6 +56,7 @@ def read_text(source: InputFile) -> SpectrumTable:
         about["keys"] = keys
     if in_rows := spectra_in_rows(table, source, about):
         return in_rows
+    names: list[str] | None
     if table.names:
         names, body = table.names, table.lines
     else:
