@@ -60,7 +60,7 @@ def _layout(path: str, said: Stated) -> Layout:
         return open_netcdf(path)
     if start.split(b"\n")[0].strip() == b"ENVI" or has_header(path):
         return open_envi(path, said.locations)
-    if (label := label_of_cube(path)) is not None:
+    if label := label_of_cube(path):
         return open_pds(label)
     raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
 
@@ -247,8 +247,7 @@ def _netcdf_layout(path: str, data: Any) -> Layout:
     variable = data[(with_waves or cubes)[0]]
     axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
     lines, samples = (str(name) for name in variable.dims if name != axis)
-    wave = data[waves[axis]] if axis in waves else None
-    stored = variable.encoding.get("dtype", variable.dtype)
+    wave, stored = data[waves[axis]] if axis in waves else None, variable.encoding.get("dtype", variable.dtype)
     scaled = "scale_factor" in variable.encoding or "add_offset" in variable.encoding
     return Layout(
         name=path,

@@ -170,7 +170,9 @@ def assign_roles(
         k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])
         or is_wavelength(names[k])
     ]  # fmt: skip
-    plain = [k for k in others if k not in dropped and quantity_of(names[k]) is None]
+    plain = [
+        k for k in others if k not in dropped and quantity_of(names[k]) is None and not _says_error(names[k])
+    ]  # fmt: skip
     dropped += [k for k in others if plain and k not in (*plain, *dropped) and not _says_error(names[k])]
     rest = [k for k in others if k not in dropped]
     sigmas = _sigmas(names, rest, source.name)

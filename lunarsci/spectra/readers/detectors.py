@@ -70,7 +70,7 @@ def _overlap(wavelength_nm: FloatArray, parts: Sequence[IntArray]) -> bool:
 def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
     """The same where rows are sorted by wavelength: two even grids, one in the other, on two levels."""
     order = np.argsort(wavelength_nm, kind="stable")
-    parts = _two_grids(wavelength_nm[order])
+    parts = _two_grids(wavelength_nm[order], table.reflectances[0][order])
     if not parts:
         return []
     low, high = (order[part] for part in parts)
@@ -81,30 +81,38 @@ def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArr
     return [low, high] if repeated or apart else []
 
 
-def _two_grids(ascending: FloatArray) -> list[IntArray]:
+def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     """Places of channels that follow each other evenly from the first on, and of the others; none where these are few.
 
-    What follows evenly beyond the last of the others is theirs.
+    Where two could follow, the one nearer in value does. What follows evenly beyond the last of the others is theirs.
     """
     steps = np.diff(ascending)
     if ascending.size < 4 * LEAST_CHANNELS or (steps[1:] >= (1 - EVEN) * steps[:-1]).all():
         return []
-    one, other, step = [0], list[int](), steps[0]
-    for k in range(1, ascending.size):
-        if abs(ascending[k] - ascending[one[-1]] - step) <= EVEN * step:
-            step = ascending[k] - ascending[one[-1]]
-            one.append(k)
-        else:
-            other.append(k)
-    if not other:
+    one = _even(ascending, values)
+    other = np.setdiff1d(np.arange(ascending.size), one)
+    if not other.size:
         return []
     end = min(one[-1], other[-1])
-    low, high = np.array([k for k in one if k <= end]), np.array(sorted([*other, *(k for k in one if k > end)]))
-    inside = low > high[0]
+    low, high = one[one <= end], np.sort(np.concatenate([other, one[one > end]]))
     beside = np.diff(ascending[high[high < low[-1]]])
-    if inside.sum() < LEAST_CHANNELS or beside.size < LEAST_CHANNELS - 1:
+    if (low > high[0]).sum() < LEAST_CHANNELS or beside.size < LEAST_CHANNELS - 1:
         return []
     return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
+
+
+def _even(ascending: FloatArray, values: FloatArray) -> IntArray:
+    """Places of channels from the first on, each a step from the one before that is as long as the last, or nearly."""
+    one, step = [0], ascending[1] - ascending[0]
+    while True:
+        expected = ascending[one[-1]] + step
+        first, last = np.searchsorted(ascending, [expected - EVEN * step, expected + EVEN * step * (1 + 1e-9)])
+        if (first := max(first, one[-1] + 1)) >= last:
+            return np.array(one)
+        off = np.abs(values[first:last] - values[one[-1]])
+        chosen = int(first + (np.nanargmin(off) if np.isfinite(off).any() else 0))
+        step = ascending[chosen] - ascending[one[-1]]
+        one.append(chosen)
 
 
 def _differences(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> FloatArray:

@@ -115,7 +115,7 @@ def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
         break
     if names and units:
         names = [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, units, strict=True)]
-    found = names or _by_keys(about, width) or units
+    found = _by_keys(about, width) or names or units
     if not found and not any(_KEY.match(line) for line in about):
         raise DataError(
             f"{file}: lines of text before the table, whose numbers begin in line {body[0][0]}; keep only the line "

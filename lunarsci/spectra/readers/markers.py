@@ -3,9 +3,12 @@
 No library does this for a file that does not name its marker.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
@@ -56,6 +59,13 @@ def _far(size: FloatArray, top: FloatArray) -> BoolArray:
     others = ((size > 0) & (size <= top[:, None] / FAR)).sum(axis=1)
     impossible = (top > MAX_PERCENT) & (others > 0)
     return np.asarray((near == same) & (impossible | ((same > 1) & (others >= FEWEST_OTHERS))))
+
+
+def unnamed_markers(parts: Sequence[npt.NDArray[Any]], known: Sequence[float]) -> list[float]:
+    """Numbers of parts of a cube that mark no data, beside those that are known: far from all others of all parts."""
+    seen = np.concatenate([np.empty(0), *(part.ravel() for part in parts)])[None]
+    seen[np.isin(seen, known) | ~np.isfinite(seen) | (seen <= DELETED_BELOW)] = np.nan
+    return [] if np.isnan(seen).all() else markers_of(seen)
 
 
 def without_markers(table: SpectrumTable) -> tuple[SpectrumTable, IntArray, list[str]]:
