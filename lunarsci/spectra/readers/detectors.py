@@ -29,7 +29,9 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
 
     The same where they do not. The reflectances are those of `table.block`.
     """
-    parts = _runs(wavelength_nm) or _interleaved(table, wavelength_nm)
+    steps = np.diff(wavelength_nm)
+    sorted_rows = (steps >= 0).all() or (steps <= 0).all()
+    parts = (sorted_rows and _interleaved(table, wavelength_nm)) or _runs(wavelength_nm)
     if not parts:
         return table, wavelength_nm, []
     gain, keep, said = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
@@ -95,10 +97,18 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
         return []
     end = min(one[-1], other[-1])
     low, high = one[one <= end], np.sort(np.concatenate([other, one[one > end]]))
+    while low.size > 1 and high.size > 1 and _is_missed(ascending[low[-1]], ascending[high]):
+        low, high = low[:-1], np.sort(np.append(high, low[-1]))
     beside = np.diff(ascending[high[high < low[-1]]])
     if (low > high[0]).sum() < LEAST_CHANNELS or beside.size < LEAST_CHANNELS - 1:
         return []
     return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
+
+
+def _is_missed(at: float, grid: FloatArray) -> bool:
+    """Whether a grid has a gap of two steps at a wavelength: it belongs there."""
+    place = int(np.searchsorted(grid, at))
+    return 0 < place < grid.size and bool(grid[place] - grid[place - 1] > 1.5 * np.median(np.diff(grid)))
 
 
 def _even(ascending: FloatArray, values: FloatArray) -> IntArray:

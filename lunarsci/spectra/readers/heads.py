@@ -106,7 +106,7 @@ def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
         cells = list(split_fields(text, table.separator, f"{file}: line {line}"))
         if table.separator == " " and len(cells) != width:
             cells = [cell.strip() for cell in re.split(r"\s{2,}|\t|,\s*", text)]
-        if len(cells) != width or (_KEY.match(text) and width == 2 and ":" in text):
+        if len(cells) != width or "=" in text or ":" in cells[0]:
             continue
         if not units and not names and {cell.strip("()[] ").casefold() for cell in cells} <= _UNITS:
             units = [cell.strip("()[] ") for cell in cells]
