@@ -21,7 +21,7 @@ from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.libraries import without_wavelength_files
-from lunarsci.spectra.readers.likely import unlikely, unlikely_of_many, without_lone
+from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, unlikely_of_many, without_steps
 from lunarsci.spectra.readers.markers import without_markers
 from lunarsci.spectra.readers.table import (
     SURELY,
@@ -124,21 +124,11 @@ def read_batch(
         if batch.failures:
             raise BatchError.of(batch.failures)
         raise DataError("no spectra were given; name files or tables")
-    found = replace(batch, spectra=SpectrumCollection(_without_lone(parts)))
+    clean, told = cleaned(parts)
+    for line in told:
+        warnings.warn(line, LunarSciWarning, stacklevel=3)
+    found = replace(batch, spectra=SpectrumCollection(clean))
     return _those(found, only) if only else found
-
-
-def _without_lone(parts: Sequence[SpectrumRows]) -> list[SpectrumRows]:
-    """The spectra without single channels far off their neighbours, with a warning."""
-    kept, odd = list[SpectrumRows](), list[str]()
-    for rows in parts:
-        clean, which = without_lone(rows)
-        kept.append(clean)
-        odd += [rows.ids[row] for row in which]
-    if odd:
-        told = "spectra with single channels a factor of 1.65 and more off both neighbours, which are left out"
-        warnings.warn(f"{told}: {len(odd)}, first '{odd[0]}'", LunarSciWarning, stacklevel=3)
-    return kept
 
 
 def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
@@ -202,6 +192,7 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     except LunarSciError as error:
         batch.failures.append(Failure.of(name, error))
         return
+    found = _levelled(batch, found, told)
     for line in told:
         warnings.warn(line, LunarSciWarning, stacklevel=2)
     batch.origins.extend([source.name] * len(found))
@@ -209,6 +200,13 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     batch.inputs.update(found.about(0).get("inputs", {}))
     batch.read_as.extend(found.about(0).get("read_as", ()))
     yield _averaged(batch, found, source.name)
+
+
+def _levelled(batch: SpectraBatch, rows: SpectrumRows, told: Sequence[str]) -> SpectrumRows:
+    """The spectra without the steps that were told of."""
+    steps = [line for line in told if SAID["step"] in line]
+    batch.read_as.extend(steps)
+    return without_steps(rows) if steps else rows
 
 
 def _averaged(batch: SpectraBatch, rows: SpectrumRows, name: str) -> SpectrumRows:
@@ -245,6 +243,9 @@ def _from_memory(
         return
     for line in told:
         warnings.warn(line, LunarSciWarning, stacklevel=2)
+    if told:
+        spectra = [_levelled(batch, SpectrumRows.of(one), told)[0] for one in spectra]
+        batch.read_as[:] = dict.fromkeys(batch.read_as)
     for spectrum in spectra:
         content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
         batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))

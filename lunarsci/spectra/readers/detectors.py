@@ -31,7 +31,8 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
     """
     steps = np.diff(wavelength_nm)
     sorted_rows = (steps >= 0).all() or (steps <= 0).all()
-    parts = (sorted_rows and _interleaved(table, wavelength_nm)) or _runs(wavelength_nm)
+    ways = (_interleaved, _runs) if sorted_rows else (_runs, _interleaved)
+    parts = ways[0](table, wavelength_nm) or ways[1](table, wavelength_nm)
     if not parts:
         return table, wavelength_nm, []
     gain, keep, said = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
@@ -51,9 +52,9 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
     return _taken(table, gain, chosen), wavelength_nm[chosen], said
 
 
-def _runs(wavelength_nm: FloatArray) -> list[IntArray]:
+def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
     """Rows of each detector, ascending, where the file has one after the other and they overlap; else none."""
-    rows = np.arange(wavelength_nm.size)
+    rows = np.arange(len(table.places))
     if rows.size > 1 and np.median(np.diff(wavelength_nm)) < 0:
         rows = rows[::-1]
     parts = np.split(rows, np.flatnonzero(np.diff(wavelength_nm[rows]) <= 0) + 1)

@@ -496,3 +496,14 @@ def test_info_knows_all_of_them(tmp_path: Path) -> None:
         found = info(path)
         assert (found.kind, found.trouble) == ("spectra", ""), path
         assert found.contents["channels"] == NM.size
+
+
+@pytest.mark.parametrize("step", [0.05, -0.04])
+def test_a_step_between_detectors_is_no_band(tmp_path: Path, step: float) -> None:
+    """Three detectors that meet at 1000 and 1800 nm, as of field spectrometers (Hueni & Bialek 2017)."""
+    nm = np.arange(350.0, 2501.0, 5)
+    stepped = rock(nm) * np.where(nm < 1002, 1 + step, 1.0) * np.where(nm < 1802, 1 - step / 2, 1.0)
+    (tmp_path / "a.csv").write_text(NAMES + rows(nm, stepped, digits=9))
+    batch = batch_of(str(tmp_path / "a.csv"))
+    assert is_rock(batch.spectra[0], 2e-3) and "a step between two channels" in batch.read_as[0]
+    assert is_rock(batch_of(nm, stepped).spectra[0], 2e-3)
