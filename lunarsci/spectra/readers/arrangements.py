@@ -5,6 +5,7 @@ spectrum; columns without names. No library tells them apart.
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import permutations
 from typing import Any
@@ -25,6 +26,7 @@ HARDLY_ERROR = 0.3
 """Share of the column before it from which a column is hardly its error; that of `likely`, assumed."""
 MOST_COMPARED, SAME = 6, 2e-4
 """Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
+_BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
 _NUMBERED = re.compile(r"[ _.-]?\d+$")
 _CHANNEL = re.compile(r"[A-Za-z_. ]{0,12}?(\d+(?:[.,]\d+)?)\s*(nm|um|µm|μm|micron\w*)?", re.IGNORECASE)
 
@@ -86,13 +88,44 @@ def _first_is_wavelength(names: Sequence[str], rows: Sequence[Row]) -> bool:
 def own_wavelengths(names: Sequence[str]) -> list[list[int]]:
     """Places of the columns of each spectrum, its wavelengths first, where each has its own; none for another table."""
     starts = [k for k, name in enumerate(names) if is_wavelength(_NUMBERED.sub("", name))]
+    if len(starts) < 2 and names[0]:
+        same = [k for k, name in enumerate(names) if name == names[0]]
+        first = [k for k, name in enumerate(names) if _BEGINS.match(name)]
+        starts = max(same, first, key=len)
+        starts = starts if len({*np.diff([*starts, len(names)]).tolist()}) == 1 else []
     if len(starts) < 2 or starts[0] > 0:
         return []
     groups = [list(range(low, high)) for low, high in zip(starts, [*starts[1:], len(names)], strict=True)]
     return groups if min(map(len, groups)) > 1 else []
 
 
-def on_one_grid(groups: Sequence[Sequence[Column]], source: InputFile, about: dict[str, Any]) -> SpectrumTable:
+def one_below_another(names: Sequence[str], rows: Sequence[Row], separator: str, file: str) -> list[list[Column]]:
+    """The columns of each spectrum of a table with names of spectra in its rows and wavelengths that come again."""
+    decimal = separator in DECIMAL_COMMA
+    labels = [k for k in range(len(names)) if rows and all(_is_text(row, k, decimal) for row in rows)]
+    place = next((k for k, name in enumerate(names) if is_wavelength(name)), None)
+    if not labels or place is None:
+        return []
+    each = dict[str, list[Row]]()
+    for row in rows:
+        each.setdefault(row.fields[labels[0]], []).append(row)
+    wavelengths = Counter(row.fields[place] for row in rows)
+    if len(each) < 2 or len(each) * FEWEST_CHANNELS > len(rows) or max(wavelengths.values()) < 2:
+        return []
+    others = [k for k in range(len(names)) if k != place and k not in labels]
+    found = list[list[Column]]()
+    for id, own in each.items():
+        titles = [id if len(others) == 1 or k == others[0] else f"{id} {names[k]}" for k in others]
+        columns = [Column(names[place], numbers(own, place, quoted(names[place]), file, decimal), place + 1)]
+        for title, k in zip(titles, others, strict=True):
+            columns.append(Column(title, numbers(own, k, quoted(names[k]), file, decimal), k + 1))
+        found.append(columns)
+    return found
+
+
+def on_one_grid(
+    groups: Sequence[Sequence[Column]], source: InputFile, about: dict[str, Any], said: str = ""
+) -> SpectrumTable:
     """Spectra with wavelengths of their own on the wavelengths of all, missing where they have none."""
     grids = [group[0].values for group in groups]
     every = np.unique(np.concatenate(grids))
@@ -113,7 +146,7 @@ def on_one_grid(groups: Sequence[Sequence[Column]], source: InputFile, about: di
         spectra += [(spread(others[r - 1]), None if s is None else spread(others[s - 1])) for r, s in roles.spectra]
     names = [one.name for one, _ in spectra]
     spectra = [(c if names.count(c.name) == 1 else Column("", c.values, c.position, c.unit), s) for c, s in spectra]
-    said = f"{len(groups)} columns of wavelengths: each read as those of the columns up to the next"
+    said = said or f"{len(groups)} columns of wavelengths: each read as those of the columns up to the next"
     places = tuple(f"wavelength {value:g}" for value in every)
     first = groups[0][0]
     wavelength = Column(first.name, every, first.position, first.unit)

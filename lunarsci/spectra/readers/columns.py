@@ -190,7 +190,7 @@ def assign_roles(
 
 
 def _check_unique(names: Sequence[str], file: str) -> None:
-    twice = [name for name, count in Counter(n for n in names if n).items() if count > 1]
+    twice = [name for name, count in Counter(n for n in names if n and not _says_error(n)).items() if count > 1]
     if twice:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
@@ -218,6 +218,8 @@ def _is_wavelength_error(name: str) -> bool:
 
 def _says_error(name: str) -> bool:
     """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
+    if _PLUS_MINUS.match(name.strip()):
+        return True
     word = "".join(name_tokens(_PLUS_MINUS.sub(" sd ", name)))
     word = word.removeprefix("avg").removeprefix("mean").removeprefix("average") or word
     return word in _SIGMA or _SIGMA_WORD.match(word) is not None
@@ -233,7 +235,7 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
         last, owner = _LAST_WORD.match(name), _owner(name, plain)
         if owner is not None:
             _pair(pairs, owner, k, names, file)
-        elif _says_error(name):
+        elif _says_error(name) or _says_error(names[k]):
             bare.append(k)
         elif last is not None and _says_error(last[2]):
             _pair(pairs, None, k, names, file)
@@ -241,7 +243,8 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
     alone = [k for k in places if k not in taken]
     plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
     for k in bare:
-        _pair(pairs, plainly[0] if len(plainly) == 1 else None, k, names, file)
+        before = k - 1 if k - 1 in alone and len(bare) > 1 else None
+        _pair(pairs, plainly[0] if len(plainly) == 1 and before is None else before, k, names, file)
     return pairs
 
 

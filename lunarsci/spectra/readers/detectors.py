@@ -13,8 +13,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.spectra.readers.table import Column, SpectrumTable
 
-LEAST_CHANNELS = 5
-"""Of a detector, alone and where it overlaps another in a grid that is sorted; as of the splice of VNIS."""
+LEAST_CHANNELS, LEAST_IN_COMMON = 5, 3
+"""Of a detector, as of the splice of VNIS, and of each where they overlap in rows that are sorted; assumed."""
 MOST_DETECTORS = 4
 """Of a spectrometer; assumed: field spectrometers have two or three."""
 EVEN = 0.25
@@ -34,7 +34,7 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
     ways = (_interleaved, _runs) if sorted_rows else (_runs, _interleaved)
     parts = ways[0](table, wavelength_nm) or ways[1](table, wavelength_nm)
     if not parts:
-        return table, wavelength_nm, []
+        return _without_copies(table, wavelength_nm)
     gain, keep, said = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
     keep[parts[-1]] = True
     for low, high in reversed(list(pairwise(parts))):
@@ -50,6 +50,18 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
         )
     chosen = np.concatenate([part[keep[part]] for part in parts])
     return _taken(table, gain, chosen), wavelength_nm[chosen], said
+
+
+def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
+    """A table without rows that repeat another one, wavelength and all."""
+    if np.unique(wavelength_nm).size == wavelength_nm.size:
+        return table, wavelength_nm, []
+    rows = np.vstack([wavelength_nm, np.nan_to_num(table.reflectances, nan=-1.0)])
+    chosen = np.sort(np.unique(rows, axis=1, return_index=True)[1])
+    if chosen.size == wavelength_nm.size:
+        return table, wavelength_nm, []
+    said = [f"{wavelength_nm.size - chosen.size} rows that repeat another one are left out"]
+    return _taken(table, np.ones(table.reflectances.shape), chosen), wavelength_nm[chosen], said
 
 
 def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
@@ -70,7 +82,7 @@ def _overlap(wavelength_nm: FloatArray, parts: Sequence[IntArray]) -> bool:
     return all(a < c <= b < d for (a, b), (c, d) in pairwise(ends))
 
 
-def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
+def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray, left: int = MOST_DETECTORS - 2) -> list[IntArray]:
     """The same where rows are sorted by wavelength: two even grids, one in the other, on two levels."""
     order = np.argsort(wavelength_nm, kind="stable")
     parts = _two_grids(wavelength_nm[order], table.reflectances[0][order])
@@ -80,8 +92,11 @@ def _interleaved(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArr
     if not _overlap(wavelength_nm, [low, high]):
         return []
     repeated = bool((np.diff(wavelength_nm[order]) == 0).any())
-    apart = any(_level_sure(wavelength_nm, one, low, high) for one in table.reflectances)
-    return [low, high] if repeated or apart else []
+    if not repeated and not any(_level_sure(wavelength_nm, one, low, high) for one in table.reflectances):
+        return []
+    beyond = table.reflectances[:, high]
+    rest = _interleaved(replace(table, block=beyond), wavelength_nm[high], left - 1) if left > 0 else []
+    return [low, *(high[part] for part in rest)] if rest else [low, high]
 
 
 def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
@@ -101,7 +116,7 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     while low.size > 1 and high.size > 1 and _is_missed(ascending[low[-1]], ascending[high]):
         low, high = low[:-1], np.sort(np.append(high, low[-1]))
     beside = np.diff(ascending[high[high < low[-1]]])
-    if (low > high[0]).sum() < LEAST_CHANNELS or beside.size < LEAST_CHANNELS - 1:
+    if (low > high[0]).sum() < LEAST_IN_COMMON or beside.size < LEAST_IN_COMMON - 1:
         return []
     return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
 
@@ -152,7 +167,7 @@ def _ratio(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: I
 def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> bool:
     """Whether the levels of two grids differ."""
     found = _differences(wavelength_nm, values, low, high)
-    if found.size < LEAST_CHANNELS:
+    if found.size < LEAST_IN_COMMON:
         return False
     error = float(found.std(ddof=1)) / found.size**0.5
     return bool(abs(float(found.mean())) > max(LEAST, SURE * error))

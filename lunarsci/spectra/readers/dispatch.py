@@ -153,6 +153,8 @@ def _format_of(source: InputFile) -> str:
 def _refuse_by_magic(source: InputFile) -> None:
     for magic, kind in _PACKED.items():
         if source.data.startswith(magic):
+            if b"xl/" in source.data or Path(source.name).suffix.lower() == ".xlsx":
+                raise DataError(f"{source.name}: is a workbook of Excel; save its sheet as CSV")
             raise DataError(f"{source.name}: is compressed ({kind}); unpack it first")
     for magic, kind in _FOREIGN.items():
         if source.data.startswith(magic):

@@ -49,7 +49,7 @@ class TableInText:
 
 
 def text_table(lines: Lines, file: str) -> TableInText:
-    """The table in lines that are no comments. Raises DataError where text stands above numbers that have no names."""
+    """The table in lines that are no comments. Raises DataError where there is nothing but a separator."""
     separator = None
     if stated := _SEPARATOR.match(lines[0][1]):
         lines, separator = lines[1:], stated[1]
@@ -116,11 +116,6 @@ def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
     if names and units:
         names = [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, units, strict=True)]
     found = _by_keys(about, width) or names or units
-    if not found and not any(_KEY.match(line) for line in about):
-        raise DataError(
-            f"{file}: lines of text before the table, whose numbers begin in line {body[0][0]}; keep only the line "
-            "with the names of the columns, or begin the others with #"
-        )
     return replace(table, lines=body, names=found or None, about=about)
 
 

@@ -100,13 +100,13 @@ _NOT_A_UNIT = {"in", "air", "vacuum", "vac", "center", "centre", "centers", "cen
 _BRACKETS = re.compile(r"[(\[{]([^)\]}]*)[)\]}]")
 _PERCENT = re.compile(
     r"\s*[(\[{]\s*(?:in\s*)?(?:%|percent|per cent|pct|prozent)\s*(?:r|refl[a-z]*\.?)?\s*[)\]}]$|_(?:percent|pct)$|"
-    r"(?<=[^\d\s,;/%-])\s*[\s,;/]\s*%$",
+    r"(?:(?<=[^\d\s,;/%-])|(?<=[a-z_]\d)|(?<=[a-z_]\d\d))\s*[\s,;/]\s*%$|^\s*%\s*(?=[a-z])",
     re.IGNORECASE,
 )
 """How names end that state percent; '50 %' is a share of something."""
 _PERCENT_SIGN = re.compile(r"%|(?<![a-z])(?:percent|per cent|pct|prozent)(?![a-z])", re.IGNORECASE)
 _OF_REFLECTANCE = re.compile(
-    r"r|rf|ref|refl\w*|reflex\w*|reflek\w*|r[ée]flect\w*|remission|brf|hdrf|total|diffuse|abs|absolute|rel|relative|"
+    r"r\d*|rf|ref|refl\w*|reflex\w*|reflek\w*|r[ée]flect\w*|remission|brf|hdrf|total|diffuse|abs|absolute|rel|relative|"
     r"bidirectional|hemispherical|directional|factor|tgt|target|sample|values?|signal|mean|avg|average|y|in|of|as|the"
 )
 """Words of a name beside the sign of percent that say nothing but reflectance."""
@@ -173,6 +173,8 @@ def wavelength_unit_in(name: str, file: str) -> str | None:
     tokens = name_tokens(name)
     if (other := spectral_unit(tokens)) is not None:
         return other
+    if re.search(r"[(\[]\s*A\s*[)\]]$", name):
+        return "angstrom"
     units = {unit for unit in map(length_unit, tokens) if unit is not None}
     if len(units) == 1:
         return units.pop()

@@ -16,7 +16,13 @@ from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.arrangements import on_one_grid, own_wavelengths, spectra_in_rows, unnamed
+from lunarsci.spectra.readers.arrangements import (
+    on_one_grid,
+    one_below_another,
+    own_wavelengths,
+    spectra_in_rows,
+    unnamed,
+)
 from lunarsci.spectra.readers.columns import assign_roles, is_wavelength
 from lunarsci.spectra.readers.heads import text_table
 from lunarsci.spectra.readers.table import Column, SpectrumTable
@@ -81,6 +87,8 @@ def read_text(source: InputFile) -> SpectrumTable:
         return unnamed([column(k) for k in range(width)], source, places, about)
     if groups := own_wavelengths(names):
         return on_one_grid([[column(k) for k in group] for group in groups], source, about)
+    if stacked := one_below_another(names, rows, separator, source.name):
+        return on_one_grid(stacked, source, about, f"{len(stacked)} spectra one below another, by their names")
     texts = _texts(rows) if any(map(is_wavelength, names)) else []
     roles = assign_roles(names, source, left_out=texts)
     return SpectrumTable(

@@ -507,3 +507,36 @@ def test_a_step_between_detectors_is_no_band(tmp_path: Path, step: float) -> Non
     batch = batch_of(str(tmp_path / "a.csv"))
     assert is_rock(batch.spectra[0], 2e-3) and "a step between two channels" in batch.read_as[0]
     assert is_rock(batch_of(nm, stepped).spectra[0], 2e-3)
+
+
+def test_spectra_may_stand_one_below_another() -> None:
+    """The long ("tidy") form of a data frame (Wickham 2014): a row for each sample and wavelength."""
+    lines = "".join(f"A-{k},{nm:g},{r:.7g},0.001\n" for k in (1, 2) for nm, r in zip(NM, R * k, strict=True))
+    (one, two), said = told("sample,wavelength_nm,reflectance,sd\n" + lines)
+    assert (one.id, two.id) == ("A-1", "A-2") and is_rock(one) and one.uncertainty is not None
+    np.testing.assert_allclose(two.reflectance, 2 * R, rtol=1e-5)
+    assert any("2 spectra one below another" in line for line in said)
+
+
+@pytest.mark.parametrize("names", ["wl_a,a,wl_b,b", "X,a,X,b"])
+def test_wavelengths_are_told_by_how_their_names_repeat(names: str) -> None:
+    (one, two), _ = told(f"{names}\n" + rows(NM, R, NM + 1, rock(NM + 1)))
+    assert is_rock(one) and is_rock(two)
+
+
+def test_errors_of_one_name_belong_to_the_columns_before_them() -> None:
+    spectra, _ = told("wavelength_nm,a,SD,b,SD\n" + rows(NM, R, 0.01 * R, R, 0.02 * R))
+    assert [one.id for one in spectra] == ["a", "b"]
+    for one, share in zip(spectra, (0.01, 0.02), strict=True):
+        assert one.uncertainty is not None
+        np.testing.assert_allclose(one.uncertainty, share * R, rtol=1e-5)
+
+
+def test_cells_of_spreadsheets_without_a_number_are_missing() -> None:
+    [spectrum], _ = told(NAMES + rows(NM, R) + "2510,#N/A\n2520,#DIV/0!\n2530,-1.#IND\n")
+    assert is_rock(spectrum) and spectrum.usable.sum() == NM.size
+
+
+def test_rows_that_come_twice_count_once() -> None:
+    [spectrum], said = told(NAMES + rows(NM, R) + rows(NM[-2:], R[-2:]))
+    assert is_rock(spectrum) and said == ["a.csv: 2 rows that repeat another one are left out"]

@@ -338,6 +338,6 @@ def test_lines_of_text_as_wide_as_the_table_are_told_from_its_names(read: Read) 
     np.testing.assert_allclose(spectrum.uncertainty, 0.01)
 
 
-def test_text_above_numbers_that_have_no_names_is_said(refuse: Refuse) -> None:
-    message = refuse("Basalt of the north\nmeasured twice\n400,0.1\n500,0.2\n600,0.2\n700,0.2\n")
-    assert "whose numbers begin in line 3" in message and "begin the others with #" in message
+def test_text_above_numbers_that_have_no_names_is_kept(read: Read) -> None:
+    [spectrum] = read("Basalt of the north\nmeasured twice\n400,0.1\n500,0.2\n600,0.2\n700,0.2\n", wavelength_unit="nm")
+    assert spectrum.metadata["comments"] == ["Basalt of the north", "measured twice"]
