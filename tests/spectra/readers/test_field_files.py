@@ -540,3 +540,25 @@ def test_cells_of_spreadsheets_without_a_number_are_missing() -> None:
 def test_rows_that_come_twice_count_once() -> None:
     [spectrum], said = told(NAMES + rows(NM, R) + rows(NM[-2:], R[-2:]))
     assert is_rock(spectrum) and said == ["a.csv: 2 rows that repeat another one are left out"]
+
+
+def test_a_cube_of_pds4_is_opened(tmp_path: Path) -> None:
+    """PDS4 Standards Reference, Array_3D_Image; axes as of IIRS: band, line, sample."""
+    from lunarsci.spectra.cubes.rasters import open_cube
+
+    (tmp_path / "a.qub").write_bytes(np.tile(R[:, None, None], (1, 4, 3)).astype("<f4").tobytes())
+    axes = "".join(
+        f"<Axis_Array><axis_name>{name}</axis_name><elements>{count}</elements><sequence_number>{k}</sequence_number>"
+        "</Axis_Array>"
+        for k, (name, count) in enumerate((("Band", NM.size), ("Line", 4), ("Sample", 3)), 1)
+    )
+    bins = "".join(f'<Band_Bin><center_wavelength unit="nm">{nm:g}</center_wavelength></Band_Bin>' for nm in NM)
+    (tmp_path / "a.xml").write_text(
+        f"<Product_Observational><Band_Bin_Set>{bins}</Band_Bin_Set><File_Area_Observational><File><file_name>a.qub"
+        f"</file_name></File><Array_3D_Image><offset>0</offset><axes>3</axes><Element_Array><data_type>IEEE754LSBSingle"
+        f"</data_type></Element_Array>{axes}</Array_3D_Image></File_Area_Observational></Product_Observational>"
+    )
+    cube = open_cube(str(tmp_path / "a.xml"))
+    np.testing.assert_allclose(cube.wavelength_nm, NM)
+    np.testing.assert_allclose(cube.read(slice(0, 4), slice(0, 3))[0][3, 1], R, rtol=1e-5)
+    assert info(tmp_path / "a.xml").contents == {"a.qub": "4 lines, 3 samples, 211 bands"}
