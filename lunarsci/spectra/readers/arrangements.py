@@ -15,7 +15,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength
+from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength, says_error
 from lunarsci.spectra.readers.heads import TableInText
 from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import DECIMAL_COMMA, Row, is_missing, number, numbers, quoted, split_fields
@@ -47,6 +47,11 @@ def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]
         return None
     label = texts[0] if texts else next((k for k in range(len(names)) if k not in channels), None)
     values = np.array([numbers(rows, k, quoted(names[k]), source.name, decimal) for k in channels]).T
+    errors = {k: k - 1 for k, row in enumerate(rows) if k > 0 and any(says_error(row.fields[t]) for t in texts)}
+    errors = {k: of for k, of in errors.items() if of not in errors}
+    sigma = {of: Column("", values[k], k + 1) for k, of in errors.items()}
+    kept = [k for k in range(len(rows)) if k not in errors]
+    rows, values = [rows[k] for k in kept], values[kept]
     ids = [row.fields[label] if label is not None else "" for row in rows]
     ids = ids if len({*ids}) == len(ids) else [""] * len(ids)
     if not texts:
@@ -54,7 +59,7 @@ def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]
     said = f"wavelengths in the header, {len(rows)} spectra in rows; give the table with spectra in columns otherwise"
     return SpectrumTable(
         source, "text", Column("wavelength", wavelength, 1, unit),
-        tuple((Column(id, own, k + 1), None) for k, (id, own) in enumerate(zip(ids, values, strict=True))),
+        tuple((Column(id, own, k + 1), sigma.get(k)) for k, id, own in zip(kept, ids, values, strict=True)),
         tuple(f"column {k + 1}" for k in channels), {**about, "read_as": [said]},
     )  # fmt: skip
 

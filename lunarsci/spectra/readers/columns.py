@@ -99,6 +99,8 @@ MOST_NAMED = 4
 ERROR_SHARE, ERROR_MOST = 0.05, 0.02
 """A column of no more than this share of the one before it, and this reflectance, looks like its error; assumed."""
 _BRACKETED = re.compile(r"[(\[{]([^)\]}]*)[)\]}]\s*$")
+_RADIANT = re.compile(r"\b[mµμu]?w\b.*\b[cmµμu]?m\b|\bsr\b|\bwatt|m-?[²2]")
+"""Units of radiance and irradiance."""
 _SYSTEMATIC = re.compile(r"^(.+?)_systematic_(\w+)$", re.IGNORECASE)
 _PLAIN = {
     *("reflectance", "reflexion", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof"),
@@ -143,7 +145,8 @@ def is_not_a_spectrum(name: str) -> bool:
     tokens = name_tokens(name)
     if "fwhm" in tokens or (len(tokens) == 1 and tokens[0] in _NOT_A_SPECTRUM):
         return True
-    if (unit := _BRACKETED.search(name)) is not None and unit[1].strip().casefold() in _FOREIGN_UNITS:
+    unit = "" if (match := _BRACKETED.search(name)) is None else match[1].strip().casefold()
+    if unit in _FOREIGN_UNITS or _RADIANT.search(unit):
         return True
     # 'radiance factor' is a reflectance, a 'calibration factor' is none.
     foreign = _NOT_REFLECTANCE & set(tokens)
@@ -171,9 +174,9 @@ def assign_roles(
         or is_wavelength(names[k])
     ]  # fmt: skip
     plain = [
-        k for k in others if k not in dropped and quantity_of(names[k]) is None and not _says_error(names[k])
+        k for k in others if k not in dropped and quantity_of(names[k]) is None and not says_error(names[k])
     ]  # fmt: skip
-    dropped += [k for k in others if plain and k not in (*plain, *dropped) and not _says_error(names[k])]
+    dropped += [k for k in others if plain and k not in (*plain, *dropped) and not says_error(names[k])]
     rest = [k for k in others if k not in dropped]
     sigmas = _sigmas(names, rest, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
@@ -190,7 +193,7 @@ def assign_roles(
 
 
 def _check_unique(names: Sequence[str], file: str) -> None:
-    twice = [name for name, count in Counter(n for n in names if n and not _says_error(n)).items() if count > 1]
+    twice = [name for name, count in Counter(n for n in names if n and not says_error(n)).items() if count > 1]
     if twice:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
@@ -211,16 +214,17 @@ def _wavelength_place(names: Sequence[str], file: str) -> int:
 
 def _is_wavelength_error(name: str) -> bool:
     match = _LAST_WORD.match(name)
-    if match is not None and _says_error(match[2]) and is_wavelength(match[1]):
+    if match is not None and says_error(match[2]) and is_wavelength(match[1]):
         return True
     return is_wavelength(name) and bool(_SIGMA & set(name_tokens(name)))
 
 
-def _says_error(name: str) -> bool:
+def says_error(name: str) -> bool:
     """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
     if _PLUS_MINUS.match(name.strip()):
         return True
     word = "".join(name_tokens(_PLUS_MINUS.sub(" sd ", name)))
+    word = word.replace("%", "").removeprefix("relative").removeprefix("rel") or word
     word = word.removeprefix("avg").removeprefix("mean").removeprefix("average") or word
     return word in _SIGMA or _SIGMA_WORD.match(word) is not None
 
@@ -235,9 +239,9 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
         last, owner = _LAST_WORD.match(name), _owner(name, plain)
         if owner is not None:
             _pair(pairs, owner, k, names, file)
-        elif _says_error(name) or _says_error(names[k]):
+        elif says_error(name) or says_error(names[k]):
             bare.append(k)
-        elif last is not None and _says_error(last[2]):
+        elif last is not None and says_error(last[2]):
             _pair(pairs, None, k, names, file)
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
@@ -252,9 +256,9 @@ def _owner(name: str, plain: Mapping[str, int]) -> int | None:
     """Place of the column that another one, by its name, has the errors of: 'A Std.Abw.', 'err_A'."""
     for gap in _GAP.finditer(name):
         before, after = name[: gap.start()].strip(), name[gap.end() :].strip()
-        if _says_error(after) and before in plain:
+        if says_error(after) and before in plain:
             return plain[before]
-        if _says_error(before) and after in plain:
+        if says_error(before) and after in plain:
             return plain[after]
     return None
 
@@ -294,11 +298,12 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     values = table.reflectances
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
-    constant = unnamed & (low == high) & (low > MAX_FRACTION)
+    plain = [high[k] <= MAX_FRACTION for k, (one, _) in enumerate(table.spectra) if one.name and _is_plain(one.name)]
+    constant = unnamed & (low > MAX_FRACTION) & ((low == high) | any(plain))
     if constant.any() and not constant.all():
         kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
-        _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, no reflectance")
+        _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, or raw numbers: no reflectance")
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
         table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
         high, deleted = high[kept], deleted[kept]

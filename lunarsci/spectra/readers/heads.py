@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lunarsci.errors import DataError
+from lunarsci.spectra.readers.table import only_percent
 from lunarsci.spectra.rows import UNITS, number, separator_of, split_fields
 
 Lines = Sequence[tuple[int, str]]
@@ -111,8 +112,13 @@ def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
         if not units and not names and {cell.strip("()[] ").casefold() for cell in cells} <= _UNITS:
             units = [cell.strip("()[] ") for cell in cells]
             continue
-        names = cells
-        break
+        if not names:
+            names = cells
+        elif len({*names}) < len(names) and len({*cells}) == len(cells):
+            above = [f"{cell} [%]" if only_percent(low) else cell for cell, low in zip(cells, names, strict=True)]
+            names = [names[0], *above[1:]]
+        if len({*names}) == len(names):
+            break
     if names and units:
         names = [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, units, strict=True)]
     found = _by_keys(about, width) or names or units

@@ -69,7 +69,7 @@ def _rows_and_below(lines: Sequence[tuple[int, str]], count: int) -> tuple[list[
     rows = [Row(n, tuple(line.split())) for n, line in lines]
     below = rows[count:]
     text = [line for _, line in lines[count:]]
-    spoilt = any(len(row.fields) == len(rows[0].fields) and number(row.fields[0]) is not None for row in below)
+    spoilt = any(all(number(cell) is not None for cell in row.fields) for row in below)
     return (rows, []) if spoilt or not any(any(map(str.isalpha, line)) for line in text) else (rows[:count], text)
 
 

@@ -562,3 +562,26 @@ def test_a_cube_of_pds4_is_opened(tmp_path: Path) -> None:
     np.testing.assert_allclose(cube.wavelength_nm, NM)
     np.testing.assert_allclose(cube.read(slice(0, 4), slice(0, 3))[0][3, 1], R, rtol=1e-5)
     assert info(tmp_path / "a.xml").contents == {"a.qub": "4 lines, 3 samples, 211 bands"}
+
+
+def test_raw_columns_beside_a_reflectance_are_left_out() -> None:
+    spectra, _ = told("nm,White,Dark,Sample,Reflectance\n" + rows(NM, 0 * R + 900, 0 * R + 3, 900 * R, R))
+    assert len(spectra) == 1 and is_rock(spectra[0])
+
+
+def test_a_unit_of_radiance_is_none_of_reflectance() -> None:
+    with pytest.raises(DataError, match="no reflectance column"):
+        told("nm,L (W/m2/sr/um)\n" + rows(NM, R))
+
+
+def test_errors_may_stand_in_the_row_below() -> None:
+    head = "id,kind," + ",".join(f"{nm:g}" for nm in NM)
+    lines = [",".join(["a", kind, *(f"{k * v:.7g}" for v in R)]) for kind, k in (("mean", 1.0), ("sd", 0.01))]
+    [spectrum], _ = told("\n".join([head, *lines]) + "\n")
+    assert is_rock(spectrum) and spectrum.uncertainty is not None
+
+
+def test_samples_are_named_above_columns_of_one_name() -> None:
+    head = "Sample,A,B\nWavelength (nm),Reflectance (%),Reflectance (%)\n"
+    spectra, _ = told(head + rows(NM, 100 * R, 100 * R))
+    assert [one.id for one in spectra] == ["A", "B"] and all(map(is_rock, spectra))
