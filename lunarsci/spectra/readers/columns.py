@@ -303,7 +303,8 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     if constant.any() and not constant.all():
         kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
-        _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, or raw numbers: no reflectance")
+        why = "the same value in all rows" if (low == high)[constant].all() else "raw numbers beside a reflectance"
+        _warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
         table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
         high, deleted = high[kept], deleted[kept]
