@@ -88,18 +88,21 @@ def _records(data: InputFile, table: TableObject) -> list[str]:
 
 
 def _binary(data: InputFile, table: TableObject) -> dict[str, Any]:
-    kind = np.dtype({
-        "names": [f"f{k}" for k in range(len(table.fields))],
-        "formats": [one.dtype or f"S{one.length}" for one in table.fields],
-        "offsets": [one.start for one in table.fields],
-        "itemsize": table.row_bytes,
-    })  # fmt: skip
-    if len(data.data) < table.offset + table.rows * table.row_bytes:
+    formats = [np.dtype(one.dtype or f"S{max(one.length, 1)}") for one in table.fields]
+    ends = [one.start + kind.itemsize for one, kind in zip(table.fields, formats, strict=True)]
+    if min(one.start for one in table.fields) < 0 or max(ends) > table.row_bytes:
+        raise DataError(f"{data.name}: its label has fields beyond rows of {table.row_bytes} bytes; fetch it again")
+    if len(data.data) < table.offset + table.rows * table.row_bytes or not table.rows:
         raise DataError(f"{data.name}: {len(data.data)} bytes, its label says more (truncated?); fetch it again")
-    values = np.frombuffer(data.data, kind, table.rows, table.offset)
+    names = [f"f{k}" for k in range(len(formats))]
+    layout: Any = {"names": names, "formats": formats, "offsets": [one.start for one in table.fields]}
+    layout["itemsize"] = table.row_bytes
+    values: Any = np.frombuffer(data.data, np.dtype(layout), table.rows, table.offset)
     return {
-        one.name: _unmarked(values[f"f{k}"].astype(float), one.missing) if one.dtype else values[f"f{k}"].astype(str)
-        for k, one in enumerate(table.fields)
+        one.name: _unmarked(values[key].astype(float), one.missing)
+        if one.dtype
+        else [cell.decode("latin-1") for cell in values[key].tolist()]
+        for key, one in zip(names, table.fields, strict=True)
     }
 
 

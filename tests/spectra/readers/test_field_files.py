@@ -585,3 +585,20 @@ def test_samples_are_named_above_columns_of_one_name() -> None:
     head = "Sample,A,B\nWavelength (nm),Reflectance (%),Reflectance (%)\n"
     spectra, _ = told(head + rows(NM, 100 * R, 100 * R))
     assert [one.id for one in spectra] == ["A", "B"] and all(map(is_rock, spectra))
+
+
+def test_a_binary_table_of_pds4_is_read(tmp_path: Path) -> None:
+    """PDS4 Standards Reference, Table_Binary: floats of IEEE 754, lowest byte first."""
+    fields = "".join(
+        f"<Field_Binary><name>{name}</name><field_location>{start}</field_location><data_type>IEEE754LSBDouble"
+        f"</data_type><field_length>8</field_length><unit>{unit}</unit></Field_Binary>"
+        for name, start, unit in (("Wavelength", 1, "nm"), ("Reflectance", 9, "percent"))
+    )
+    (tmp_path / "a.xml").write_text(
+        f"<Product_Observational><File_Area_Observational><File><file_name>a.dat</file_name></File><Table_Binary>"
+        f"<offset>0</offset><records>{NM.size}</records><Record_Binary><record_length>16</record_length>{fields}"
+        "</Record_Binary></Table_Binary></File_Area_Observational></Product_Observational>"
+    )
+    (tmp_path / "a.dat").write_bytes(np.stack([NM, 100 * R], axis=1).astype("<f8").tobytes())
+    [spectrum] = read_spectra(str(tmp_path / "a.xml"))
+    assert is_rock(spectrum)
