@@ -301,7 +301,7 @@ def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
 
     @functools.wraps(function)
     def run(*args: Given.args, **options: Given.kwargs) -> Found:
-        bound = signature.bind(*args, **options)
+        bound = signature.bind(*_together(args, kind, signature), **options)
         replaced = bound.arguments.pop("options", {})
         request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
         with _heard(sys._getframe(1)) as heard:
@@ -312,6 +312,12 @@ def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
 
     run.__doc__ = f"{inspect.getdoc(function)}\n\n{options_text(kind)}"
     return run
+
+
+def _together(args: tuple[Any, ...], kind: type, signature: inspect.Signature) -> tuple[Any, ...]:
+    """What a function was called with; arrays of a spectrum one after the other are one input: `bands(w, r)`."""
+    arrays = next(iter(signature.parameters)) == "spectra" and len(args) in (2, 3)
+    return (args,) if arrays and not isinstance(args[1], kind | None) else args
 
 
 @contextlib.contextmanager

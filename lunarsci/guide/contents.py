@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.documents import toml_document
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, read_json, text
 from lunarsci.names import some_of
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 LARGEST_WHEEL = "lrv"
 """Whose radius no sinkage passes, where the rover is not known."""
 WHEEL_ALONE = "a wheel alone"
+M3_HOLDS = {"LOC": "longitude, latitude and radius of each pixel", "OBS": "angles and distances of each pixel"}
+"""Images of M3 that lie beside its spectra."""
 MOST = 6
 """Names that are listed."""
 LIKE = {
@@ -47,7 +49,20 @@ def _spectra(file: InputFile) -> Mapping[str, Any]:
 
 
 def _cube(file: InputFile) -> Mapping[str, Any]:
-    return {"bytes": len(file.data)}
+    from lunarsci.spectra.cubes.flat import M3_NAME
+    from lunarsci.spectra.cubes.pds import open_pds
+    from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
+
+    if not is_pds_label(file):
+        m3 = M3_NAME.search(file.name)
+        if m3 and m3[2].upper() in ("RDN", "L1B"):
+            raise DataError(f"{file.name}: radiance of M3, no reflectance; the _RFL.IMG of Level 2 has that")
+        holds = M3_HOLDS.get(m3[2].upper(), "") if m3 else ""
+        return {"bytes": len(file.data)} | ({"holds": holds} if holds else {})
+    images = read_pds_label(file).images
+    open_pds(file.name)
+    return {one.file: f"{one.lines} lines, {one.samples} samples, {one.bands} bands"
+            f"{f' in {one.unit}' if one.unit else ''}" for one in images}  # fmt: skip
 
 
 def _craters(file: InputFile) -> Mapping[str, Any]:

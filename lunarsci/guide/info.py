@@ -19,7 +19,9 @@ from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
+from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
+from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
 from lunarsci.tables import separator_of
 
 
@@ -245,6 +247,8 @@ def kind_of(file: InputFile) -> str:
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
+    if suffix not in SUFFIXES and is_pds_label(file):
+        return "cube" if read_pds_label(file).images else "spectra"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
         return SUFFIXES[suffix]
     if suffix == ".hdr":
@@ -300,6 +304,10 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if "%ECSV" in text[:20]:
         return "library" if "mineral" in text and "end_member" in text else "spectra"
     if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns):
+        return "table"
+    if header_channels(columns):
+        return "spectra"
+    if columns[0][:1].isdigit() and any(any(map(str.isalpha, cell)) and ":" in cell for cell in lines[0].split()):
         return "table"
     named = any(is_wavelength(column) for column in columns[1:])
     return "spectra" if named or len(columns) < 2 or _is_wavelength(columns[0], name, lines) else "table"

@@ -2,12 +2,12 @@
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from lunarsci.kept_blocks import spans
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -200,3 +200,41 @@ class SpectrumCollection(Sequence[Spectrum]):
         for own in np.split(np.arange(len(places)), np.flatnonzero(np.diff(number)) + 1) if len(places) else ():
             part = self._parts[number[own[0]]]
             yield part, places[own] - (self._ends[number[own[0]]] - len(part))
+
+
+MOST_CHANNELS = 5000
+"""Of a spectrum whose bands are measured; a channel every 0.4 nm from 400 to 2500 nm."""
+
+
+def averaged(rows: SpectrumRows) -> tuple[SpectrumRows, int]:
+    """Spectra with every few channels averaged where they have more than `MOST_CHANNELS`, and how many of these.
+
+    A mean is over the usable channels, its error that of independent ones; an error that channels share is averaged.
+    """
+    size = rows.wavelength_nm.size
+    each = -(-size // MOST_CHANNELS)
+    if each <= 1:
+        return rows, 1
+    starts = np.arange(0, size, each)
+    usable = ~rows.mask
+    count = _sum(usable, starts)
+    over = np.maximum(count, 1)
+    sigma = None
+    if rows.uncertainty is not None:
+        squares = np.where(usable & np.isfinite(rows.uncertainty), rows.uncertainty, 0.0) ** 2
+        sigma = np.where((count > 0) & (_sum(squares, starts) > 0), np.sqrt(_sum(squares, starts)) / over, np.nan)
+    systematic = {
+        row: {name: _sum(shift[None] * usable[row], starts)[0] / over[row] for name, shift in own.items()}
+        for row, own in rows.systematic.items()
+    }
+    mean = _sum(np.where(usable, rows.reflectance, 0.0), starts) / over
+    wavelength = _sum(rows.wavelength_nm[None], starts)[0] / np.diff(np.append(starts, size))
+    found = replace(
+        rows, wavelength_nm=wavelength, reflectance=np.where(count > 0, mean, np.nan), mask=count == 0,
+        uncertainty=sigma, systematic=systematic,
+    )  # fmt: skip
+    return found, each
+
+
+def _sum(values: FloatArray | BoolArray, starts: IntArray) -> FloatArray:
+    return np.asarray(np.add.reduceat(values, starts, axis=1, dtype=float))

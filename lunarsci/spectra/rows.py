@@ -24,7 +24,11 @@ _LONGEST_SHOWN = 40
 
 _COMMENT = ("#", "%", "!")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
-_MISSING = {"", "-", "--", "na", "nan", "n/a", "null", "none"}
+_MISSING = {
+    *("", "-", "--", "na", "nan", "n/a", "null", "none", "missing", "."),
+    *("#n/a", "#na", "#div/0!", "#value!", "#num!", "1.#qnan", "-1.#ind", "1.#inf", "-nan", "-nan(ind)"),
+}
+"""Cells without a number; those of spreadsheets and of C on Windows among them."""
 _LINES_LOOKED_AT = 50
 _PLAIN = b"0123456789+-.eE \t\n"
 _READ_AT_ONCE = 1_000_000

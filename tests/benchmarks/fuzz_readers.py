@@ -128,6 +128,8 @@ def spectrum_files() -> dict[str, bytes]:
         ".txt": b"# SYNTHETIC\n" + b"".join(b"%.4f %.5f\n" % (w / 1000, r) for w, r in rows),
         ".ecsv": ecsv.getvalue().encode(),
         ".fits": fits.getvalue(),
+        ".sed": b"Instrument: X\nData:\nWvl\tReflect. %\twavelength_nm\tb\n"
+        + b"".join(b"%.1f\t%.5f\t%.1f\t%.5f\n" % (w, 100 * r, w + 3, r) for w, r in rows),
         ".tab": b"%d\n" % len(rows) + b"".join(b"  %9.4f %9.5f %9.5f\n" % (w, r, 0.001) for w, r in rows),
     }
 
@@ -167,6 +169,8 @@ def spectra_readers() -> dict[str, Reader]:
                                 [splib + BETWEEN + waves]),
         "spectra .sli": Reader(of_spectra, ["spoilt.hdr", "spoilt.sli"],
                                [sli + BETWEEN + np.tile(reflectance, 2).astype("<f4").tobytes()]),
+        "spectra PDS3": Reader(of_spectra, ["spoilt.lbl", "a.tab"], [_pds_table()]),
+        "spectra PDS4": Reader(of_spectra, ["spoilt.xml", "a.dat"], [_pds_binary()]),
         "library": Reader(of_file("spectra.library.end_member:read_library"), ["spoilt.ecsv"], [library()]),
         "samples": Reader(of_file("spectra.library.check:read_metadata"), ["spoilt.csv"],
                           [b"id,mineral,fo,max_um,source\nA,ol,0.9,45,SYNTHETIC\nB,Ilmenite,,,\n"]),
@@ -182,6 +186,35 @@ def spectra_readers() -> dict[str, Reader]:
                           [b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\nB,-42.0,-177.9,72\n"]),
         "fitted rocks": Reader(of_file("spectra.origin.composition:read_rocks"), ["spoilt.json"], [fitted]),
     }  # fmt: skip
+
+
+def _pds_table() -> bytes:
+    """A label of PDS3 and its table, of fixed columns."""
+    nm, reflectance = curve()
+    column = " OBJECT = COLUMN\n  NAME = {}\n  UNIT = {}\n  START_BYTE = {}\n  BYTES = 10\n END_OBJECT = COLUMN\n"
+    label = (
+        f'PDS_VERSION_ID = PDS3\nRECORD_BYTES = 22\n^TABLE = ("a.tab", 1)\nOBJECT = TABLE\n ROWS = {nm.size}\n'
+        f" ROW_BYTES = 22\n{column.format('WAVELENGTH', 'NANOMETER', 1)}{column.format('REFLECTANCE', 'NONE', 11)}"
+        "END_OBJECT = TABLE\nEND\n"
+    )
+    rows = "".join(f"{w:10.2f}{r:10.5f}\r\n" for w, r in zip(nm, reflectance, strict=True))
+    return label.encode() + BETWEEN + rows.encode()
+
+
+def _pds_binary() -> bytes:
+    """A label of PDS4 and its table of floats."""
+    nm, reflectance = curve()
+    field = (
+        "<Field_Binary><name>{}</name><field_location>{}</field_location><data_type>IEEE754LSBSingle</data_type>"
+        "<field_length>4</field_length><unit>{}</unit></Field_Binary>"
+    )
+    label = (
+        "<Product_Observational><File_Area_Observational><File><file_name>a.dat</file_name></File><Table_Binary>"
+        f"<offset>0</offset><records>{nm.size}</records><Record_Binary><record_length>8</record_length>"
+        f"{field.format('Wavelength', 1, 'nm')}{field.format('Reflectance', 5, 'none')}</Record_Binary></Table_Binary>"
+        "</File_Area_Observational></Product_Observational>"
+    )
+    return label.encode() + BETWEEN + np.stack([nm, reflectance], axis=1).astype("<f4").tobytes()
 
 
 def _sunlight() -> list[tuple[int, float]]:
@@ -823,7 +856,10 @@ PARTS = (spectra_readers, cube_readers, picture_readers, ground_readers, soil_re
 
 # --- which reader a parameter of a command comes to ---
 
-SPECTRA = "spectra .csv, spectra .txt, spectra .ecsv, spectra .fits, spectra .tab, spectra splib, spectra .sli"
+SPECTRA = (
+    "spectra .csv, spectra .txt, spectra .ecsv, spectra .fits, spectra .sed, spectra .tab, spectra splib, "
+    "spectra .sli, spectra PDS3, spectra PDS4"
+)
 PICTURES = "picture png, picture tiff, picture jpeg"
 GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif, terrain in degrees, terrain PDS3"
 SOILS = "soil, belief, soil map, soil samples, TOML"

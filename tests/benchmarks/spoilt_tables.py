@@ -134,7 +134,7 @@ SPECTRA: Texts = {
     "nm and um mixed": column("wavelength_nm", lambda w: w / 1000, slice(200, None)),
     "Angstrom under nm": column("wavelength_nm", lambda w: 10 * w),
     "wavenumbers under nm": column("wavelength_nm", lambda w: 1e7 / w),
-    "wavenumbers, named so": then(column("wavelength_nm", lambda w: 1e7 / w), named("wavelength_nm", "wavenumber")),
+    "electron volts, named so": then(column("wavelength_nm", lambda w: 1240 / w), named("wavelength_nm", "energy_eV")),
     "descending": cells(lambda t: [t[0], *t[:0:-1]]),
     "a wavelength twice": cells(lambda t: _one(t, 60, 0, t[59][0])),
     "a wavelength ten times too large": cells(lambda t: _one(t, 60, 0, "7450")),

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.spectra.readers.markers import unnamed_markers
 from lunarsci.spectra.readers.table import Column, WavelengthUnit, wavelength_nm
 
 FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "channels_not_positive")
@@ -25,9 +26,6 @@ a value; saturated; at or below 0."""
 NO_DATA, LEFT_OUT, MISSING, SATURATED, NOT_POSITIVE = (1 << k for k in range(len(FLAGS)))
 SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
-DELETED_BELOW = -1e30
-"""ENVI and USGS write -1.23e34 for a deleted channel (Kokaly et al. 2017, 10.3133/ds1035); no reflectance is anywhere
-near."""
 MOST_REFLECTANCE = 2.0
 """A median above this is no reflectance: percent, numbers of a detector, or radiance. Assumed."""
 FEWEST_CHANNELS = 5
@@ -64,14 +62,11 @@ class FlatFile:
 
     def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
         """Numbers as the file has them, shape (lines, samples, channels)."""
-        count, shape = (
-            self.channels,
-            {
-                "bsq": (self.channels, self.lines, self.samples),
-                "bil": (self.lines, self.channels, self.samples),
-                "bip": (self.lines, self.samples, self.channels),
-            }[self.interleave],
-        )
+        count, shape = self.channels, {
+            "bsq": (self.channels, self.lines, self.samples),
+            "bil": (self.lines, self.channels, self.samples),
+            "bip": (self.lines, self.samples, self.channels),
+        }[self.interleave]  # fmt: skip
         mapped = np.memmap(self.path, np.dtype(self.dtype), "r", self.offset, shape)
         if self.interleave == "bsq":
             return np.stack([mapped[k, lines, samples] for k in range(count)], axis=-1)
@@ -151,7 +146,7 @@ class Layout:
     shape: tuple[int, int]
     dtype: np.dtype[Any]
     wavelength: FloatArray | None
-    unit: WavelengthUnit | None = None
+    unit: str | None = None
     fwhm: FloatArray | None = None
     bad: BoolArray | None = None
     gain: FloatArray | None = None
@@ -269,13 +264,17 @@ def cube_of(layout: Layout, stated: Stated) -> Cube:
     bad = np.zeros(known.size, bool) if layout.bad is None else layout.bad
     in_nm = np.ones(known.size) if layout.wavelength is None else wavelength / layout.wavelength
     divisor = stated.scale or layout.scale or 1.0
+    marks = _as_stored([*layout.ignored, *([] if stated.ignored is None else [stated.ignored])], layout.dtype)
+    parts = [layout.source.read(*where) for where in _looked_at(layout.shape)] if layout.dtype.kind == "f" else []
+    if unnamed := unnamed_markers(parts, marks):
+        remarks = [*remarks, f"{', '.join(f'{one:g}' for one in unnamed)} read as the mark of no data"]
     cube = Cube(
         name=layout.name, format=layout.format, source=layout.source, shape=layout.shape,
         wavelength_nm=wavelength[order],
         fwhm_nm=None if layout.fwhm is None else (layout.fwhm * in_nm)[order],
         bad=bad[order], channels=order.astype(np.intp),
         gain=gain[order] / divisor, offset=offset[order] / divisor,
-        ignored=_as_stored([*layout.ignored, *([] if stated.ignored is None else [stated.ignored])], layout.dtype),
+        ignored=(*marks, *unnamed),
         saturated=_saturation(layout, stated), frame=layout.frame, backplanes=layout.backplanes,
         inputs=layout.inputs, remarks=(*layout.remarks, *remarks),
     )  # fmt: skip
@@ -376,13 +375,16 @@ def _saturation(layout: Layout, stated: Stated) -> float:
     return float(np.iinfo(layout.dtype).max) if layout.dtype.kind in "iu" and layout.dtype.itemsize < 8 else np.inf
 
 
+def _looked_at(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+    """A few lines of an image, from its first to its last."""
+    lines = np.unique(np.linspace(0, shape[0] - 1, LINES_LOOKED_AT).astype(int))
+    return [(slice(line, line + 1), slice(0, shape[1])) for line in lines]
+
+
 def _check_level(cube: Cube, layout: Layout, stated: Stated) -> None:
     """Raise DataError where numbers of a few lines are no reflectances."""
-    lines = np.unique(np.linspace(0, cube.shape[0] - 1, LINES_LOOKED_AT).astype(int))
-    every = slice(0, cube.shape[1])
-    seen = np.concatenate([cube.read(slice(line, line + 1), every)[0].ravel() for line in lines])
-    seen = seen[np.isfinite(seen)]
-    if not seen.size:
+    seen = np.concatenate([cube.read(*where)[0].ravel() for where in _looked_at(cube.shape)])
+    if not (seen := seen[np.isfinite(seen)]).size:
         return
     median = float(np.median(seen))
     whole = layout.dtype.kind in "iu" and not (stated.scale or layout.scale or layout.gain is not None)

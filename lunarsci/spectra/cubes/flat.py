@@ -22,7 +22,7 @@ from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, da
 from lunarsci.spectra.rows import quoted
 
 DATA_SUFFIXES = (".img", ".dat", ".bsq", ".bil", ".bip", ".raw", ".bin", ".cub")
-M3_NAME = re.compile(r"(M3[GT]\d{8}T\d{6})_V\d\d_(RFL|L2|RDN|L1B|LOC|OBS|SUP)\b", re.IGNORECASE)
+M3_NAME = re.compile(r"(M3[GT]\d{8}T\d{6})_V\d\d_(RFL|L2|RDN|L1B|LOC|OBS|SUP)(?![A-Z0-9])", re.IGNORECASE)
 M3_IGNORED = -999.0
 """What products of M3 (Green et al. 2011, 10.1029/2011JE003797) have where nothing was measured, by their labels."""
 _IMAGES = ("envi standard", "")
@@ -84,7 +84,8 @@ def _pair(path: str) -> tuple[str, str]:
 def has_header(path: str) -> bool:
     """Whether a file is one of the two of an ENVI image, or M3's label of one, by names."""
     given = Path(path)
-    label = given.suffix.lower() == ".lbl" and M3_NAME.search(given.name) is not None
+    label = given.suffix.lower() == ".lbl" and (m3 := M3_NAME.search(given.name)) is not None
+    label = label and not (m3 and m3[2].upper() in ("L1B", "RDN"))
     return label or given.suffix.lower() == SUFFIX or any(Path(name).is_file() for name in header_names(path))
 
 

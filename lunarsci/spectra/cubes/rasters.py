@@ -22,6 +22,7 @@ from lunarsci.height_rasters import MOST_BLOCK_BYTES, check_blocks
 from lunarsci.inputs import read_input, text, unheard
 from lunarsci.spectra.cubes.cube import Backplane, Cube, Layout, PixelFrame, Source, Stated, cube_of, sha256_of
 from lunarsci.spectra.cubes.flat import envi_plane, has_header, open_envi, open_vnis
+from lunarsci.spectra.cubes.pds import label_of_cube, open_pds
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
 from lunarsci.spectra.rows import number, separator_of, split_fields, split_lines
 from lunarsci.spectra.vnis.name import product_name
@@ -59,6 +60,8 @@ def _layout(path: str, said: Stated) -> Layout:
         return open_netcdf(path)
     if start.split(b"\n")[0].strip() == b"ENVI" or has_header(path):
         return open_envi(path, said.locations)
+    if label := label_of_cube(path):
+        return open_pds(label)
     raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
 
 
@@ -79,8 +82,7 @@ def opened(path: str, driver: str) -> Iterator[Any]:
                 check_blocks(dataset, path)
                 yield dataset
     except (RasterioError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise DataError(f"{path}: cannot be read ({reason}); fetch or write it again") from error
+        raise DataError(f"{path}: cannot be read ({' '.join(str(error).split())}); fetch or write it again") from error
 
 
 def frame_of(dataset: Any) -> PixelFrame | None:
@@ -141,14 +143,17 @@ def _described(dataset: Any) -> tuple[FloatArray | None, WavelengthUnit | None]:
         return np.array([number(tag["CENTRAL_WAVELENGTH_UM"]) or np.nan for tag in tags], float), "um"
     if all("wavelength" in tag for tag in tags):
         units = {length_unit(tag.get("wavelength_units", "")) for tag in tags}
-        return np.array([number(tag["wavelength"]) or np.nan for tag in tags], float), units.pop() if len(
-            units
-        ) == 1 else None
+        return np.array([number(tag["wavelength"]) or np.nan for tag in tags], float), _one(units)
     found = [_in_name(name or "") for name in dataset.descriptions]
     if any(item is None for item in found):
         return None, None
     units = {item[1] for item in found if item}
-    return np.array([item[0] for item in found if item]), units.pop() if len(units) == 1 else None
+    return np.array([item[0] for item in found if item]), _one(units)
+
+
+def _one(units: set[WavelengthUnit | None]) -> WavelengthUnit | None:
+    """The unit that all bands have."""
+    return units.pop() if len(units) == 1 else None
 
 
 def _in_name(name: str) -> tuple[float, WavelengthUnit | None] | None:
@@ -221,8 +226,8 @@ def _netcdf_errors(path: str) -> Iterator[None]:
     except DataError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split())[:120]
-        raise DataError(f"{path}: cannot be read as NetCDF ({reason}); fetch or write it again") from error
+        told = " ".join(str(error).split())[:120]
+        raise DataError(f"{path}: cannot be read as NetCDF ({told}); fetch or write it again") from error
 
 
 def open_netcdf(path: str) -> Layout:
@@ -242,8 +247,7 @@ def _netcdf_layout(path: str, data: Any) -> Layout:
     variable = data[(with_waves or cubes)[0]]
     axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
     lines, samples = (str(name) for name in variable.dims if name != axis)
-    wave = data[waves[axis]] if axis in waves else None
-    stored = variable.encoding.get("dtype", variable.dtype)
+    wave, stored = data[waves[axis]] if axis in waves else None, variable.encoding.get("dtype", variable.dtype)
     scaled = "scale_factor" in variable.encoding or "add_offset" in variable.encoding
     return Layout(
         name=path,
@@ -372,20 +376,16 @@ def start_of(path: str) -> bytes:
 def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
     """With those of a table: a column of wavelengths, and where wanted `fwhm` and `good` (0 or 1) beside it."""
     source = read_input(file := str(said.wavelengths))
-    lines, _ = split_lines(text(source))
-    separator = separator_of(lines)
-    cells = [split_fields(line, separator, f"{file}: line {n}") for n, line in lines]
+    lines = split_lines(text(source))[0]
+    cells = [split_fields(line, separator_of(lines), f"{file}: line {n}") for n, line in lines]
     if not any(cells):
         raise DataError(f"{file}: no wavelengths in it; give a line for each band of {layout.name}")
     names = [] if number(cells[0][0]) is not None else [name.lower() for name in cells.pop(0)]
     place = next((k for k, name in enumerate(names) if "wave" in name or name in ("nm", "um")), 0)
-    columns = {"wavelength": place} | {
-        key: k for k, name in enumerate(names) for key in ("fwhm", "good") if key in name
-    }
+    others = {key: k for k, name in enumerate(names) for key in ("fwhm", "good") if key in name}
+    columns = {"wavelength": place} | others
     found = {key: [number(row[k]) if k < len(row) else None for row in cells] for key, k in columns.items()}
-    values = {
-        key: np.array([np.nan if item is None else item for item in column], float) for key, column in found.items()
-    }
+    values = {key: np.array([np.nan if one is None else one for one in each], float) for key, each in found.items()}
     count = layout.source.read(slice(0, 1), slice(0, 1)).shape[2]
     if len(cells) != count:
         raise DataError(f"{file}: has {len(cells)} wavelengths, {layout.name} has {count} bands; give one for each")

@@ -144,12 +144,12 @@ class MeasuredBands(Result):
         return f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
 
     def to_dict(self) -> dict[str, Any]:
-        return {"spectra": self.content()["spectra"].tolist()}
+        return self.batch.said | {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
         from lunarsci.record_blocks import in_blocks
 
-        return {"spectra": in_blocks(len(self.measured), self._records)}
+        return {**self.batch.said, "spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a spectrum; value, error and range of each regression in columns of their own."""

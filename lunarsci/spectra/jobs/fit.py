@@ -198,7 +198,7 @@ class MgmFits(Result):
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
     def content(self) -> dict[str, Any]:
-        return {"spectra": self.records}
+        return {**self.batch.said, "spectra": self.records}
 
     @property
     def _as_arrays(self) -> bool:

@@ -60,7 +60,7 @@ class FoundIndices(Result):
         from lunarsci.spectra.indices import INDICES
 
         about = {name: _about(INDICES[name]) for name in self.columns}
-        return {"indices": about, "spectra": self.records()}
+        return {**self.batch.said, "indices": about, "spectra": self.records()}
 
     def records(self) -> "Records":
         """Each spectrum with a nested object for each index."""

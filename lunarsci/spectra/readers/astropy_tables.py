@@ -21,6 +21,8 @@ from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import quoted
 
 _LISTS_KEPT = 200
+_ERROR = re.compile(r"uncertainty|sigma|std\w*|error|err|flux_?err\w*", re.IGNORECASE)
+"""Names of the errors beside spectra in vector cells; specutils writes `uncertainty`."""
 _DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless", "none", "-"}
 
 
@@ -214,29 +216,100 @@ def _first_table(source: InputFile) -> Any:
             for hdu in hdus:
                 if isinstance(hdu, fits.BinTableHDU | fits.TableHDU) and len(hdu.columns) >= 2:
                     return Table.read(hdu)
-            return None
+            return next((table for hdu in hdus if (table := _of_image(hdu)) is not None), None)
     # A broken file makes astropy raise whatever its parts happen to raise: OSError, TypeError, ValueError, KeyError.
     except Exception as error:
         raise DataError(f"{source.name}: broken FITS file ({one_line(error)}; truncated?); fetch it again") from error
 
 
+def _of_image(hdu: Any) -> Any:
+    """The table of an image of one or two axes whose first is a linear wavelength, as specutils' `wcs1d-fits` has it.
+
+    Greisen et al. (2006), A&A 446, 747, 10.1051/0004-6361:20053818; None for any other.
+    """
+    from astropy.table import Table
+    from astropy.wcs import WCS
+
+    kind = str(hdu.header.get("CTYPE1", "")).strip()[:4]
+    if hdu.data is None or hdu.data.ndim not in (1, 2) or kind not in ("WAVE", "AWAV", "LINE", "LAMB"):
+        return None
+    values = np.atleast_2d(hdu.data)
+    header = hdu.header.copy()
+    header["CTYPE1"] = "WAVE"
+    axis = WCS(header).sub([1])
+    wavelength = axis.pixel_to_world_values(np.arange(values.shape[1])) * u.Unit(axis.wcs.cunit[0])
+    names = (
+        [str(hdu.header.get("OBJECT") or "flux")] if len(values) == 1 else [f"flux_{k + 1}" for k in range(len(values))]
+    )
+    return Table([wavelength, *values.astype(float)], names=["wavelength", *names], meta=dict(hdu.header))
+
+
 def _unrolled(table: Any, file: str) -> Any:
-    """A table with one row of vector cells as one of scalar rows; its scalar cells become metadata."""
+    """A table with vector cells as one of scalar rows; scalar cells beside one row of vectors become metadata.
+
+    Cells hold whole spectra, of one row or a row each, or one channel of several spectra, as specutils writes them.
+    """
     from astropy.table import Table
 
     vectors = [name for name in table.colnames if table[name].ndim > 1]
     if not vectors:
         return table
-    if len(table) != 1:
-        raise DataError(f"{file}: {len(table)} rows of vector cells; give one row, or one channel per row")
+    if any(_is_spectral(_unit(table[name], file)) or is_wavelength(name) for name in set(table.colnames) - {*vectors}):
+        return _channels_in_rows(table, vectors)
     lengths = {name: table[name].shape[1:] for name in vectors}
     if len(set(lengths.values())) != 1:
         listed = ", ".join(f"{quoted(name)} {shape}" for name, shape in lengths.items())
         raise DataError(
             f"{file}: vector cells differ in shape ({listed[:80]}); give wavelengths and spectra one length"
         )
+    if len(table) > 1:
+        return _spectra_in_rows(table, vectors, file)
     scalars = {name: str(table[name][0]) for name in table.colnames if name not in vectors}
     unrolled = Table([table[name][0] for name in vectors], names=vectors, meta={**table.meta, **scalars})
     for name in vectors:
         unrolled[name].unit = table[name].unit
     return unrolled
+
+
+def _channels_in_rows(table: Any, vectors: list[str]) -> Any:
+    """A channel in each row, several spectra in its cells: a column for each, `flux_1` on."""
+    from astropy.table import Table
+
+    found = Table(meta=table.meta)
+    for name in table.colnames:
+        if name not in vectors:
+            found[name] = table[name]
+            continue
+        cells = np.ma.asarray(table[name]).reshape(len(table), -1)
+        error = _ERROR.fullmatch(name)
+        for k in range(cells.shape[1]):
+            own = f"{name}_{k + 1}" if error is None else f"flux_{k + 1}_sigma"
+            found[own] = cells[:, k]
+            found[own].unit = table[name].unit
+    return found
+
+
+def _spectra_in_rows(table: Any, vectors: list[str], file: str) -> Any:
+    """A spectrum in each row: a column for each, by the name in a column of text; wavelengths are those of all.
+
+    Raises DataError where rows have other wavelengths.
+    """
+    from astropy.table import Table
+
+    waves = [name for name in vectors if is_wavelength(name) or _is_spectral(_unit(table[name], file))]
+    others = [name for name in vectors if name not in waves]
+    if not waves or not others:
+        raise DataError(f"{file}: {len(table)} rows of vector cells without wavelengths; give one channel per row")
+    grid = np.asarray(table[waves[0]], dtype=float)
+    if not np.allclose(grid, grid[0], rtol=1e-9, equal_nan=True):
+        raise DataError(f"{file}: {len(table)} rows with wavelengths of their own; give a file for each")
+    texts = [name for name in table.colnames if table[name].dtype.kind in "SU" and len({*table[name]}) == len(table)]
+    ids = [str(one).strip() for one in table[texts[0]]] if texts else [str(k + 1) for k in range(len(table))]
+    found = Table({waves[0]: grid[0]}, meta=table.meta)
+    found[waves[0]].unit = table[waves[0]].unit
+    for name in others:
+        for id, row in zip(ids, np.ma.asarray(table[name]), strict=True):
+            own = f"{id}_sigma" if _ERROR.fullmatch(name) else id if texts and len(others) < 3 else f"{name}_{id}"
+            found[own] = row
+            found[own].unit = table[name].unit
+    return found

@@ -15,14 +15,27 @@ from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, Lunar
 from lunarsci.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
-from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
+from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows, averaged
 from lunarsci.spectra.readers.columns import is_wavelength
+from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
-from lunarsci.spectra.readers.likely import unlikely, unlikely_of_many, without_lone
-from lunarsci.spectra.readers.table import SURELY, Column, ReflectanceUnit, WavelengthUnit, medians_above_0
+from lunarsci.spectra.readers.libraries import without_wavelength_files
+from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, unlikely_of_many, without_steps
+from lunarsci.spectra.readers.markers import without_markers
+from lunarsci.spectra.readers.table import (
+    SURELY,
+    Column,
+    ReflectanceUnit,
+    SpectrumTable,
+    WavelengthUnit,
+    length_unit,
+    medians_above_0,
+    name_tokens,
+    spectral_unit,
+    to_nm,
+)
 from lunarsci.spectra.readers.table import reflectance_unit as choice_of_unit
-from lunarsci.spectra.readers.text import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.name import product_name
@@ -51,12 +64,19 @@ class SpectraBatch:
     origins : name of the input of each.
     inputs : name of each input to its SHA-256.
     failures : what could not be read, one sentence each.
+    read_as : how files were read where there was a choice, one sentence each.
     """
 
     spectra: SpectrumCollection = field(default_factory=lambda: SpectrumCollection([]))
     origins: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
+    read_as: list[str] = field(default_factory=list)
+
+    @property
+    def said(self) -> dict[str, list[str]]:
+        """For a result: `read_as`, where there was a choice in how files were read."""
+        return {"read_as": list(self.read_as)} if self.read_as else {}
 
     @property
     def tables(self) -> dict[str, str]:
@@ -91,6 +111,7 @@ def read_batch(
     batch, parts = SpectraBatch(), list[SpectrumRows]()
     items = _listed(source)
     paths = [str(item) for item in items if isinstance(item, str | Path)]
+    items = [_as_arrays(item) for item in items]
     for item in [
         *one_per_observation(expanded(paths, batch.failures)),
         *(item for item in items if not isinstance(item, str | Path)),
@@ -103,21 +124,11 @@ def read_batch(
         if batch.failures:
             raise BatchError.of(batch.failures)
         raise DataError("no spectra were given; name files or tables")
-    found = replace(batch, spectra=SpectrumCollection(_without_lone(parts)))
+    clean, told = cleaned(parts)
+    for line in told:
+        warnings.warn(line, LunarSciWarning, stacklevel=3)
+    found = replace(batch, spectra=SpectrumCollection(clean))
     return _those(found, only) if only else found
-
-
-def _without_lone(parts: Sequence[SpectrumRows]) -> list[SpectrumRows]:
-    """The spectra without single channels far off their neighbours, with a warning."""
-    kept, odd = list[SpectrumRows](), list[str]()
-    for rows in parts:
-        clean, which = without_lone(rows)
-        kept.append(clean)
-        odd += [rows.ids[row] for row in which]
-    if odd:
-        told = "spectra with single channels a factor of 1.65 and more off both neighbours, which are left out"
-        warnings.warn(f"{told}: {len(odd)}, first '{odd[0]}'", LunarSciWarning, stacklevel=3)
-    return kept
 
 
 def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
@@ -142,6 +153,35 @@ def _is_input(item: Any) -> bool:
     return named or isinstance(item, str | Path | InputFile | Spectrum | tuple)
 
 
+def _as_arrays(item: Any) -> Any:
+    """A spectrum of specutils, or an array of xarray with a coordinate of wavelengths, as arrays; others unchanged."""
+    if hasattr(item, "spectral_axis") and hasattr(item, "flux"):
+        error = getattr(item, "uncertainty", None)
+        return (item.spectral_axis, item.flux) if error is None else (item.spectral_axis, item.flux, _sd(error))
+    if not (hasattr(item, "coords") and hasattr(item, "dims") and hasattr(item, "transpose")):
+        return item
+    axis = next((name for name in item.dims if name in item.coords and is_wavelength(str(name))), None)
+    if axis is None or hasattr(item, "data_vars"):
+        return item
+    wavelength = np.asarray(item.coords[axis].values, float)
+    words = str(item.coords[axis].attrs.get("units", ""))
+    unit = spectral_unit(name_tokens(words)) or length_unit(words)
+    in_nm = wavelength if unit is None else to_nm(wavelength, unit)
+    return in_nm, np.asarray(item.transpose(..., axis).values, float).reshape(-1, wavelength.size)
+
+
+def _sd(error: Any) -> Any:
+    """One standard deviation of an uncertainty of astropy's NDData."""
+    deviation = error.represent_as(_standard_deviation()) if hasattr(error, "represent_as") else error
+    return deviation.quantity if hasattr(deviation, "quantity") else deviation.array
+
+
+def _standard_deviation() -> Any:
+    from astropy.nddata import StdDevUncertainty
+
+    return StdDevUncertainty
+
+
 def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance_unit: Any) -> Iterator[SpectrumRows]:
     """The spectra of a file, or none, and why."""
     name = item if isinstance(item, str) else getattr(item, "name", "<table>")
@@ -152,12 +192,30 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     except LunarSciError as error:
         batch.failures.append(Failure.of(name, error))
         return
+    found = _levelled(batch, found, told)
     for line in told:
         warnings.warn(line, LunarSciWarning, stacklevel=2)
     batch.origins.extend([source.name] * len(found))
     batch.inputs[source.name] = source.sha256
     batch.inputs.update(found.about(0).get("inputs", {}))
-    yield found
+    batch.read_as.extend(found.about(0).get("read_as", ()))
+    yield _averaged(batch, found, source.name)
+
+
+def _levelled(batch: SpectraBatch, rows: SpectrumRows, told: Sequence[str]) -> SpectrumRows:
+    """The spectra without the steps that were told of."""
+    steps = [line for line in told if SAID["step"] in line]
+    batch.read_as.extend(steps)
+    return without_steps(rows) if steps else rows
+
+
+def _averaged(batch: SpectraBatch, rows: SpectrumRows, name: str) -> SpectrumRows:
+    """The spectra with as many channels as are measured; said where some were averaged."""
+    found, each = averaged(rows)
+    if each > 1:
+        batch.read_as.append(f"{name}: {rows.wavelength_nm.size} channels, every {each} averaged")
+        warnings.warn(batch.read_as[-1], LunarSciWarning, stacklevel=4)
+    return found
 
 
 def _with_wavelengths(item: Any) -> Any:
@@ -178,33 +236,38 @@ def _from_memory(
 ) -> Iterator[SpectrumRows]:
     try:
         units = (wavelength_unit, reflectance_unit)
-        spectra = [item] if isinstance(item, Spectrum) else _of_arrays(len(batch.origins), item, *units)
+        spectra = [item] if isinstance(item, Spectrum) else _of_arrays(batch, item, *units)
         told = [] if isinstance(item, Spectrum) else unlikely_of_many([SpectrumRows.of(one) for one in spectra])
     except (DataError, ParameterError) as error:
         batch.failures.append(Failure.of(f"spectrum {len(batch.origins) + 1}", error))
         return
     for line in told:
         warnings.warn(line, LunarSciWarning, stacklevel=2)
+    if told:
+        spectra = [_levelled(batch, SpectrumRows.of(one), told)[0] for one in spectra]
+        batch.read_as[:] = dict.fromkeys(batch.read_as)
     for spectrum in spectra:
         content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
         batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))
         batch.inputs[f"<{spectrum.id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
-        yield SpectrumRows.of(spectrum)
+        yield _averaged(batch, SpectrumRows.of(spectrum), f"<{spectrum.id}>")
 
 
 def _of_arrays(
-    before: int, given: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
+    batch: SpectraBatch, given: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
 ) -> list[Spectrum]:
-    """Spectra of arrays, numbered from those `before` them. Raises DataError, ParameterError."""
+    """Spectra of arrays, numbered from those of the batch on. Raises DataError, ParameterError."""
+    before = len(batch.origins)
     name = f"spectrum {before + 1}"
     if not isinstance(given, tuple) or len(given) not in (2, 3):
         raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
     wavelength = _in_nm(name, given[0], wavelength_unit)
     rows = [_rows_of(name, _plain(name, part), wavelength.size) for part in given[1:]]
     in_units = [_quantity(part) is not None for part in given[1:]]
-    reflectance, sigma = rows[0], rows[1] if len(rows) == 2 else None
+    reflectance, sigma = rows[0].copy(), rows[1] if len(rows) == 2 else None
     if sigma is not None and len(sigma) not in (1, len(reflectance)):
         raise ParameterError(f"{name}: {len(sigma)} rows of errors for {len(reflectance)} spectra; {ARRAYS}")
+    wavelength, reflectance, sigma = _mended(batch, name, wavelength, reflectance, sigma)
     found = []
     for k, values in enumerate(reflectance):
         name = f"spectrum {before + k + 1}"
@@ -220,12 +283,37 @@ def _of_arrays(
     return found
 
 
+def _mended(
+    batch: SpectraBatch, name: str, wavelength: FloatArray, reflectance: FloatArray, sigma: FloatArray | None
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Arrays in order of wavelength, without marks of no data, detectors joined: as a table of a file is read."""
+    errors = (
+        [None] * len(reflectance) if sigma is None else [sigma[min(k, len(sigma) - 1)] for k in range(len(reflectance))]
+    )
+    pairs = [
+        (Column("", values, k + 2), None if own is None else Column("", own, k + 2))
+        for k, (values, own) in enumerate(zip(reflectance, errors, strict=True))
+    ]
+    places = tuple(f"channel {k + 1}" for k in range(wavelength.size))
+    table = SpectrumTable(InputFile(f"<{name}>", b""), "arrays", Column("", wavelength, 1), tuple(pairs), places)
+    table, _, marks = without_markers(replace(table, block=reflectance))
+    table, wavelength, spliced = joined(table, wavelength)
+    for line in (*marks, *spliced):
+        batch.read_as.append(f"<{name}>: {line}")
+        warnings.warn(batch.read_as[-1], LunarSciWarning, stacklevel=2)
+    order = np.argsort(wavelength, kind="stable")
+    found = np.array([own.values for _, own in table.spectra if own is not None])
+    return wavelength[order], table.reflectances[:, order], found[:, order] if sigma is not None else None
+
+
 def _in_nm(name: str, given: Any, unit: WavelengthUnit | None) -> FloatArray:
     """Wavelengths in nm: of a quantity, or in the unit that is stated, or by their values, as in a file without one."""
     if np.any(_mask(given)):
         raise ParameterError(f"{name}: some wavelengths are masked; mask the reflectances of these channels")
     if (quantity := _quantity(given)) is not None:
-        return np.asarray(quantity.to_value("nm"), float)
+        from astropy.units import spectral
+
+        return np.asarray(quantity.to_value("nm", spectral()), float)
     values = np.asarray(given, float)
     if values.ndim != 1:
         raise ParameterError(f"{name}: wavelengths of shape {values.shape}; they are one row of numbers")

@@ -12,11 +12,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lunarsci import inputs
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.names import some_of
-from lunarsci.spectra.readers.table import MAX_FRACTION, Column, SpectrumTable, name_tokens, states_unit, without_unit
+from lunarsci.spectra.readers.quantities import quantity_of
+from lunarsci.spectra.readers.table import (
+    MAX_FRACTION,
+    Column,
+    SpectrumTable,
+    name_tokens,
+    only_percent,
+    states_unit,
+    without_unit,
+)
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
 
 
@@ -54,22 +63,32 @@ def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
     return [(line, dict(zip(names, row, strict=True))) for (line, _), row in zip(lines[1:], body, strict=False)]
 
 
-_WAVELENGTH = {"wavelength", "wavelengths", "wellenlänge", "wellenlaenge", "wellenlange"}
-_WAVELENGTH_SHORT = {"wl", "wvl", "wav", "wave", "lambda", "λ", "nm", "um", "μm", "micron", "microns"}
-_UNIT_WORDS = {"nm", "um", "μm", "micron", "microns", "nanometer", "nanometers", "micrometer", "micrometers"}
+_WAVENUMBER = {"wavenumber", "wavenumbers", "wellenzahl"}
+_WAVELENGTH = {"wavelength", "wavelengths", "wellenlänge", "wellenlaenge", "wellenlange", *_WAVENUMBER}
+_WAVELENGTH_SHORT = {
+    *("wl", "wvl", "wvls", "wav", "wave", "lambda", "λ", "nm", "um", "μm", "micron", "microns", "cm", "å", "angstrom"),
+    *("nanometer", "nanometers", "micrometer", "micrometers", "spectral"),
+}
+_UNIT_WORDS = {
+    *("nm", "um", "μm", "micron", "microns", "nanometer", "nanometers", "micrometer", "micrometers"),
+    *("å", "angstrom", "angstroms", "cm", "1", "axis"),
+}
 _POSITION_WORDS = {"band", "channel", "center", "centre", "central", "mean"}
 _NOT_A_SPECTRUM = {
     *("fwhm", "bandwidth", "resolution", "band", "bands", "channel", "channels", "index", "pixel"),
-    *("flag", "flags", "quality", "mask", "weight", "weights", "wavenumber", "wavenumbers", "kanal", "nr"),
+    *("flag", "flags", "quality", "mask", "weight", "weights", "kanal", "nr", "chan", "count", "counts", "n"),
 }
-_NOT_REFLECTANCE = {"radiance", "irradiance", "absorbance", "transmittance", "emissivity", "cal", "calibration"}
-_SIGMA = {"sigma", "1sigma", "σ", "std", "sd", "error", "err", "unc"}
+_NOT_REFLECTANCE = {
+    *("radiance", "irradiance", "transmittance", "emissivity", "cal", "calibration", "dn", "rad", "irrad", "raw"),
+}
+_SIGMA = {"sigma", "1sigma", "σ", "1σ", "std", "sd", "se", "sem", "error", "err", "unc", "+-", "rms", "scatter"}
 _SIGMA_WORD = re.compile(
     r"st(d|and)?(ard)?(abw|afw|dev|err)|s(t|tan)?dev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|"
     r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"
     r"onzekerheid|errore"
 )
 """How names of errors begin in the languages of Europe, Russian, Chinese and Japanese."""
+_PLUS_MINUS = re.compile(r"±|\+/-|\+-")
 _LAST_WORD, _GAP = re.compile(r"^(.+)[ _.-]([^ _.-]+)$"), re.compile(r"[ _.-]")
 _FOREIGN_UNITS = {
     *("ms", "s", "sec", "µs", "μs", "us", "min", "°c", "degc", "celsius", "°f", "degf", "kelvin", "dn", "adu"),
@@ -80,6 +99,8 @@ MOST_NAMED = 4
 ERROR_SHARE, ERROR_MOST = 0.05, 0.02
 """A column of no more than this share of the one before it, and this reflectance, looks like its error; assumed."""
 _BRACKETED = re.compile(r"[(\[{]([^)\]}]*)[)\]}]\s*$")
+_RADIANT = re.compile(r"\b[mµμu]?w\b.*\b[cmµμu]?m\b|\bsr\b|\bwatt|m-?[²2]")
+"""Units of radiance and irradiance."""
 _SYSTEMATIC = re.compile(r"^(.+?)_systematic_(\w+)$", re.IGNORECASE)
 _PLAIN = {
     *("reflectance", "reflexion", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof"),
@@ -124,7 +145,8 @@ def is_not_a_spectrum(name: str) -> bool:
     tokens = name_tokens(name)
     if "fwhm" in tokens or (len(tokens) == 1 and tokens[0] in _NOT_A_SPECTRUM):
         return True
-    if (unit := _BRACKETED.search(name)) is not None and unit[1].strip().casefold() in _FOREIGN_UNITS:
+    unit = "" if (match := _BRACKETED.search(name)) is None else match[1].strip().casefold()
+    if unit in _FOREIGN_UNITS or _RADIANT.search(unit):
         return True
     # 'radiance factor' is a reflectance, a 'calibration factor' is none.
     foreign = _NOT_REFLECTANCE & set(tokens)
@@ -147,7 +169,14 @@ def assign_roles(
     systematic = _systematic(names, others, source.name)
     shifts = {place for columns in systematic.values() for _, place in columns}
     others = [k for k in others if k not in shifts]
-    dropped = [k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])]
+    dropped = [
+        k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])
+        or is_wavelength(names[k])
+    ]  # fmt: skip
+    plain = [
+        k for k in others if k not in dropped and quantity_of(names[k]) is None and not says_error(names[k])
+    ]  # fmt: skip
+    dropped += [k for k in others if plain and k not in (*plain, *dropped) and not says_error(names[k])]
     rest = [k for k in others if k not in dropped]
     sigmas = _sigmas(names, rest, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
@@ -164,34 +193,39 @@ def assign_roles(
 
 
 def _check_unique(names: Sequence[str], file: str) -> None:
-    twice = [name for name, count in Counter(n for n in names if n).items() if count > 1]
+    twice = [name for name, count in Counter(n for n in names if n and not says_error(n)).items() if count > 1]
     if twice:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
 
 def _wavelength_place(names: Sequence[str], file: str) -> int:
     found = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    found = [k for k in found if not _WAVENUMBER & {*name_tokens(names[k])}] or found
     if len(found) > 1:
         raise DataError(
             f"{file}: {quoted(names[found[0]])} and {quoted(names[found[1]])} are both wavelengths; keep one of them"
         )
     if found:
         return found[0]
-    if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM - {"wavenumber", "wavenumbers"}:
+    if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM:
         raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one named wavelength_nm")
     return 0
 
 
 def _is_wavelength_error(name: str) -> bool:
     match = _LAST_WORD.match(name)
-    if match is not None and _says_error(match[2]) and is_wavelength(match[1]):
+    if match is not None and says_error(match[2]) and is_wavelength(match[1]):
         return True
     return is_wavelength(name) and bool(_SIGMA & set(name_tokens(name)))
 
 
-def _says_error(name: str) -> bool:
+def says_error(name: str) -> bool:
     """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
-    word = "".join(name_tokens(name))
+    if _PLUS_MINUS.match(name.strip()):
+        return True
+    word = "".join(name_tokens(_PLUS_MINUS.sub(" sd ", name)))
+    word = word.replace("%", "").removeprefix("relative").removeprefix("rel") or word
+    word = word.removeprefix("avg").removeprefix("mean").removeprefix("average") or word
     return word in _SIGMA or _SIGMA_WORD.match(word) is not None
 
 
@@ -201,19 +235,20 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
     pairs: dict[int, int] = {}
     bare = []
     for k in places:
-        name = without_unit(names[k])
+        name = _PLUS_MINUS.sub(" sd", without_unit(names[k])).strip()
         last, owner = _LAST_WORD.match(name), _owner(name, plain)
         if owner is not None:
             _pair(pairs, owner, k, names, file)
-        elif _says_error(name):
+        elif says_error(name) or says_error(names[k]):
             bare.append(k)
-        elif last is not None and _says_error(last[2]):
+        elif last is not None and says_error(last[2]):
             _pair(pairs, None, k, names, file)
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
     plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
     for k in bare:
-        _pair(pairs, plainly[0] if len(plainly) == 1 else None, k, names, file)
+        before = k - 1 if k - 1 in alone and len(bare) > 1 else None
+        _pair(pairs, plainly[0] if len(plainly) == 1 and before is None else before, k, names, file)
     return pairs
 
 
@@ -221,9 +256,9 @@ def _owner(name: str, plain: Mapping[str, int]) -> int | None:
     """Place of the column that another one, by its name, has the errors of: 'A Std.Abw.', 'err_A'."""
     for gap in _GAP.finditer(name):
         before, after = name[: gap.start()].strip(), name[gap.end() :].strip()
-        if _says_error(after) and before in plain:
+        if says_error(after) and before in plain:
             return plain[before]
-        if _says_error(before) and after in plain:
+        if says_error(before) and after in plain:
             return plain[after]
     return None
 
@@ -253,30 +288,32 @@ def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[
     pairs[owner] = sigma
 
 
-def only_spectra(table: SpectrumTable) -> SpectrumTable:
-    """A table less the columns that hold one and the same value above any reflectance, as a temperature or a time.
+def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable, IntArray]:
+    """A table, and numbers of its spectra, less columns of one and the same value above any reflectance, as a time.
 
     They are named in a LunarSciWarning, and so is a column that looks like the error of the one before it.
     """
     if len(table.spectra) < 2:
-        return table
-    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
+        return table, deleted
+    values = table.reflectances
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
-    constant = unnamed & (low == high) & (low > MAX_FRACTION)
+    plain = [high[k] <= MAX_FRACTION for k, (one, _) in enumerate(table.spectra) if one.name and _is_plain(one.name)]
+    constant = unnamed & (low > MAX_FRACTION) & ((low == high) | any(plain))
     if constant.any() and not constant.all():
         kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
-        _warn(f"{table.source.name}: left out {dropped}: the same value in all rows, no reflectance")
+        why = "the same value in all rows" if (low == high)[constant].all() else "raw numbers beside a reflectance"
+        _warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
-        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=None)
-        high = high[kept]
+        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
+        high, deleted = high[kept], deleted[kept]
     for (before, known), (column, own), most in zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False):
         if known is None and own is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
             text = f"column {column.label} is below {100 * ERROR_SHARE:g} % of {before.label} before it"
             own_name = quoted(without_unit(before.name) + "_sigma")
             _warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
-    return table
+    return table, deleted
 
 
 def _looks_like_error(values: FloatArray, beside: FloatArray) -> bool:
@@ -296,7 +333,7 @@ def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:
     """
     if len(columns) == 1:
         name = without_unit(columns[0].name)
-        return [source.stem if _is_plain(name) else name]
+        return [source.stem if _is_plain(name) or quantity_of(name) else name]
     ids = [without_unit(c.name) if c.name else f"{source.stem}:column-{c.position}" for c in columns]
     _check_unique(ids, source.name)
     return ids
@@ -305,4 +342,4 @@ def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:
 def _is_plain(name: str) -> bool:
     """Whether a name says nothing but 'reflectance', units and remarks in brackets apart."""
     bare = re.sub(r"[(\[{].*", "", name).strip().casefold()
-    return not bare or bare in _PLAIN or "".join(name_tokens(bare)) in _PLAIN
+    return not bare or bare in _PLAIN or "".join(name_tokens(bare)) in _PLAIN or only_percent(f"{bare} %")

@@ -14,7 +14,12 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
+from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
+from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
+from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
+from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
+from lunarsci.spectra.readers.quantities import as_reflectance
 from lunarsci.spectra.readers.table import (
     Column,
     ReflectanceChoice,
@@ -28,11 +33,11 @@ from lunarsci.spectra.readers.table import (
     uncertainty_scale,
     wavelength_nm,
 )
-from lunarsci.spectra.readers.text import looks_like_relab, looks_like_splib, read_relab, read_splib, read_text
+from lunarsci.spectra.readers.text import read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib")
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds")
 
 _READERS = {"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib}
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
@@ -71,6 +76,8 @@ def read_spectra(
     source = read_input(input) if isinstance(input, str) else input
     if product_name(source.name) is not None:
         return SpectrumRows.of(_calibrated(source.name))
+    if format is None and (label := label_of_table(source)) is not None:
+        source = label
     table = _reader(format or _format_of(source))(source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
 
@@ -106,6 +113,10 @@ def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
         from lunarsci.spectra.readers.astropy_tables import read_fits
 
         return read_fits
+    if format == "pds":
+        from lunarsci.spectra.readers.pds import read_pds
+
+        return read_pds
     return _READERS[format]
 
 
@@ -120,6 +131,8 @@ def _format_of(source: InputFile) -> str:
     _refuse_by_magic(source)
     if looks_like_envi(source):
         return "envi"
+    if is_pds_label(source):
+        return "pds"
     # The reader decodes the text again and says what there is to say about it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
@@ -140,14 +153,13 @@ def _format_of(source: InputFile) -> str:
 def _refuse_by_magic(source: InputFile) -> None:
     for magic, kind in _PACKED.items():
         if source.data.startswith(magic):
+            if b"xl/" in source.data or Path(source.name).suffix.lower() == ".xlsx":
+                raise DataError(f"{source.name}: is a workbook of Excel; save its sheet as CSV")
             raise DataError(f"{source.name}: is compressed ({kind}); unpack it first")
     for magic, kind in _FOREIGN.items():
         if source.data.startswith(magic):
             raise DataError(f"{source.name}: is {kind}, not a table of spectra; save the spectra as CSV or ECSV")
 
-
-# ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near.
-_DELETED_BELOW = -1e30
 
 _SAID = {
     "channels_unit_overruled": "values read in the reflectance unit that the file states, not in the one you stated",
@@ -166,9 +178,17 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     """
     file = table.source.name
     kept, left_out = _rows_with_wavelength(table)
-    kept = only_spectra(kept)
+    kept, deleted, said = without_markers(kept)
+    kept, deleted = only_spectra(kept, deleted)
+    kept, converted = as_reflectance(kept)
     values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
+    kept, values, spliced = joined(kept, values)
     order, order_name = _ascending(values, kept)
+    read_as = [f"{file}: {line}" for line in (*table.metadata.get("read_as", ()), *said, *converted, *spliced)]
+    for line in read_as:
+        _warn(line)
+    if record["wavelength_unit_from"] == "values":
+        read_as.insert(0, f"{file}: wavelengths read as {record['wavelength_unit']} by their range (`wavelength_unit`)")
     common = {
         "source": file,
         "sha256": table.source.sha256,
@@ -177,8 +197,9 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
         "order": order_name,
         "rows_left_out": left_out,
         **table.metadata,
+        **({"read_as": read_as} if read_as else {}),
     }
-    found, counts = _assembled(kept, values[order], order, stated, common)
+    found, counts = _assembled(kept, values[order], order, stated, common, deleted)
     _report(found, counts, file)
     return found
 
@@ -247,12 +268,17 @@ class _About:
 
 
 def _assembled(
-    table: SpectrumTable, wavelength: FloatArray, order: IntArray, stated: StatedUnits, record: dict[str, Any]
+    table: SpectrumTable,
+    wavelength: FloatArray,
+    order: IntArray,
+    stated: StatedUnits,
+    record: dict[str, Any],
+    deleted: IntArray,
 ) -> tuple[SpectrumRows, dict[str, IntArray]]:
     """The spectra of a table, and the number of channels of each by what is recorded of them."""
     ids = spectrum_ids([column for column, _ in table.spectra], table.source)
     names = [column.name or column.position for column, _ in table.spectra]
-    values, deleted = _present(table)
+    values = table.reflectances
     with np.errstate(invalid="ignore"):
         not_positive = (values <= 0).sum(axis=1)
     measured = np.isfinite(values).sum(axis=1)
@@ -266,7 +292,8 @@ def _assembled(
         "channels_unit_overruled": measured * (remarks == "overruled"),
         "channels_unit_unlikely": measured * (remarks == "unlikely"),
         "channels_missing": values.shape[1] - measured,
-        "channels_deleted": deleted,
+        "channels_deleted": deleted[:, 0],
+        "channels_marked": deleted[:, 1],
         "channels_not_positive": not_positive,
     }
     with np.errstate(invalid="ignore"):
@@ -290,20 +317,6 @@ def _assembled(
     except DataError as error:
         raise DataError(f"{table.source.name}: {error}") from error
     return found, counts
-
-
-def _present(table: SpectrumTable) -> tuple[FloatArray, IntArray]:
-    """Reflectances, (n, rows), deleted and infinite ones made NaN, and the number of deleted ones of each."""
-    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
-    return values, _without_deleted(values)
-
-
-def _without_deleted(values: FloatArray) -> IntArray:
-    """Make deleted and infinite values NaN; the number of deleted ones in each row."""
-    with np.errstate(invalid="ignore"):
-        deleted = values <= _DELETED_BELOW
-    values[deleted | ~np.isfinite(values)] = np.nan
-    return np.asarray(deleted.sum(axis=-1))
 
 
 def _units(
@@ -337,7 +350,8 @@ def _uncertainties(
         )
     sigma, own = np.full(measured.shape, np.nan), np.array(sorted(factors))
     sigma[own] = [table.spectra[row][1].values for row in own]
-    _without_deleted(sigma)
+    without_deleted(sigma)
+    sigma[np.isin(sigma, markers_of(sigma))] = np.nan
     sigma[own] *= np.array([factors[row] for row in own])[:, None]
     with np.errstate(invalid="ignore"):
         lacking, negative = measured & ~(sigma > 0), (sigma < 0).any(axis=1)

@@ -12,14 +12,17 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.readers.envi_header import FLOATS, EnviHeader, data_names, header_names, is_header, partner
-from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.readers.envi_header import NUMBERS, EnviHeader, data_names, header_names, is_header, partner
+from lunarsci.spectra.readers.table import MAX_PERCENT, Column, SpectrumTable
 from lunarsci.spectra.rows import quoted
 
 DATA_SUFFIXES = (".sli", ".slb")
 _LIBRARY = "envi spectral library"
 _NOT_SPECTRA = re.compile(r"(wavelengths?|bandpass|resolution|fwhm)\b", re.IGNORECASE)
 """Records that the libraries of the USGS carry among their spectra."""
+USUAL_SCALE = 10_000.0
+"""What reflectances in whole numbers are multiplied by where a header is silent, as ATCOR, FLAASH and HyMap products
+do; assumed."""
 _MOST_VALUES = 1_000_000_000
 
 
@@ -71,7 +74,11 @@ def read_envi(source: InputFile) -> SpectrumTable:
     if len(kept) < layout.spectra:
         message = f"{header.name}: left out {layout.spectra - len(kept)} records that are wavelengths or widths"
         warnings.warn(message, LunarSciWarning, stacklevel=2)
-    unit = "fraction" if layout.scale is not None else None
+    unit, said = "fraction" if layout.scale is not None else None, list[str]()
+    if layout.scale is None and layout.dtype.kind in "iu" and np.nanmax(np.abs(values[kept]), initial=0) > MAX_PERCENT:
+        unit, values = "fraction", values / USUAL_SCALE
+        said.append(f"whole numbers without a scale read as reflectance times {USUAL_SCALE:g}; give the header "
+                    "'reflectance scale factor' for another")  # fmt: skip
     values = values if len(kept) == layout.spectra else values[kept]
     columns = [Column(layout.names[k], own, k + 1, unit) for k, own in zip(kept, values, strict=True)]
     return SpectrumTable(
@@ -80,7 +87,7 @@ def read_envi(source: InputFile) -> SpectrumTable:
         wavelength,
         tuple((column, None) for column in columns),
         tuple(f"channel {k + 1}" for k in range(layout.channels)),
-        {"inputs": {header.name: header.sha256, data.name: data.sha256}},
+        {"inputs": {header.name: header.sha256, data.name: data.sha256}, **({"read_as": said} if said else {})},
         block=values,
     )
 
@@ -106,7 +113,7 @@ def _layout(header: EnviHeader) -> _Layout:
     if wavelength is None:
         raise DataError(f"{file}: has no 'wavelength'; a library needs one for each of its {channels} samples")
     return _Layout(
-        channels, spectra, header.dtype(FLOATS, "a library holds floats, 4 (32 bit) or 5 (64 bit)"),
+        channels, spectra, header.dtype(NUMBERS, "a library holds real numbers: 1 to 5 or 12 to 15"),
         header.whole("header offset", "0"), wavelength, header.wavelength_unit(), _names(header, spectra),
         header.scale(), header.number("data ignore value"), header.numbers("bbl", channels, "samples"),
     )  # fmt: skip

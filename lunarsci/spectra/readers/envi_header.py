@@ -11,7 +11,7 @@ from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.table import WavelengthUnit, length_unit
+from lunarsci.spectra.readers.table import length_unit, name_tokens, spectral_unit
 from lunarsci.spectra.rows import number, quoted
 
 SUFFIX = ".hdr"
@@ -19,7 +19,8 @@ FLOATS = {"4": "f4", "5": "f8"}
 NUMBERS = {"1": "u1", "2": "i2", "3": "i4", **FLOATS, "12": "u2", "13": "u4", "14": "i8", "15": "u8"}
 """Codes of `data type`, as NV5's manual of ENVI header files lists them, without the complex ones (6 and 9)."""
 _ORDERS = {"0": "<", "1": ">"}
-_UNKNOWN_UNITS = {"", "unknown"}
+_UNKNOWN_UNITS = {"", "unknown", "unspecified", "none", "index", "n/a"}
+"""What headers have in place of a unit; SPy writes `<unspecified>`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +88,10 @@ class EnviHeader:
             )
         return np.dtype(_ORDERS[order] + types[kind])
 
-    def wavelength_unit(self) -> WavelengthUnit | None:
-        """Unit of the wavelengths, None where the header has none. Raises DataError for others than nm and um."""
-        text = self.fields.get("wavelength units", "").strip()
-        unit = length_unit(text)
+    def wavelength_unit(self) -> str | None:
+        """Unit of the wavelengths, None where the header has none. Raises DataError for another that is not read."""
+        text = self.fields.get("wavelength units", "").strip().strip("<>")
+        unit = length_unit(text) or spectral_unit(name_tokens(text))
         if unit is None and text.lower() not in _UNKNOWN_UNITS:
             raise DataError(f"{self.file}: 'wavelength units' is {quoted(text)}; convert to Nanometers or Micrometers")
         return unit

@@ -33,6 +33,8 @@ by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one 
 STEP_SHARE, STEP_BESIDE, STEP_GAP = 0.6, 0.35, 3.0
 """Least share of a step that lies between two channels, the most that lies between those beside them, and how many
 times the median channel distance they are apart at most; assumed."""
+MOST_STEPS = 2
+"""Steps of a spectrum: field spectrometers have three detectors at most; assumed."""
 _AT_ONCE = 256
 SAID = {
     "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",
@@ -40,8 +42,8 @@ SAID = {
     "channels share them, as those of samples, name the column NAME_systematic_samples",
     "bright": "spectra with a median reflectance above 1; are they in percent, or no reflectance?",
     "constant": "spectra with the same value in all channels",
-    "step": "spectra with a step between two channels, as where detectors meet; scale one side to the other before "
-    "bands beside it are measured",
+    "step": "spectra with a step between two channels, as where detectors meet, read with the channels below it scaled "
+    "to those above",
 }
 
 
@@ -100,6 +102,40 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
             [n and _smooth(v[u], s[u]) for n, v, u, s in zip(enough, values, usable, sigma, strict=True)]
         )
     return judged
+
+
+def cleaned(parts: Sequence[SpectrumRows]) -> tuple[list[SpectrumRows], list[str]]:
+    """The spectra without single channels far off their neighbours, and what to say of it."""
+    kept, odd = list[SpectrumRows](), list[str]()
+    for rows in parts:
+        clean, which = without_lone(rows)
+        kept.append(clean)
+        odd += [rows.ids[row] for row in which]
+    lone = "spectra with single channels a factor of 1.65 and more off both neighbours, which are left out"
+    return kept, [f"{lone}: {len(odd)}, first '{odd[0]}'"] if odd else []
+
+
+def without_steps(rows: SpectrumRows) -> SpectrumRows:
+    """The spectra with what lies below a step scaled to what lies above, as detectors are spliced.
+
+    The largest step of each, then the next, of `MOST_STEPS`.
+    """
+    values, scaled = rows.reflectance.copy(), dict[int, FloatArray]()
+    for block in spans(len(rows), _AT_ONCE):
+        own = slice(block.start, block.stop)
+        for _ in range(MOST_STEPS):
+            for row, step, place in _steps(rows.wavelength_nm, values[own], ~rows.mask[own]):
+                gain = np.where(rows.wavelength_nm < place, 1.0 + step, 1.0)
+                values[block.start + row] *= gain
+                scaled[block.start + row] = scaled.get(block.start + row, 1.0) * gain
+    sigma = None if rows.uncertainty is None else rows.uncertainty.copy()
+    systematic = dict(rows.systematic)
+    for row, gain in scaled.items():
+        if sigma is not None:
+            sigma[row] *= gain
+        if row in systematic:
+            systematic[row] = {name: one * gain for name, one in systematic[row].items()}
+    return replace(rows, reflectance=values, uncertainty=sigma, systematic=systematic)
 
 
 def without_lone(rows: SpectrumRows) -> tuple[SpectrumRows, list[int]]:

@@ -43,7 +43,8 @@ class Column:
     name : as the file has it, '' where it has none.
     values : shape (rows,), NaN where there is no number.
     position : place in the file, from 1.
-    unit : 'nm', 'um', 'fraction' or 'percent' where the file has a field for units; None where only the name may tell.
+    unit : 'nm', 'um', 'angstrom', 'cm-1', 'fraction' or 'percent' where the file has a field for units; None
+        where only the name may tell.
     unit_text : the unit as the file writes it, where `values` had to be converted.
     """
 
@@ -84,28 +85,40 @@ class SpectrumTable:
     systematic: Mapping[int, tuple[tuple[str, Column], ...]] = field(default_factory=dict)
     block: FloatArray | None = None
 
+    @property
+    def reflectances(self) -> FloatArray:
+        """(n, rows) values of all spectra; `block` where there is one."""
+        return np.array([column.values for column, _ in self.spectra]) if self.block is None else self.block
+
 
 _NM = {"nm", "nanometer", "nanometers", "nanometre", "nanometres"}
 _UM = {"um", "μm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres"}
-_OTHER = {
-    *("ev", "mev", "kev", "hz", "ghz", "thz", "energy", "frequency"),
-    *("cm", "cm1", "mm", "m", "pm", "å", "angstrom", "angstroms", "ångström", "wavenumber", "wavenumbers"),
-}
+_ANGSTROM = {"å", "angstrom", "angstroms", "ångström", "ångstrom", "aa", "ang"}
+_RECIPROCAL = {"wavenumber", "wavenumbers", "wellenzahl", "cm1", "kayser"}
+_OTHER = {"ev", "mev", "kev", "hz", "ghz", "thz", "energy", "frequency", "cm", "mm", "m", "pm"}
 _NOT_A_UNIT = {"in", "air", "vacuum", "vac", "center", "centre", "centers", "centres"}
 _BRACKETS = re.compile(r"[(\[{]([^)\]}]*)[)\]}]")
-_PERCENT = re.compile(r"\s*[(\[{]\s*(?:%|percent|pct)\s*[)\]}]$|_(?:percent|pct)$", re.IGNORECASE)
-_PERCENT_WORD = re.compile(
-    r"^(r|refl|reflectance|reflectivity|reflectance[ _]factor)[ _]?(?:%|percent|pct)$", re.IGNORECASE
+_PERCENT = re.compile(
+    r"\s*[(\[{]\s*(?:in\s*)?(?:%|percent|per cent|pct|prozent)\s*(?:r|refl[a-z]*\.?)?\s*[)\]}]$|_(?:percent|pct)$|"
+    r"(?:(?<=[^\d\s,;/%-])|(?<=[a-z_]\d)|(?<=[a-z_]\d\d))\s*[\s,;/]\s*%$|^\s*%\s*(?=[a-z])",
+    re.IGNORECASE,
 )
+"""How names end that state percent; '50 %' is a share of something."""
+_PERCENT_SIGN = re.compile(r"%|(?<![a-z])(?:percent|per cent|pct|prozent)(?![a-z])", re.IGNORECASE)
+_OF_REFLECTANCE = re.compile(
+    r"r\d*|rf|ref|refl\w*|reflex\w*|reflek\w*|r[ée]flect\w*|remission|brf|hdrf|total|diffuse|abs|absolute|rel|relative|"
+    r"bidirectional|hemispherical|directional|factor|tgt|target|sample|values?|signal|mean|avg|average|y|in|of|as|the"
+)
+"""Words of a name beside the sign of percent that say nothing but reflectance."""
 _FRACTION = re.compile(r"\s*[(\[{]\s*(?:fraction|0-1|-)\s*[)\]}]$", re.IGNORECASE)
 
-_MAY_SAY_UNIT = re.compile(r"[(\[{%]|percent|pct", re.IGNORECASE)
+_MAY_SAY_UNIT = re.compile(r"[(\[{%]|per ?cent|pct|prozent", re.IGNORECASE)
 """Where a name has none of these, nothing above is in it."""
 _NAMES_KEPT = 4096
 _MEDIANS_AT_ONCE = 4096
 
-_FACTOR_NM = {"nm": 1.0, "um": 1000.0}
-_SYMBOL = {"nm": "nm", "um": "µm"}
+_FACTOR_NM = {"nm": 1.0, "um": 1000.0, "angstrom": 0.1}
+_SYMBOL = {"nm": "nm", "um": "µm", "angstrom": "Å", "cm-1": "cm⁻¹"}
 _PLAUSIBLE_NM = (50.0, 200_000.0)
 """Wavelengths of a reflectance spectrum, from the ultraviolet to the far infrared; assumed."""
 SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
@@ -115,7 +128,7 @@ MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
-_MAX_PERCENT = 200.0
+MAX_PERCENT = 200.0
 """A median above this is no reflectance in percent; assumed."""
 
 
@@ -145,9 +158,23 @@ def length_unit(word: str) -> WavelengthUnit | None:
     return "nm" if word in _NM else "um" if word in _UM else None
 
 
-def wavelength_unit_in(name: str, file: str) -> WavelengthUnit | None:
-    """Unit that a wavelength column's name states, or None. Raises DataError for a unit other than nm or µm."""
+def spectral_unit(words: Sequence[str]) -> str | None:
+    """'angstrom', or 'cm-1' for wavenumbers, where words in lower case say so; else None."""
+    if _RECIPROCAL & {*words} or {"cm", "1"} <= {*words}:
+        return "cm-1"
+    return "angstrom" if _ANGSTROM & {*words} else None
+
+
+def wavelength_unit_in(name: str, file: str) -> str | None:
+    """Unit that a wavelength column's name states, or None; 'nm', 'um', 'angstrom', 'cm-1'.
+
+    Raises DataError for another.
+    """
     tokens = name_tokens(name)
+    if (other := spectral_unit(tokens)) is not None:
+        return other
+    if re.search(r"[(\[]\s*A\s*[)\]]$", name):
+        return "angstrom"
     units = {unit for unit in map(length_unit, tokens) if unit is not None}
     if len(units) == 1:
         return units.pop()
@@ -174,7 +201,12 @@ def wavelength_nm(column: Column, stated: WavelengthUnit | None, file: str) -> t
     if origin == "file" and stated not in (None, unit):
         _warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
     record = {"wavelength_unit": column.unit_text or unit, "wavelength_unit_from": origin}
-    return column.values * _FACTOR_NM[unit], record
+    return to_nm(column.values, unit), record
+
+
+def to_nm(values: FloatArray, unit: str) -> FloatArray:
+    """Wavelengths of numbers in a unit; those of wavenumbers in vacuum. [nm]"""
+    return np.asarray(1e7 / values if unit == "cm-1" else values * _FACTOR_NM[unit])
 
 
 def _wavelength_choice(
@@ -192,19 +224,31 @@ def _wavelength_choice(
         if least <= low and high <= most:
             _warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
             return unit, "values"
-    raise DataError(f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um")
+    raise DataError(
+        f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um, or name the column "
+        "wavenumber_cm-1 or wavelength_angstrom"
+    )
 
 
 def _plausible(unit: str, low: float, high: float) -> bool:
-    factor = _FACTOR_NM[unit]
-    return low * factor >= _PLAUSIBLE_NM[0] and high * factor <= _PLAUSIBLE_NM[1]
+    ends = to_nm(np.array([low, high]), unit)
+    return bool(ends.min() >= _PLAUSIBLE_NM[0] and ends.max() <= _PLAUSIBLE_NM[1])
 
 
 def without_unit(name: str) -> str:
     """Name of a reflectance column less the percent or fraction it states: 'rock (%)' -> 'rock'."""
     if not _MAY_SAY_UNIT.search(name):
         return name.strip() or name
-    return _PERCENT_WORD.sub(r"\1", _FRACTION.sub("", _PERCENT.sub("", name))).strip() or name
+    if only_percent(name):
+        return " ".join(re.sub(r"[()\[\]{}]", " ", _PERCENT_SIGN.sub(" ", name)).split()).strip("_ ,;/") or name
+    return _FRACTION.sub("", _PERCENT.sub("", name)).strip() or name
+
+
+@lru_cache(maxsize=_NAMES_KEPT)
+def only_percent(name: str) -> bool:
+    """Whether a name says reflectance in percent and nothing else: 'Reflect. %', '%R', 'Tgt./Ref. %'."""
+    rest, count = _PERCENT_SIGN.subn(" ", name)
+    return count > 0 and all(_OF_REFLECTANCE.fullmatch(word) for word in name_tokens(rest))
 
 
 def medians_above_0(values: FloatArray) -> FloatArray:
@@ -231,7 +275,7 @@ def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | No
     if stated is not None:
         return ReflectanceChoice(_SCALE[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
     what = f"{file}: column {column.label} has a median of {median:.4g}"
-    if median > _MAX_PERCENT:
+    if median > MAX_PERCENT:
         raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
     if found is not None:
         raise DataError(f"{what}, which is no {found} as the file says; give `reflectance_unit` fraction or percent")
@@ -282,13 +326,13 @@ def _unit_of(column: Column) -> str | None:
         return column.unit
     if not _MAY_SAY_UNIT.search(column.name):
         return None
-    if _PERCENT.search(column.name) or _PERCENT_WORD.search(column.name):
+    if _PERCENT.search(column.name) or only_percent(column.name):
         return "percent"
     return "fraction" if _FRACTION.search(column.name) else None
 
 
 def _contradicts(unit: str, median: float) -> bool:
-    return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > _MAX_PERCENT
+    return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > MAX_PERCENT
 
 
 def _warn(message: str) -> None:

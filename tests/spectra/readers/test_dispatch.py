@@ -66,7 +66,7 @@ def zipped() -> bytes:
         (b"%PDF-1.7\n", "PDF"),
         (b"\x7fELF\x02\x01\x01" + bytes(60), "binary file"),
         (b"<!DOCTYPE html>\n<html><head><title>404 Not Found</title></head></html>", "HTML or XML page"),
-        (b"\r\n <?xml version='1.0'?><Product_Observational/>", "HTML or XML page"),
+        (b"\r\n <?xml version='1.0'?><Product_Observational/>", "neither a table nor an image"),
         (b'{"wavelength_nm": [400, 500]}', "JSON"),
         (b"\n\n  \n", "only blanks"),
         (b"404: Not Found", "no data rows"),

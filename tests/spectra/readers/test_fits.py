@@ -91,7 +91,8 @@ def test_an_image_is_refused(refuse: Refuse) -> None:
 @pytest.mark.parametrize(
     ("columns", "reason"),
     [
-        ({"wavelength_nm": np.zeros((2, 3)), "rock": np.zeros((2, 3))}, "2 rows of vector cells"),
+        ({"wavelength_nm": np.eye(3)[:2], "rock": np.zeros((2, 3))}, "2 rows with wavelengths of their own"),
+        ({"dark": np.zeros((2, 3)), "rock": np.zeros((2, 3))}, "2 rows of vector cells without wavelengths"),
         ({"wavelength_nm": np.zeros((1, 3)), "rock": np.zeros((1, 4))}, "differ in shape"),
         ({"wavelength_nm": np.zeros((1, 3, 2)), "rock": np.zeros((1, 3, 2))}, "more dimensions"),
         ({"note": ["a", "b"], "other": ["c", "d"]}, "no reflectance column"),

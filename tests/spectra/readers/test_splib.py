@@ -8,7 +8,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
-from lunarsci.spectra.readers.text import without_wavelength_files
+from lunarsci.spectra.readers.libraries import without_wavelength_files
 
 SPECTRUM = " splib07a Record=5932: Olivine GDS70.a Fo89          BECKb AREF\n"
 BECK = " splib07a Record=21: Wavelengths BECK Beckman interval 4 ch\n  0.2\n  0.5\n  1.0\n  2.0\n"

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import LunarSciWarning
 from lunarsci.spectra.spectrum import Spectrum
 
 Read = Callable[..., list[Spectrum]]
@@ -85,7 +85,8 @@ def test_without_a_header_two_columns_are_one_spectrum(read: Read) -> None:
 
 
 def test_without_a_header_four_columns_are_three_spectra(read: Read) -> None:
-    spectra = read("400,.1,.2,.3\n500,.1,.2,.3\n", wavelength_unit="nm")
+    with pytest.warns(LunarSciWarning, match="3 columns without names read as spectra; name the columns"):
+        spectra = read("400,.1,.2,.3\n500,.1,.2,.3\n", wavelength_unit="nm")
     assert [s.id for s in spectra] == ["rock:column-2", "rock:column-3", "rock:column-4"]
 
 
@@ -249,10 +250,10 @@ def test_a_line_of_a_large_table_is_cut(refuse: Refuse) -> None:
 
 
 @pytest.mark.parametrize("separator", [",", "\t", ";"])
-def test_lines_before_the_table_are_said(read: Read, separator: str) -> None:
+def test_lines_before_the_table_are_kept(read: Read, separator: str) -> None:
     rows = "".join(f"{nm}{separator}0.3\n" for nm in range(400, 410))
-    with pytest.raises(DataError, match=r"lines of text before the table, whose numbers begin in line 4; keep"):
-        read(f"Instrument: ASD\nOperator: A, B\nwavelength_nm{separator}rock\n{rows}")
+    [spectrum] = read(f"Instrument: ASD\nOperator: A, B\nwavelength_nm{separator}rock\n{rows}")
+    assert spectrum.id == "rock" and spectrum.metadata["keys"] == {"Instrument": "ASD", "Operator": "A, B"}
 
 
 def test_channel_numbers_and_errors_of_another_language_are_no_spectra(read: Read) -> None:
@@ -331,6 +332,12 @@ def test_an_error_may_be_named_after_a_column_with_its_unit(read: Read) -> None:
     np.testing.assert_allclose(spectrum.uncertainty, [0.01, 0.02, 0.03], rtol=1e-12)
 
 
-def test_lines_of_text_as_wide_as_the_table_are_told_from_its_names(refuse: Refuse) -> None:
-    message = refuse("Probe;Basalt;\nGerät;ASD;\nlambda_um;R;sd\n0,4;0,1;0,01\n0,5;0,2;0,01\n0,6;0,2;0,01\n")
-    assert "whose numbers begin in line 4" in message and "begin the others with #" in message
+def test_lines_of_text_as_wide_as_the_table_are_told_from_its_names(read: Read) -> None:
+    [spectrum] = read("Probe;Basalt;\nGerät;ASD;\nlambda_um;R;sd\n0,4;0,1;0,01\n0,5;0,2;0,01\n0,6;0,2;0,01\n")
+    np.testing.assert_allclose(spectrum.reflectance, [0.1, 0.2, 0.2])
+    np.testing.assert_allclose(spectrum.uncertainty, 0.01)
+
+
+def test_text_above_numbers_that_have_no_names_is_kept(read: Read) -> None:
+    [spectrum] = read("Basalt of the north\nmeasured twice\n400,0.1\n500,0.2\n600,0.2\n700,0.2\n", wavelength_unit="nm")
+    assert spectrum.metadata["comments"] == ["Basalt of the north", "measured twice"]

@@ -62,10 +62,7 @@ def test_names_for_micrometres(read: Read, name: str) -> None:
     [
         "wavelength (eV)",
         "wavelength_thz",
-        "wavelength (cm-1)",
-        "wavenumber",
         "energy_eV",
-        "Wavelength [Å]",
         "wavelength_nm (um)",
     ],
 )

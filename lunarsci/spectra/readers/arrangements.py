@@ -1,0 +1,227 @@
+"""Tables of another arrangement than one named wavelength column and spectra beside it.
+
+Spectra in rows, with wavelengths in the header, as pandas and chemometricians write them; a wavelength column for each
+spectrum; columns without names. No library tells them apart.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError
+from lunarsci.inputs import InputFile
+from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength, says_error
+from lunarsci.spectra.readers.heads import TableInText
+from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit
+from lunarsci.spectra.rows import DECIMAL_COMMA, Row, is_missing, number, numbers, quoted, split_fields
+
+FEWEST_CHANNELS = 8
+"""Wavelengths in a header before its columns are channels; assumed."""
+HARDLY_ERROR = 0.3
+"""Share of the column before it from which a column is hardly its error; that of `likely`, assumed."""
+MOST_COMPARED, SAME = 6, 2e-4
+"""Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
+_BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
+_NUMBERED = re.compile(r"[ _.-]?\d+$")
+_CHANNEL = re.compile(r"[A-Za-z_. ]{0,12}?(\d+(?:[.,]\d+)?)\s*(nm|um|µm|μm|micron\w*)?", re.IGNORECASE)
+
+
+def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]) -> SpectrumTable | None:
+    """The spectra of a table whose header has wavelengths, one in each row; None for any other table."""
+    header, *lines = table.lines
+    if table.names or not lines:
+        return None
+    names = split_fields(header[1], table.separator, f"{source.name}: line {header[0]}")
+    channels, wavelength, unit = header_channels(names) or ([], np.empty(0), None)
+    if not channels:
+        return None
+    rows = [Row(n, split_fields(line, table.separator, f"{source.name}: line {n}")) for n, line in lines]
+    decimal = table.separator in DECIMAL_COMMA
+    texts = [k for k in range(len(names)) if k not in channels and any(_is_text(row, k, decimal) for row in rows)]
+    if len({len(row.fields) for row in rows} | {len(names)}) > 1 or (not texts and _first_is_wavelength(names, rows)):
+        return None
+    label = texts[0] if texts else next((k for k in range(len(names)) if k not in channels), None)
+    values = np.array([numbers(rows, k, quoted(names[k]), source.name, decimal) for k in channels]).T
+    errors = {k: k - 1 for k, row in enumerate(rows) if k > 0 and any(says_error(row.fields[t]) for t in texts)}
+    errors = {k: of for k, of in errors.items() if of not in errors}
+    sigma = {of: Column("", values[k], k + 1) for k, of in errors.items()}
+    kept = [k for k in range(len(rows)) if k not in errors]
+    rows, values = [rows[k] for k in kept], values[kept]
+    ids = [row.fields[label] if label is not None else "" for row in rows]
+    ids = ids if len({*ids}) == len(ids) else [""] * len(ids)
+    if not texts:
+        ids = [id and f"row {id}" for id in ids]
+    said = f"wavelengths in the header, {len(rows)} spectra in rows; give the table with spectra in columns otherwise"
+    return SpectrumTable(
+        source, "text", Column("wavelength", wavelength, 1, unit),
+        tuple((Column(id, own, k + 1), sigma.get(k)) for k, id, own in zip(kept, ids, values, strict=True)),
+        tuple(f"column {k + 1}" for k in channels), {**about, "read_as": [said]},
+    )  # fmt: skip
+
+
+def _is_text(row: Row, place: int, decimal: bool) -> bool:
+    cell = row.fields[place] if place < len(row.fields) else ""
+    return not is_missing(cell) and number(cell, decimal) is None
+
+
+def header_channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | None] | None:
+    """Places of names that are wavelengths, these and their unit; None where they are few or in no order."""
+    found = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
+    values = np.array([float(match[1].replace(",", ".")) for _, match in found])
+    if values.size < FEWEST_CHANNELS or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
+        return None
+    if not any(low <= values.min() and values.max() <= high for low, high in SURELY.values()):
+        return None
+    units = {length_unit(match[2]) for _, match in found if match[2]}
+    return [k for k, _ in found], values, units.pop() if len(units) == 1 else None
+
+
+def _first_is_wavelength(names: Sequence[str], rows: Sequence[Row]) -> bool:
+    """Whether the first column rather than the header has the wavelengths."""
+    first = np.array([value for row in rows[:50] if (value := number(row.fields[0].replace(",", "."))) is not None])
+    steps = np.sign(np.diff(first))
+    one_way = first.size > 1 and abs(steps.sum()) == steps.size
+    likely = one_way and any(low <= first.min() and first.max() <= high for low, high in SURELY.values())
+    return is_wavelength(names[0]) or (likely and number(names[0]) is None and len(rows) >= FEWEST_CHANNELS)
+
+
+def own_wavelengths(names: Sequence[str]) -> list[list[int]]:
+    """Places of the columns of each spectrum, its wavelengths first, where each has its own; none for another table."""
+    starts = [k for k, name in enumerate(names) if is_wavelength(_NUMBERED.sub("", name))]
+    if len(starts) < 2 and names[0]:
+        same = [k for k, name in enumerate(names) if name == names[0]]
+        first = [k for k, name in enumerate(names) if _BEGINS.match(name)]
+        starts = max(same, first, key=len)
+        starts = starts if len({*np.diff([*starts, len(names)]).tolist()}) == 1 else []
+    if len(starts) < 2 or starts[0] > 0:
+        return []
+    groups = [list(range(low, high)) for low, high in zip(starts, [*starts[1:], len(names)], strict=True)]
+    return groups if min(map(len, groups)) > 1 else []
+
+
+def one_below_another(names: Sequence[str], rows: Sequence[Row], separator: str, file: str) -> list[list[Column]]:
+    """The columns of each spectrum of a table with names of spectra in its rows and wavelengths that come again."""
+    decimal = separator in DECIMAL_COMMA
+    labels = [k for k in range(len(names)) if rows and all(_is_text(row, k, decimal) for row in rows)]
+    place = next((k for k, name in enumerate(names) if is_wavelength(name)), None)
+    if not labels or place is None:
+        return []
+    each = dict[str, list[Row]]()
+    for row in rows:
+        each.setdefault(row.fields[labels[0]], []).append(row)
+    wavelengths = Counter(row.fields[place] for row in rows)
+    if len(each) < 2 or len(each) * FEWEST_CHANNELS > len(rows) or max(wavelengths.values()) < 2:
+        return []
+    others = [k for k in range(len(names)) if k != place and k not in labels]
+    found = list[list[Column]]()
+    for id, own in each.items():
+        titles = [id if len(others) == 1 or k == others[0] else f"{id} {names[k]}" for k in others]
+        columns = [Column(names[place], numbers(own, place, quoted(names[place]), file, decimal), place + 1)]
+        for title, k in zip(titles, others, strict=True):
+            columns.append(Column(title, numbers(own, k, quoted(names[k]), file, decimal), k + 1))
+        found.append(columns)
+    return found
+
+
+def on_one_grid(
+    groups: Sequence[Sequence[Column]], source: InputFile, about: dict[str, Any], said: str = ""
+) -> SpectrumTable:
+    """Spectra with wavelengths of their own on the wavelengths of all, missing where they have none."""
+    grids = [group[0].values for group in groups]
+    every = np.unique(np.concatenate(grids))
+    every = every[np.isfinite(every)]
+    spectra = list[tuple[Column, Column | None]]()
+    for wavelength, *others in groups:
+        roles = assign_roles([wavelength.name, *(one.name for one in others)], source, wavelength=0)
+        known = np.isfinite(wavelength.values)
+        place = np.searchsorted(every, wavelength.values[known])
+        if np.unique(place).size < place.size:
+            raise DataError(f"{source.name}: column {wavelength.label} repeats a wavelength; keep one row of each")
+
+        def spread(column: Column, known: Any = known, place: Any = place) -> Column:
+            values = np.full(every.size, np.nan)
+            values[place] = column.values[known]
+            return Column(column.name, values, column.position, column.unit)
+
+        spectra += [(spread(others[r - 1]), None if s is None else spread(others[s - 1])) for r, s in roles.spectra]
+    names = [one.name for one, _ in spectra]
+    spectra = [(c if names.count(c.name) == 1 else Column("", c.values, c.position, c.unit), s) for c, s in spectra]
+    said = said or f"{len(groups)} columns of wavelengths: each read as those of the columns up to the next"
+    places = tuple(f"wavelength {value:g}" for value in every)
+    first = groups[0][0]
+    wavelength = Column(first.name, every, first.position, first.unit)
+    return SpectrumTable(source, "text", wavelength, tuple(spectra), places, {**about, "read_as": [said]})
+
+
+def unnamed(
+    columns: Sequence[Column], source: InputFile, places: tuple[str, ...], about: dict[str, Any]
+) -> SpectrumTable:
+    """The table of columns without names: wavelength, then spectra; errors and counts are known by their numbers.
+
+    Raises DataError for a third and last column that could be the errors of the second as well as a spectrum.
+    """
+    wavelength, *others = columns
+    said, counts = list[str](), [k for k, one in enumerate(others) if k > 0 and _is_count(one.values)]
+    if counts:
+        listed = ", ".join(str(others[k].position) for k in counts)
+        said.append(f"column {listed} without a name read as a count, left out; name the columns to decide otherwise")
+    kept = [one for k, one in enumerate(others) if k not in counts]
+    kept = _without_copies(kept, said)
+    spectra: list[tuple[Column, Column | None]] = [(one, None) for one in kept]
+    shares = [_share(a.values, b.values) for a, b in zip(kept[::2], kept[1::2], strict=False)]
+    if len(kept) == 2 * len(shares) > 0 and all(share <= ERROR_SHARE for share in shares):
+        spectra = list(zip(kept[::2], kept[1::2], strict=True))
+        each = ", ".join(f"{sigma.position} of {one.position}" for one, sigma in spectra[:3] if sigma)
+        said.append(f"columns without names read as errors: {each}; name the columns to decide otherwise")
+    elif len(kept) == 2 and shares[0] < HARDLY_ERROR:
+        raise DataError(
+            f"{source.name}: three columns without names: the third may be a spectrum or a standard deviation; add a "
+            "header line such as wavelength_nm,reflectance,reflectance_sigma"
+        )
+    elif len(kept) > 1:
+        said.append(f"{len(kept)} columns without names read as spectra; name the columns to decide otherwise")
+    about = {**about, "read_as": said} if said else about
+    return SpectrumTable(source, "text", wavelength, tuple(spectra), places, about)
+
+
+def _without_copies(columns: Sequence[Column], said: list[str]) -> list[Column]:
+    """Columns less those that repeat one before them; one that is the quotient of two others is said to be."""
+    kept, copies = list[Column](), list[str]()
+    for one in columns:
+        same = next((other for other in kept if np.array_equal(one.values, other.values, equal_nan=True)), None)
+        if same is None:
+            kept.append(one)
+        else:
+            copies.append(f"{one.position} of {same.position}")
+    if copies:
+        said.append(f"columns without names that repeat others left out: {', '.join(copies)}")
+    for ratio, over, under in permutations(kept, 3) if len(kept) <= MOST_COMPARED else ():
+        if over.position < under.position and _is_quotient(ratio.values, over.values, under.values):
+            said.append(f"column {ratio.position} is column {over.position} over {under.position}, a ratio of spectra")
+    return kept
+
+
+def _is_quotient(ratio: FloatArray, over: FloatArray, under: FloatArray) -> bool:
+    """Whether one column is another over a third, to the digits that files have."""
+    with np.errstate(all="ignore"):
+        off = np.abs(ratio * under / over - 1.0)
+    return bool(np.ptp(ratio) > 0 and np.median(off[np.isfinite(off)]) < SAME) if np.isfinite(off).any() else False
+
+
+def _is_count(values: FloatArray) -> bool:
+    """Whether all are the same whole number, or whole numbers beyond any reflectance factor."""
+    known = values[np.isfinite(values)]
+    return bool(known.size > 1 and (known == np.round(known)).all() and (known >= 1).all() and known.max() < 1e4
+                and (known == known[0]).all())  # fmt: skip
+
+
+def _share(values: FloatArray, beside: FloatArray) -> float:
+    """Median of one column over another, where both are above 0; infinite where they are nowhere."""
+    with np.errstate(invalid="ignore"):
+        both = (values > 0) & (beside > 0)
+    return float(np.median(beside[both] / values[both])) if both.any() else np.inf

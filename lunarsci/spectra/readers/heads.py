@@ -1,0 +1,133 @@
+"""What stands around a table in a file of text: lines of `key: value`, names, units, and lines below the numbers.
+
+Spectrometers export so: SED of PSR and PSM, SIG of SVC, ASD's ViewSpec, ECOSTRESS and ASTER libraries, RELAB. pandas
+reads a table only where somebody says how many lines are before it, and which of them has the names.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from lunarsci.errors import DataError
+from lunarsci.spectra.readers.table import only_percent
+from lunarsci.spectra.rows import UNITS, number, separator_of, split_fields
+
+Lines = Sequence[tuple[int, str]]
+FEWEST_ROWS = 3
+"""Lines of numbers, one after the other, that begin a table; assumed."""
+_SEPARATOR = re.compile(r'^"?sep=(.)"?$', re.IGNORECASE)
+_CELLS = re.compile(r"[\t;]\s*|\s+|,\s*")
+_AXIS = re.compile(r"^\W*([xy])\W?\s*units?\s*[:=]\s*(\S.*)$", re.IGNORECASE)
+_KEY = re.compile(r"^([^:=]{1,60}?)\s*[:=]\s*(.*)$")
+_SVC = re.compile(r"spectra vista|^\W*SIG data", re.IGNORECASE)
+SVC_COLUMNS = ("Wavelength (nm)", "Reference radiance", "Target radiance", "Reflectance (%)")
+"""The columns of a SIG file, which have no names there: Spectra Vista Corporation, SVC HR-1024i user manual."""
+_UNITS = {*UNITS, "-", "--", "fraction", "reflectance", "å", "angstrom", "cm-1", "w/m^2/nm/sr", "dn", "unitless", ""}
+
+
+@dataclass(frozen=True, slots=True)
+class TableInText:
+    """A table in a text.
+
+    Attributes
+    ----------
+    lines : numbered lines of the table: names, where `named`, and numbers.
+    separator : between its columns.
+    names : of the columns, where they are not in the first line.
+    about : lines above and below it.
+    """
+
+    lines: Lines
+    separator: str
+    names: list[str] | None = None
+    about: tuple[str, ...] = ()
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """What lines of `key: value` say."""
+        found = (_KEY.match(line) for line in self.about)
+        return {one[1].strip(): one[2].strip() for one in found if one}
+
+
+def text_table(lines: Lines, file: str) -> TableInText:
+    """The table in lines that are no comments. Raises DataError where there is nothing but a separator."""
+    separator = None
+    if stated := _SEPARATOR.match(lines[0][1]):
+        lines, separator = lines[1:], stated[1]
+        if not lines:
+            raise DataError(f"{file}: holds no lines but the separator; check how it was made")
+    begin = _begin(lines)
+    body, below = _without_tail(lines, begin)
+    separator = separator or separator_of(body[max(begin - 1, 0) :])
+    table = TableInText(body, separator, about=tuple(line for _, line in below))
+    return table if begin < 2 else _with_head(table, begin, file)
+
+
+def is_numeric(line: str) -> bool:
+    """Whether a line begins with two numbers, or a number and nothing after a separator."""
+    cells = _CELLS.split(line.strip())
+    values = [number(cell.replace(",", ".")) for cell in cells[:2]]
+    return len(cells) > 1 and number(cells[0]) is not None and cells[0] != "" and values[1] is not None
+
+
+def _begin(lines: Lines) -> int:
+    """Place of the first of some lines of numbers; 0 where there are none."""
+    row = 0
+    for place, (_, line) in enumerate(lines):
+        row = row + 1 if is_numeric(line) else 0
+        if row == FEWEST_ROWS:
+            return place + 1 - FEWEST_ROWS
+    return 0
+
+
+def _without_tail(lines: Lines, begin: int) -> tuple[Lines, Lines]:
+    """Lines up to the last one of numbers, and lines of text below: other in width, or with a key."""
+    end = len(lines)
+    while end > begin + FEWEST_ROWS and not is_numeric(lines[end - 1][1]):
+        end -= 1
+    tail = lines[end:]
+    if not tail:
+        return lines, ()
+    separator = separator_of(lines[begin:end])
+    by = None if separator == " " else separator
+    width, words = len(lines[begin][1].split(by)), [line for _, line in tail]
+    # A line as wide as the table, or one that begins with a digit, is a row that is spoilt.
+    spoilt = any(len(line.split(by)) == width or line[:1].isdigit() or
+                 not any(map(str.isalpha, line)) for line in words)  # fmt: skip
+    return (lines, ()) if spoilt else (lines[:end], tail)
+
+
+def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
+    """A table with several lines above its numbers; names are those of the lowest line as wide as it, with units."""
+    head, body = table.lines[:begin], table.lines[begin:]
+    width = len(split_fields(body[0][1], table.separator, file))
+    about = (*(line for _, line in head), *table.about)
+    names, units = list[str](), list[str]()
+    for line, text in reversed(head):
+        cells = list(split_fields(text, table.separator, f"{file}: line {line}"))
+        if table.separator == " " and len(cells) != width:
+            cells = [cell.strip() for cell in re.split(r"\s{2,}|\t|,\s*", text)]
+        if len(cells) != width or "=" in text or ":" in cells[0]:
+            continue
+        if not units and not names and {cell.strip("()[] ").casefold() for cell in cells} <= _UNITS:
+            units = [cell.strip("()[] ") for cell in cells]
+            continue
+        if not names:
+            names = cells
+        elif len({*names}) < len(names) and len({*cells}) == len(cells):
+            above = [f"{cell} [%]" if only_percent(low) else cell for cell, low in zip(cells, names, strict=True)]
+            names = [names[0], *above[1:]]
+        if len({*names}) == len(names):
+            break
+    if names and units:
+        names = [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, units, strict=True)]
+    found = _by_keys(about, width) or names or units
+    return replace(table, lines=body, names=found or None, about=about)
+
+
+def _by_keys(about: Sequence[str], width: int) -> list[str]:
+    """Names of columns by keys of the head: units of x and y, or the layout of SVC."""
+    if width == len(SVC_COLUMNS) and any(map(_SVC.search, about)):
+        return list(SVC_COLUMNS)
+    axes = {match[1].casefold(): match[2].strip() for match in map(_AXIS.match, about) if match}
+    return [axes["x"], axes["y"]] if width == 2 and {"x", "y"} <= {*axes} else []
