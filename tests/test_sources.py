@@ -54,7 +54,7 @@ SETTINGS = {
     "how long machines are waited for, and how much memory is taken": (
         "cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/labels.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
+        "images/cahv.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
         "projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST, DEEPEST",
         "regolith/inference/problem.py: STEP",

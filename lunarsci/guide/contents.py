@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import LunarSciWarning
+from lunarsci.guide.rover_files import camera_contents
 from lunarsci.inputs import InputFile, InputStream, read_json, text
 from lunarsci.names import some_of
 
@@ -160,7 +161,8 @@ def _rig(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.images.rig_files import read_rig
 
     rig = read_rig(file)
-    return {"name": rig.name, "baseline_m": float(rig.baseline_m)}
+    said = {"read as": "; ".join(rig.read_as)} if rig.read_as else {}
+    return {"name": rig.name, "baseline_m": float(rig.baseline_m)} | said
 
 
 def _terrain(file: InputFile) -> Mapping[str, Any]:
@@ -275,7 +277,7 @@ def _result(file: InputFile) -> Mapping[str, Any]:
 
 CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
-    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "rig": _rig, "terrain": _terrain,
+    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig, "terrain": _terrain,
     "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
     "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
     "result": _result,

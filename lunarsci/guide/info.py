@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeAlias
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
+from lunarsci.guide.rover_files import kind_of_rover_file
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -47,6 +48,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
     "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
     "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
+    "camera": KindOfFile("camera", ("images cameras",)),
     "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
     "config": KindOfFile("options of commands", ("any command --config",)),
     "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images rocks", "images merge")),
@@ -256,10 +258,12 @@ def kind_of(file: InputFile) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
         text = beginning(file)
-    if text.lstrip().startswith("{"):
-        return _kind_of_json(file)
     if suffix == ".toml":
         return _kind_of_toml(file)
+    if kind := kind_of_rover_file(file, text):
+        return kind
+    if text.lstrip().startswith("{"):
+        return _kind_of_json(file)
     return _kind_of_table(file.name, text, suffix)
 
 
