@@ -23,7 +23,7 @@ NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCEN
 """Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""
 SETTINGS = {
     "they are by definition what they are, or follow from others": (
-        "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "lanes.py: LN_2_HIGH, LN_2_LOW",
+        "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "images/camera_files.py: METRES", "lanes.py: LN_2_HIGH, LN_2_LOW",
         "regolith/inference/mode.py: RISES", "regolith/prior.py: NINETY_FIVE",
         "regolith/inference/verdict.py: OTHER_SIGNS",
         "regolith/inference/verdict.py: UNITS", "spectra/abundance/mixing.py: UNIT_NM",

@@ -65,8 +65,6 @@ def result_tables(found: "CameraSheet") -> list[TextTable]:
 
 def number(name: str, camera: Mapping[str, Any]) -> str:
     """An intrinsic parameter of a camera with its error; one without an error was held."""
-    if camera[f"{name}_sigma"] is None:
-        return f"{camera[name]:.7g}"
     if camera[f"{name}_sigma"] == 0:
         return f"{camera[name]:g}, held"
     return plus_minus(camera[name], camera[f"{name}_sigma"], digits=2 if name.endswith("px") else 5)

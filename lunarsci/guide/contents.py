@@ -277,7 +277,8 @@ def _result(file: InputFile) -> Mapping[str, Any]:
 
 CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
-    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig, "terrain": _terrain,
+    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig,
+    "terrain": _terrain,
     "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
     "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
     "result": _result,

@@ -49,6 +49,12 @@ ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
 """Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
 FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
 NO_LENS = ("none", "")
+KEYS = re.compile(
+    r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
+    r"[ \t]*:",
+    re.MULTILINE | re.IGNORECASE,
+)
+"""A line that a file of cameras in YAML has."""
 STATED = "errors: a file of this kind states none"
 FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 
@@ -121,15 +127,13 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
     start = beginning(file)
     if "<opencv_storage" in start:
         found: Any = _of_element(xml_root(file.name, file.data))
-    elif start.lstrip()[:1] in ("<", "") or not re.search(r"^\s*[\"']?\w[\w ]*[\"']?\s*:", start, re.MULTILINE):
+    elif not KEYS.search(start):
         return None
     else:
         try:
             found = yaml_document(text(file))
         except ValueError as error:
-            if re.search(r"camera|distort|intrinsics|opencv", start, re.IGNORECASE) and "MODEL_COMP" not in start:
-                raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
-            return None
+            raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
     return found if isinstance(found, Mapping) and (_cameras_in(found) or _way_in(found)) else None
 
 
