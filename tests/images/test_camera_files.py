@@ -154,7 +154,7 @@ def test_other_lenses_are_fitted_by_browns(tmp_path: Path, fisheye: bool) -> Non
 
 def kalibr(first: str, second: str, chain: np.ndarray) -> str:
     own = (
-        "  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [-0.2, 5.0e-2, 1.0e-3, -2e-3, 1e-2]\n"
+        "  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [-0.2, 5e-2, 1e-3, -2e-3, 1e-2]\n"
         "  intrinsics: [700.0, 702.0, 410.0, 305.0]\n  resolution: [800, 600]\n"
     )
     rows = "".join(f"  - {listed(row)}\n" for row in chain)
@@ -185,7 +185,8 @@ def test_two_sensors_of_euroc_are_a_rig(tmp_path: Path) -> None:
         names.append(str(tmp_path / f"{name}.yaml"))
         Path(names[-1]).write_text(
             f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: {listed(place)}\nresolution: [800, 600]\n"
-            f"camera_model: pinhole\nintrinsics: [700.0, 702.0, 410.0, 305.0]\ndistortion_coefficients: {listed(LENS)}\n"
+            f"camera_model: pinhole\nintrinsics: [700.0, 702.0, 410.0, 305.0]\n"
+            f"distortion_coefficients: {listed(LENS)}\n"
         )
     check(the_rig(cameras(names)))
     with pytest.raises(DataError, match="left and right are swapped"):
