@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.jobs.identify import LABELS, IdentifiedSoil, IdentifyRequest
+from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest
 from lunarsci.regolith.jobs.identify import identify as identify_soil
+from lunarsci.regolith.states_agreement import LABELS
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -62,6 +63,11 @@ OPTIONS = {
     ),
     "external_friction_angle": option("Assume φ_y in deg and solve K_y.", panel=ASSUMED),
     "reading": option(READING),
+    "units": option(
+        "Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the load); "
+        "m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim (1 - v/rw), travel (rw/v - 1) or %.",
+        metavar="COLUMN=UNIT,…",
+    ),
     "draws": option("Monte Carlo draws per state.", min=2, max=1_000_000),
     "seed": option("Seed of the random numbers.", min=0),
     "sinkage_error": option("1σ of the sinkage, in m.", panel=ERRORS),

@@ -228,8 +228,9 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.states import read_state_table
     from lunarsci.regolith.wheel import read_wheel
 
-    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
-    return {
+    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True, every=True)
+    said = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
+    return said | {
         **_rows(file),
         "columns of no use": _listed(table.unused) or "none",
         "range checked for": f"wheels of up to {largest.radius_m:g} m",

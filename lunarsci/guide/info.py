@@ -16,7 +16,7 @@ from typing import Any, ClassVar, TypeAlias
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
-from lunarsci.guide.rover_files import kind_of_rover_file
+from lunarsci.guide.rover_files import kind_of_rover_file, states_named_otherwise
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -297,6 +297,7 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
         return "mgm"
     lines = _from_names([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
     columns = _cells(name, lines[:1])
+    columns += states_named_otherwise(columns)
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):

@@ -1,7 +1,7 @@
 """Cameras and heights among files that other programs write: told by their content, and what is in them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.inputs import InputFile
@@ -21,6 +21,14 @@ def kind_of_rover_file(file: InputFile, start: str) -> str:
     if tree_of(file) is None:
         return ""
     return "rig" if is_rig(file) else "camera"
+
+
+def states_named_otherwise(columns: Sequence[str]) -> list[str]:
+    """Columns of wheel states that are there by other names, or in other units, where two or more of them are."""
+    from lunarsci.regolith.written_columns import of_name
+
+    found = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
+    return found if len(found) > 1 else []
 
 
 def camera_contents(file: InputFile) -> Mapping[str, Any]:

@@ -11,8 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.inference.problem import LEAST_SHARE, JointProblem, error_covariance, part_of
-from lunarsci.regolith.prior import LOAD_PRESSURE_PA, strange
-from lunarsci.regolith.questions import question
+from lunarsci.regolith.prior import strange
 from lunarsci.regolith.states import WheelStates
 
 CEILINGS = (0.35, 0.15, 0.15)
@@ -28,10 +27,10 @@ GOOD, GOOD_REDUCED = 0.02, 1.5
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
 no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
 assumed."""
-LOAD_UNITS = {"kN": 1e3, "mN": 1e-3}
-"""In newtons, by definition."""
 DECISIVE = 12.0
 """By how much -2 ln posterior must be better for another reading of a column to count: odds of 400. Assumed."""
+SHIFTS = (-0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2)
+"""By which the zero of a sinkage may be off, as shares of the wheel's radius; assumed."""
 HUBER, MOST_STATES = 3.0, 60
 """Whitened residuals beyond count linearly, and the most states that are tried with other readings; assumed."""
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
@@ -77,7 +76,25 @@ def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
         gain = before - _best(other, plain.center) + _stretch(plain, column, factor)
         if gain > DECISIVE and not (units and _above(mode_with_errors(replace(other, huber=np.inf)))):
             found.append(Suspect(column, how, gain))
+    found += _shifted(plain, before) if units else []
     return sorted(found, key=lambda suspect: -suspect.gain)
+
+
+def _shifted(plain: JointProblem, before: float) -> list[Suspect]:
+    """The zero of the sinkage that explains the states better, if one does."""
+    tried = [(before - _best(other, plain.center), by) for share in SHIFTS
+             if (other := _with_zero(plain, by := share * plain.wheel.radius_m)) is not None]  # fmt: skip
+    gain, by = max(tried, default=(0.0, 0.0))
+    where = f"{abs(1e3 * by):.2g} mm {'higher' if by > 0 else 'lower'} (--units sinkage_m={by:+.4f})"
+    return [Suspect("sinkage_m", f"its zero {where}", gain)] if gain > DECISIVE else []
+
+
+def _with_zero(problem: JointProblem, by_m: float) -> JointProblem | None:
+    """The problem with the sinkages so much larger; None where a wheel cannot have them."""
+    inputs = problem.inputs.copy()
+    inputs[:, 0] += by_m
+    good = (inputs[:, 0] > 0).all() and (inputs[:, 0] < problem.wheel.radius_m).all()
+    return replace(problem, inputs=inputs) if good else None
 
 
 def _best(problem: JointProblem, start: FloatArray) -> float:
@@ -137,8 +154,8 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     unusable : share of all states that could not be used at all.
     """
     shares, reduced = mode.problem.model_error, reduced_chi_square(mode)
-    reasons = [*_misfit(mode, reduced, given, states), *_ceilings(mode, given), *_left_out(mode, unusable)]
-    reasons += _strange(mode) + _loads(mode)
+    reasons = [*map(str, states.questions), *_misfit(mode, reduced, given, states), *_ceilings(mode, given)]
+    reasons += _left_out(mode, unusable) + _strange(mode)
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and not reasons
     turned = [] if good else suspects(mode, units=bool(reasons))
     if turned:
@@ -175,17 +192,6 @@ def _strange(mode: Mode) -> list[str]:
     """Parameters that no soil or wheel of the priors has, whatever the states leave open of them."""
     laws = {name: mode.problem.prior[name] for name in mode.problem.names}
     return strange(laws, mode.point, np.sqrt(np.diag(mode.covariance)))
-
-
-def _loads(mode: Mode) -> list[str]:
-    """Loads that no wheel of this size carries."""
-    loads, wheel = mode.problem.forces[:, 0], mode.problem.wheel
-    known = loads[np.isfinite(loads) & (loads > 0)]
-    if not known.size:
-        return []
-    law = replace(LOAD_PRESSURE_PA, median=LOAD_PRESSURE_PA.median * wheel.radius_m * wheel.width_m)
-    asked = question("median normal_force_n", float(np.median(known)), law, LOAD_UNITS, "give newtons")
-    return [] if asked is None else [str(asked)]
 
 
 def least_chi_square(left: float) -> float:
