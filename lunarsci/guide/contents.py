@@ -168,7 +168,8 @@ def _rig(file: InputFile) -> Mapping[str, Any]:
 def _terrain(file: InputFile) -> Mapping[str, Any]:
     import numpy as np
 
-    from lunarsci.grids import ERROR_LAYERS, read_grid
+    from lunarsci.grids import read_grid
+    from lunarsci.height_grid import ERROR_LAYERS
     from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 
     soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
@@ -184,6 +185,7 @@ def _terrain(file: InputFile) -> Mapping[str, Any]:
         "height_m": f"{known.min():.3f} to {known.max():.3f}",
         "holes": f"{1 - known.size / grid.height_m.size:.1%}",
         "coordinate system": "local" if not grid.crs else "projected",
+        "read as": "; ".join(grid.read_as) or "as written",
     }
 
 

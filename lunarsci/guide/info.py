@@ -16,7 +16,7 @@ from typing import Any, ClassVar, TypeAlias
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
-from lunarsci.guide.rover_files import kind_of_rover_file, states_named_otherwise
+from lunarsci.guide.rover_files import is_image_of_heights, kind_of_rover_file, states_named_otherwise
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -100,6 +100,9 @@ MAGIC = {
     b"PK\x03\x04": "terrain",
     b"\x89HDF": "cube",
     b"CDF": "cube",
+    b"EHFA_HEADER_TAG": "terrain",
+    b"DSAA": "terrain",
+    b"DSBB": "terrain",
 }
 WAVELENGTH = re.compile(
     r"wave|wellenl|longueur|longitud|lunghezza|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel",
@@ -247,6 +250,8 @@ def kind_of(file: InputFile) -> str:
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
+    if suffix == ".img" and is_image_of_heights(file.name):
+        return "terrain"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
         return SUFFIXES[suffix]
     if suffix == ".hdr":
