@@ -10,7 +10,7 @@ MARKERS = (
     *(-9999.0, -99999.0, -999999.0, 9999.0, 99999.0, 999999.0),
     *(-32768.0, -32767.0, -32766.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
 )
-"""Numbers that stand for no height, of ESRI's grids, of integers of 16 and 32 bits, and of GDAL's tools."""
+"""Numbers that stand for no height: those of ESRI's grids, and the ends of integers of 16 and 32 bits; assumed."""
 BEYOND = 1e19
 """No height is larger: -3.4e38, 1e20, 1.7e38 and -1e32 stand for none. [m]"""
 

@@ -39,7 +39,7 @@ RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
 OPTION = "--units"
 
 
-class Quantity(NamedTuple):
+class StateColumn(NamedTuple):
     """Column of wheel states, its units, and what others call it: words with _ between them."""
 
     column: str
@@ -48,27 +48,27 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = (
-    Quantity(
+    StateColumn(
         "normal_force_n",
         FORCES,
         ("normal_force", "load", "normal_load", "vertical_load", "vertical_force", "wheel_load", "weight",
          "w", "fz", "f_z",
          "fn", "f_n"),
     ),
-    Quantity(
+    StateColumn(
         "drawbar_pull_n",
         FORCES,
         ("drawbar_pull", "drawbar", "dp", "pull", "fx", "f_x", "f_dp", "fdp", "drawbar_force", "net_traction"),
     ),
-    Quantity("lateral_force_n", FORCES, ("lateral_force", "side_force", "fy", "f_y", "fl", "f_l")),
-    Quantity("sinkage_m", LENGTHS, ("sinkage", "wheel_sinkage", "sink", "sinkage_depth", "z")),
-    Quantity(
+    StateColumn("lateral_force_n", FORCES, ("lateral_force", "side_force", "fy", "f_y", "fl", "f_l")),
+    StateColumn("sinkage_m", LENGTHS, ("sinkage", "wheel_sinkage", "sink", "sinkage_depth", "z")),
+    StateColumn(
         "slip_ratio",
         SHARES,
         ("slip_ratio", "slip", "wheel_slip", "s", "i", "slip_rim", "slip_travel", "slip_v", "slip_over_v", "slip_sae"),
     ),
-    Quantity("side_slip_deg", ANGLES, ("side_slip", "sideslip", "slip_angle", "side_slip_angle", "beta")),
-    Quantity("resistance_torque_nm", {"nm": 1.0}, ("resistance_torque", "torque", "wheel_torque")),
+    StateColumn("side_slip_deg", ANGLES, ("side_slip", "sideslip", "slip_angle", "side_slip_angle", "beta")),
+    StateColumn("resistance_torque_nm", {"nm": 1.0}, ("resistance_torque", "torque", "wheel_torque")),
 )  # fmt: skip
 BY_TRAVEL = ("slip_travel", "slip_v", "slip_over_v", "slip_sae")
 SHARE_OF_LOAD = (
