@@ -100,7 +100,7 @@ def result_tables(found: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
     return [
         *_observation_tables(found.found, "Each state"),
-        _site_table(found, _site_title(found), NOTE),
+        _site_table(found, _site_title(found), NOTE, *read_as(found)),
         *_shares(found),
     ]
 
@@ -117,6 +117,11 @@ def single_tables(found: IdentifiedSoil, title: str) -> list[TextTable]:
         _site_table(found, middle, "errors are those of one state, as states scatter", *notes),
         *_shares(found),
     ]
+
+
+def read_as(found: IdentifiedSoil) -> list[str]:
+    """How columns of the table were read."""
+    return [f"read as: {'; '.join(found.read_as)}"] if found.read_as else []
 
 
 def _shares(found: IdentifiedSoil) -> list[TextTable]:

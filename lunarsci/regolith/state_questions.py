@@ -40,6 +40,14 @@ def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | No
     return likely, Question("median sinkage", median, usual, likely, f"{OPTION} sinkage_m={likely}")
 
 
+def another_unit(median: float, wheel: Wheel) -> str:
+    """The unit of a median sinkage that is named in m, and beyond the wheel; '' where no other one makes it likely."""
+    unit, _ = likely_sinkage_unit(median, wheel)
+    low = [SINKAGE.ln_density(median * LENGTHS[one] / wheel.radius_m) for one in ("m", unit)]
+    fits = median * LENGTHS[unit] < wheel.radius_m
+    return unit if fits and low[1] + math.log(SLIPS_OF_UNITS) > low[0] else ""
+
+
 def likely_slip(slip: FloatArray) -> str:
     """The definition, or unit, of slips (n,) that are no ratios from -1 to 1; '' where they are."""
     known = slip[np.isfinite(slip)]
@@ -84,10 +92,15 @@ def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None
     most, share = float(np.nanmax(np.abs(pull), initial=0.0)), "a share of the load"
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
-    units = LOAD_UNITS | {share: load}
-    found = question("largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, units)
-    unit = OVER_LOAD if found and found.likely_unit == share else found and found.likely_unit
-    return found and replace(found, option=f"{OPTION} drawbar_pull_n={unit or 'N'}")
+    of_load = {f"{unit} (the load)": 1.0 / FORCES[unit.lower()] for unit in ("kN", "kgf", "lbf")}
+    found = question(
+        "largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, LOAD_UNITS | {share: load} | of_load
+    )
+    if found is None:
+        return None
+    unit = OVER_LOAD if found.likely_unit == share else found.likely_unit.partition(" ")[0] or "N"
+    column = "normal_force_n" if found.likely_unit in of_load else "drawbar_pull_n"
+    return replace(found, option=f"{OPTION} {column}={unit}")
 
 
 def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:

@@ -16,6 +16,8 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.questions import Question
 from lunarsci.regolith.state_questions import (
+    SINKAGE,
+    another_unit,
     converted_slip,
     force_questions,
     likely_sinkage_unit,
@@ -23,7 +25,7 @@ from lunarsci.regolith.state_questions import (
     slip_question,
 )
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
-from lunarsci.regolith.written_columns import OPTION, NamedColumns, named_columns
+from lunarsci.regolith.written_columns import LENGTHS, OPTION, NamedColumns, named_columns
 from lunarsci.regolith.written_names import check_written_for
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
@@ -282,6 +284,8 @@ def read_states(
 
     found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
     found, questions = _with_slip(found)
+    found, asked = _with_sinkage(found, wheel)
+    questions += asked
     if found.unused:
         # An error under another name than NAME_sigma would go unread.
         stems = [name.rpartition("_")[0] for name in found.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
@@ -300,6 +304,21 @@ def read_states(
     questions += found.named.questions + force_questions(values, wheel, found.named.unitless, found.named.answered)
     told = found.named.read_as
     return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels, unstated, told, questions)
+
+
+def _with_sinkage(found: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Question, ...]]:
+    """A table with sinkages of wheels that are not above their heads, and what to ask where they were."""
+    known = found.values[found.valid & np.isfinite(found.values[:, 0]), 0]
+    if not known.size or (middle := float(np.median(known))) < wheel.radius_m:
+        return found, ()
+    if not (unit := another_unit(middle, wheel)):
+        return found, ()
+    usual, size = SINKAGE.median * wheel.radius_m, LENGTHS[unit]
+    values, sigmas = found.values.copy(), found.sigmas.copy()
+    values[:, 0] *= size
+    sigmas[:, 0] *= size if "sinkage_m_sigma" in found.table else 1.0
+    asked = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
+    return replace(found, values=values, sigmas=sigmas), (asked,)
 
 
 def _with_slip(found: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
@@ -327,9 +346,11 @@ def _kept_rows(found: StateTable) -> BoolArray:
     return keep
 
 
-def _first_zero(sinkage_m: FloatArray) -> float:
-    """What puts the zero of sinkages at the least one, and a millimetre more. [m]"""
-    return math.ceil(1e3 * (1e-3 - float(np.nanmin(sinkage_m)))) / 1e3
+def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
+    """What could be wrong with sinkages that no wheel has, and the option that says so."""
+    if (least := float(np.nanmin(sinkage_m))) >= LEAST_SINKAGE_M:
+        return f"is it in another unit ({OPTION} sinkage_m=mm)?"
+    return f"is its zero off ({OPTION} sinkage_m={math.ceil(1e3 * (1e-3 - least)) / 1e3:+.3g})?"
 
 
 def _check_values(name: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> None:
@@ -338,8 +359,7 @@ def _check_values(name: str, values: FloatArray, rows: IndexArray, wheel: Wheel)
         (
             "sinkage_m",
             ~((z >= LEAST_SINKAGE_M) & (z < wheel.radius_m)),
-            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m; is it in another unit ({OPTION} "
-            f"sinkage_m=mm), or its zero off (sinkage_m={_first_zero(z):+.3g})?",
+            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m; {_doubt_of_sinkage(z)}",
         ),
         ("slip_ratio", np.abs(s) > 1, "within -1 to 1"),
         ("side_slip_deg", np.abs(beta) > 90, "within -90 to 90 deg"),

@@ -205,7 +205,7 @@ HEAD = "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"
         (HEAD + "\n.008,0,-5,-1\n", "row 1, normal_force_n: -5 is impossible"),
         (HEAD + "\n.008,0,0,-1\n", "normal_force_n"),
         (HEAD + "\n.2,0,32,-1\n", "sinkage_m: 0.2 is impossible"),
-        (HEAD + "\n8,0,32,-1\n", "sinkage_m: 8 is impossible"),
+        (HEAD + "\n800,0,32,-1\n", "sinkage_m: 800 is impossible"),
         (HEAD.replace("slip_ratio", "side_slip_deg") + "\n.008,95,32,-1\n", "side_slip_deg"),
         (HEAD + "\n.008,0,32,-1\n.008,x,32,-1\n", "row 2, slip_ratio: 'x' is no number"),
         (HEAD + "\nnan,nan,nan,nan\n", "no row has all"),

@@ -6,6 +6,7 @@ of NIST Special Publication 811.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.guide.info import info
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.forces import closed_form_forces
+from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import WheelStates, read_state_table, read_states
 from lunarsci.regolith.wheel import read_wheel
@@ -103,16 +105,18 @@ def test_errors_are_converted_with_their_quantity() -> None:
         ("drawbar_pull_n", TRUE["drawbar_pull_n"] / TRUE["normal_force_n"], "a share of the load"),
         ("slip_ratio", TRUE["slip_ratio"] / (1 - TRUE["slip_ratio"]), "r w / v - 1"),
         ("slip_ratio", 100 * TRUE["slip_ratio"], "%"),
+        ("sinkage_m", 1e3 * TRUE["sinkage_m"], "mm"),
+        ("normal_force_n", TRUE["normal_force_n"] / KILOGRAM, "kgf (the load)"),
     ],
 )
 def test_what_weight_and_balance_tell_is_asked_and_the_option_answers(
     column: str, values: pd.Series, unit: str
 ) -> None:
     other = TRUE.assign(**{column: values})
-    if column == "normal_force_n":
+    if unit == "kN":
         other["drawbar_pull_n"] /= 1e3
     (question,) = states(other).questions
-    assert (column in question.quantity, question.likely_unit) == (True, unit)
+    assert (column in question.option, question.likely_unit) == (True, unit)
     answer = question.option.removeprefix("--units ")
     answered = states(other, answer)
     assert not answered.questions
@@ -137,14 +141,31 @@ def test_the_right_table_is_not_asked_about() -> None:
 
 
 def test_a_zero_that_is_off_is_refused_where_wheels_float_and_the_advice_is_read() -> None:
-    with pytest.raises(DataError, match=r"or its zero off \(sinkage_m=\+0.003\)") as refused:
+    with pytest.raises(DataError, match=r"is its zero off \(--units sinkage_m=\+0.003\)") as refused:
         states(TRUE.assign(sinkage_m=TRUE["sinkage_m"] - 0.010))
-    answer = str(refused.value).partition("off (")[2].partition(")")[0]
+    answer = str(refused.value).partition("--units ")[2].partition(")")[0]
     found = states(TRUE.assign(sinkage_m=TRUE["sinkage_m"] - 0.010), answer)
     assert found.values[:, 0] == pytest.approx(TRUE["sinkage_m"] - 0.007)
-    with pytest.raises(DataError, match=r"--units sinkage_m=mm"):
-        states(TRUE.assign(sinkage_m=1e3 * TRUE["sinkage_m"]))
-    check(states(TRUE.assign(sinkage_m=1e3 * TRUE["sinkage_m"]), "sinkage_m=mm"))
+
+
+@pytest.mark.parametrize("off", [-0.004, 0.010])
+def test_a_zero_that_is_off_is_found_by_the_forces_and_the_option_mends_it(off: float) -> None:
+    """Over 20 draws of the errors of the paper on the right table no zero is asked about."""
+    random = np.random.default_rng(1)
+    for draw in range(20):
+        found = states(TRUE)
+        noisy = replace(found, values=found.values + found.sigmas * random.standard_normal(found.values.shape))
+        assert "zero" not in infer_soil(noisy, WHEEL).verdict.reason
+        if draw:
+            continue
+        shifted = replace(noisy, values=noisy.values + off * np.eye(6)[0])
+        reason = infer_soil(shifted, WHEEL).verdict.reason
+        assert f"its zero {'lower' if off > 0 else 'higher'}"[:8] in reason
+        assert ("lower" in reason, "higher" in reason) == (off > 0, off < 0)
+        by = float(reason.partition("--units sinkage_m=")[2].partition(")")[0])
+        sigma = 1e-3 * float(reason.partition(" ± ")[2].partition(" mm")[0])
+        assert by == pytest.approx(-off, abs=3.0 * sigma)
+        assert sigma < 0.004
 
 
 def test_other_tables_say_how_they_were_read() -> None:

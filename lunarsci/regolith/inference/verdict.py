@@ -31,6 +31,8 @@ DECISIVE = 12.0
 """By how much -2 ln posterior must be better for another reading of a column to count: odds of 400. Assumed."""
 SHIFTS = (-0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2)
 """By which the zero of a sinkage may be off, as shares of the wheel's radius; assumed."""
+NEVER = 1e12
+"""Stands for -2 ln posterior of what cannot be; assumed."""
 HUBER, MOST_STATES = 3.0, 60
 """Whitened residuals beyond count linearly, and the most states that are tried with other readings; assumed."""
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
@@ -65,8 +67,7 @@ def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
     same errors; residuals beyond 3 standard errors count linearly, so that no few states decide. With `units`, as of
     states that the law misses by more than it may, the other reading must bring that to an end.
     """
-    some = np.unique(np.linspace(0, len(mode.kept) - 1, MOST_STATES).astype(int))
-    plain = replace(part_of(mode.problem, some), huber=HUBER)
+    plain = _some(mode)
     before = _best(plain, mode.point)
     found: list[Suspect] = []
     for column, factor, how in (*OTHER_SIGNS, *(UNITS if units else ())):
@@ -76,17 +77,34 @@ def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
         gain = before - _best(other, plain.center) + _stretch(plain, column, factor)
         if gain > DECISIVE and not (units and _above(mode_with_errors(replace(other, huber=np.inf)))):
             found.append(Suspect(column, how, gain))
-    found += _shifted(plain, before) if units else []
     return sorted(found, key=lambda suspect: -suspect.gain)
 
 
-def _shifted(plain: JointProblem, before: float) -> list[Suspect]:
-    """The zero of the sinkage that explains the states better, if one does."""
-    tried = [(before - _best(other, plain.center), by) for share in SHIFTS
-             if (other := _with_zero(plain, by := share * plain.wheel.radius_m)) is not None]  # fmt: skip
-    gain, by = max(tried, default=(0.0, 0.0))
-    where = f"{abs(1e3 * by):.2g} mm {'higher' if by > 0 else 'lower'} (--units sinkage_m={by:+.4f})"
-    return [Suspect("sinkage_m", f"its zero {where}", gain)] if gain > DECISIVE else []
+def _some(mode: Mode) -> JointProblem:
+    """All states, or as many of them as are tried with other readings."""
+    some = np.unique(np.linspace(0, len(mode.kept) - 1, MOST_STATES).astype(int))
+    return replace(part_of(mode.problem, some), huber=HUBER)
+
+
+def other_zero(mode: Mode) -> list[Suspect]:
+    """The zero of the sinkage that explains the states better, if one does, as `suspects` compares."""
+    from scipy.optimize import minimize_scalar
+
+    plain, radius = _some(mode), mode.problem.wheel.radius_m
+
+    def worse(share: float) -> float:
+        other = _with_zero(plain, share * radius)
+        return min(_best(other, plain.center), NEVER) if other else NEVER
+
+    before, (worst, first) = _best(plain, mode.point), min((worse(share), share) for share in SHIFTS)
+    if not before - worst > DECISIVE:
+        return []
+    span = 0.5 * abs(first)
+    found = minimize_scalar(worse, bounds=(first - span, first + span), method="bounded", options={"maxiter": 12})
+    bent = worse(found.x + span / 2) + worse(found.x - span / 2) - 2 * found.fun
+    by, sigma = found.x * radius, radius * span * math.sqrt(0.5 / max(bent, 0.5))
+    where = f"{abs(1e3 * by):.2g} ± {1e3 * sigma:.1g} mm {'higher' if by > 0 else 'lower'}"
+    return [Suspect("sinkage_m", f"its zero {where} (--units sinkage_m={by:+.4f})", before - float(found.fun))]
 
 
 def _with_zero(problem: JointProblem, by_m: float) -> JointProblem | None:
@@ -157,7 +175,9 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     reasons = [*map(str, states.questions), *_misfit(mode, reduced, given, states), *_ceilings(mode, given)]
     reasons += _left_out(mode, unusable) + _strange(mode)
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and not reasons
-    turned = [] if good else suspects(mode, units=bool(reasons))
+    turned = [] if good or states.questions else suspects(mode, units=bool(reasons))
+    turned += [] if states.questions or states.alike else other_zero(mode)
+    turned.sort(key=lambda suspect: -suspect.gain)
     if turned:
         first = turned[0]
         reasons.insert(0, f"column {first.column} agrees with the others only with {first.how}")
