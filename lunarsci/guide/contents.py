@@ -230,7 +230,7 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.states import read_state_table
     from lunarsci.regolith.wheel import read_wheel
 
-    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True, every=True)
+    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
     said = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
     return said | {
         **_rows(file),

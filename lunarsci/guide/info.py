@@ -265,9 +265,10 @@ def kind_of(file: InputFile) -> str:
         text = beginning(file)
     if suffix == ".toml":
         return _kind_of_toml(file)
-    if kind := kind_of_rover_file(file, text):
+    of_json = text.lstrip().startswith("{")
+    if not (of_json and b'"lunarsci/' in file.data) and (kind := kind_of_rover_file(file, text)):
         return kind
-    if text.lstrip().startswith("{"):
+    if of_json:
         return _kind_of_json(file)
     return _kind_of_table(file.name, text, suffix)
 

@@ -55,6 +55,8 @@ KEYS = re.compile(
     re.MULTILINE | re.IGNORECASE,
 )
 """A line that a file of cameras in YAML has."""
+SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
+"""What no other text has."""
 STATED = "errors: a file of this kind states none"
 FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 
@@ -133,6 +135,8 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
         try:
             found = yaml_document(text(file))
         except ValueError as error:
+            if not SURELY.search(start):
+                return None
             raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
     return found if isinstance(found, Mapping) and (_cameras_in(found) or _way_in(found)) else None
 

@@ -207,3 +207,5 @@ def test_info_tells_a_wheel_test_by_other_names(tmp_path: Path) -> None:
     told = info(tmp_path / "test.csv")
     assert (told.kind, told.trouble) == ("states", "")
     assert "column 'load_kN' as normal_force_n, from kn" in told.contents["read as"]
+    TRUE.assign(sinkage_m=1e3 * TRUE["sinkage_m"]).to_csv(tmp_path / "mm.csv", index=False)
+    assert "it is in metres" in info(tmp_path / "mm.csv").trouble
