@@ -35,6 +35,8 @@ ANGLES: Mapping[str, float] = {"deg": 1.0, "rad": float(np.degrees(1.0)), "degre
 """Degrees of a unit, by definition."""
 SHARES: Mapping[str, float] = {"share": 1.0, "ratio": 1.0, "%": 0.01, "pct": 0.01, "percent": 0.01}
 """Of one, by definition."""
+OF_RUNS = ("meas", "measured", "avg", "average", "mean")
+"""Words that say how a number came about, not what it is of."""
 RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
 OPTION = "--units"
 
@@ -101,7 +103,7 @@ def of_name(name: str) -> Written | None:
     """
     words = [word.lower() for word in re.findall(r"[A-Za-z]+|%", name)]
     sigma = "sigma" in words
-    words = [word for word in words if word != "sigma"]
+    words = [word for word in words if word != "sigma" and word not in OF_RUNS]
     whole = "_".join(words)
     if whole in SHARE_OF_LOAD:
         return Written("drawbar_pull_n", OVER_LOAD, sigma)

@@ -176,8 +176,9 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     reasons += _left_out(mode, unusable) + _strange(mode)
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and not reasons
     turned = [] if good or states.questions else suspects(mode, units=bool(reasons))
-    turned += [] if states.questions or states.alike else other_zero(mode)
-    turned.sort(key=lambda suspect: -suspect.gain)
+    zero = [] if states.questions or states.alike else other_zero(mode)
+    # Five published tests of real wheels agree better with another zero, too: alone it makes no doubt.
+    turned = sorted([*turned, *(zero if reasons else ())], key=lambda suspect: -suspect.gain)
     if turned:
         first = turned[0]
         reasons.insert(0, f"column {first.column} agrees with the others only with {first.how}")
@@ -191,7 +192,13 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
         model_error=shares,
         model_error_from="given" if given else "residuals",
         reduced_chi_square=reduced,
-        assumed=_assumed(mode, given, states, reduced),
+        assumed=(
+            *_assumed(mode, given, states, reduced),
+            *(
+                f"the zero of {one.column} as it is written, where the forces would agree better with {one.how}"
+                for one in zero
+            ),
+        ),
     )
 
 
