@@ -142,8 +142,8 @@ def read_nodes(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> 
     return replace(grid, unit=unit, read_as=(said, lost) if lost else (said,))
 
 
-def node_columns(file: InputFile, content: str) -> tuple[list[str], FloatArray] | None:
-    """Names and numbers (3, n) of the columns of a table of nodes; None for a table of anything else.
+def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple[list[str], FloatArray] | None:
+    """Names and numbers (3, n) of the columns of a table of nodes, or of them `alone`; None for any other table.
 
     Three columns without names are such a table where the first two are places on a grid.
     """
@@ -157,7 +157,7 @@ def node_columns(file: InputFile, content: str) -> tuple[list[str], FloatArray] 
         return None
     axes = [AXES.get(_plain(cell), "") for cell in first]
     places = [0, 1, 2] if bare else [axes.index(name) for name in NODE if name in axes]
-    if len(places) < 3 or (bare and len(first) != 3):
+    if len(places) < 3 or ((bare or alone) and len(first) != 3):
         return None
     rows = [split.split(line.strip()) for line in lines[0 if bare else 1 :]]
     if {len(row) for row in rows} != {len(first)}:

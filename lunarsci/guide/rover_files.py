@@ -50,7 +50,8 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
     if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
         return True
     whole = start if len(start) < LABEL_BYTES // 2 else start.rpartition("\n")[0]
-    return node_columns(file, whole) is not None
+    # Telemetry and positions have x, y and z beside others.
+    return node_columns(file, whole, alone=True) is not None
 
 
 def states_named_otherwise(columns: Sequence[str]) -> list[str]:
