@@ -4,11 +4,14 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from lunarsci.errors import LunarSciWarning, NoFilesError, RequestError
 from lunarsci.inputs import InputFile, expand_inputs
 from lunarsci.names import some_of
 
+Shown: TypeAlias = str | Path | InputFile
+"""A picture, by its name or read; it is handed on as it is."""
 NAMED = 4
 """Pictures that a warning names."""
 
@@ -21,14 +24,12 @@ def matching(patterns: Sequence[str], what: str = "pictures") -> list[str]:
         raise RequestError(f"`{what}` {error}; put a pattern in quotes") from error
 
 
-def files_of(pictures: str | Sequence[str | Path | InputFile], what: str = "pictures") -> list[str | Path | InputFile]:
+def files_of(pictures: str | Sequence[Shown], what: str = "pictures") -> list[Shown]:
     """The same of one pattern; files as they are."""
     return [*matching([pictures], what)] if isinstance(pictures, str) else list(pictures)
 
 
-def of_moments(
-    left: Sequence[str | Path | InputFile], right: Sequence[str | Path | InputFile]
-) -> tuple[list[str | Path | InputFile], list[str | Path | InputFile]]:
+def of_moments(left: Sequence[Shown], right: Sequence[Shown]) -> tuple[list[Shown], list[Shown]]:
     """Pictures of both cameras with their partners.
 
     Where the last number in a name tells pictures of each side apart, and both sides have such a number in common, they
@@ -48,11 +49,11 @@ def of_moments(
     return list(left), list(right)
 
 
-def _name(picture: str | Path | InputFile) -> str:
+def _name(picture: Shown) -> str:
     return picture.name if isinstance(picture, InputFile) else str(picture)
 
 
-def _number(picture: str | Path | InputFile) -> str:
+def _number(picture: Shown) -> str:
     """The last number in a name, without what counts cameras (cam0, cam1); '' where there is none.
 
     >>> _number("left07.png"), _number("cam1_0007.png"), _number("12_L.png")

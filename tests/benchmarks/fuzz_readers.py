@@ -793,7 +793,7 @@ def document_readers() -> dict[str, Reader]:
     tables = [spectrum_files()[".csv"], telemetry()[".csv"], table("sinkage_m,slip_ratio,normal_force_n"), ground_m,
               b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\n", belief(), soil_map(),
               json.dumps(former("fit")).encode(), FEATURE.encode(), b"CDF\x01",
-              b"slip,avg_Fx,avg_Fz\n0.1,2,3\n"]  # fmt: skip
+              b"slip,avg_Fx,avg_Fz\n0.1,2,3\n", ROS]  # fmt: skip
     settings = [SOIL, POSE, mission(), rig(), (own / "rovers/yutu2.toml").read_bytes(),
                 (own / "twin/plans/plan.toml").read_bytes(),
                 _function("guide.template:template")("prior").text.encode()]  # fmt: skip
