@@ -1,8 +1,9 @@
-"""TOML, JSON and XML from files that nobody vouches for: what no parser's own error covers becomes one."""
+"""TOML, JSON, YAML and XML from files that nobody vouches for: what no parser's own error covers becomes one."""
 
 import codecs
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -73,6 +74,23 @@ def json_document(content: str, parse_constant: Callable[[str], Any] | None = No
         return json.loads(content, parse_int=whole, parse_float=real, parse_constant=parse_constant)
     except RecursionError as error:
         raise json.JSONDecodeError(TOO_DEEP, content, 0) from error
+
+
+def yaml_document(content: str) -> Any:
+    """The first document of a YAML text, with text for numbers, whatever tags say; and of what OpenCV writes.
+
+    Raises ValueError for what is no YAML, also for values nested too deeply.
+    """
+    import yaml
+
+    try:
+        # The head of OpenCV, %YAML:1.0, is none of YAML.
+        documents = yaml.load_all(re.sub(r"\A\s*%YAML.*", "", content), Loader=yaml.BaseLoader)
+        return next((one for one in documents if one), None)
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from error
+    except RecursionError as error:
+        raise ValueError(TOO_DEEP) from error
 
 
 def xml_root(name: str, data: bytes) -> "Element":

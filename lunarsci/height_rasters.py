@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import unheard
+from lunarsci.no_data import without_markers
 from lunarsci.projections import LARGEST_STRETCH, NO_RASTERIO, MapProjection, local_projection, moved, name_of
 
 MOST_NODES = 40_000_000
@@ -25,9 +26,18 @@ MOST_BLOCK_BYTES = 8 * MOST_NODES
 """Of a raster's blocks, each of which is unpacked whole."""
 EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing; assumed."""
-DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".lbl": "PDS", ".img": "PDS", ".xml": "PDS4", ".cub": "ISIS3"}
+DRIVERS = {
+    **{".tif": "GTiff", ".tiff": "GTiff", ".lbl": "PDS", ".img": "PDS", ".xml": "PDS4", ".cub": "ISIS3"},
+    **{".jp2": "JP2OpenJPEG", ".grd": "GSAG", ".flt": "EHdr", ".bil": "EHdr"},
+}
 """GDAL's readers by the ending of a file."""
-KINDS = {"GTiff": "GeoTIFF", "PDS": "PDS3 image or label of one", "PDS4": "PDS4 label", "ISIS3": "ISIS cube"}
+OTHERS = {b"EHFA": "HFA", b"DSBB": "GSBG", b"DSRB": "GS7BG"}
+"""Those of other files with such endings, by how they begin."""
+KINDS = {
+    **{"GTiff": "GeoTIFF", "PDS": "PDS3 image or label of one", "PDS4": "PDS4 label", "ISIS3": "ISIS cube"},
+    **{"JP2OpenJPEG": "JPEG 2000", "EHdr": "raw grid with its .hdr", "HFA": "image of Erdas Imagine"},
+    **dict.fromkeys(("GSAG", "GSBG", "GS7BG"), "grid of Surfer"),
+}
 HEIGHT = "height_m"
 _AT_ONCE = 500_000
 """Nodes that are looked up at a time."""
@@ -46,6 +56,7 @@ class HeightRaster:
     unit : of the heights, as the file states it; empty where it states none.
     synthetic : True for made-up ground.
     beside : files beside this one that were read, such as the numbers of a label.
+    said : which numbers were taken for none.
     """
 
     path: str
@@ -55,6 +66,7 @@ class HeightRaster:
     unit: str = ""
     synthetic: bool = False
     beside: tuple[str, ...] = ()
+    said: str = ""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -187,7 +199,7 @@ def read_height_raster(path: Path, layers: tuple[str, ...] = ()) -> HeightRaster
         from rasterio.errors import RasterioIOError
     except ImportError as error:
         raise DataError(f"{path}: {NO_RASTERIO}") from error
-    driver = DRIVERS[path.suffix.lower()]
+    driver = _driver_of(path)
     try:
         with unheard(), rasterio.open(_label_of(path), driver=driver) as raster:
             check_count(str(path), raster.width * raster.height)
@@ -195,9 +207,11 @@ def read_height_raster(path: Path, layers: tuple[str, ...] = ()) -> HeightRaster
             beside = _beside(path, raster.files)
             others = enumerate(raster.descriptions[1:], start=2)
             numbers = {HEIGHT: 1} | {str(text): k for k, text in others if text in layers}
+            found = {name: _band(raster, k) for name, k in numbers.items()}
             return HeightRaster(
                 path=str(path),
-                bands={name: _band(raster, k) for name, k in numbers.items()},
+                bands={name: band for name, (band, _) in found.items()},
+                said=found[HEIGHT][1],
                 transform=raster.transform,
                 crs="" if raster.crs is None else raster.crs.to_wkt(),
                 unit=_unit(raster),
@@ -206,6 +220,15 @@ def read_height_raster(path: Path, layers: tuple[str, ...] = ()) -> HeightRaster
             )
     except (RasterioIOError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a {KINDS[driver]} that can be read: {error}") from error
+
+
+def _driver_of(path: Path) -> str:
+    """GDAL's reader of a file, by its begin or its ending. Raises DataError."""
+    try:
+        with path.open("rb") as stream:
+            return OTHERS.get(stream.read(4), DRIVERS[path.suffix.lower()])
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
 
 
 def _label_of(path: Path) -> Path:
@@ -251,8 +274,8 @@ def check_blocks(raster: Any, path: str) -> None:
             )
 
 
-def _band(raster: Any, number: int) -> FloatArray:
-    """A band in its unit, NaN where it has no data. (ny, nx)"""
-    values = raster.read(number, masked=True).astype(float).filled(np.nan)
+def _band(raster: Any, number: int) -> tuple[FloatArray, str]:
+    """A band in its unit, NaN where it has no data (ny, nx), and which numbers were taken for that unsaid."""
+    values, said = without_markers(raster.read(number, masked=True).astype(float).filled(np.nan))
     scale, offset = raster.scales[number - 1], raster.offsets[number - 1]
-    return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset)
+    return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset), said

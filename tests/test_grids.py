@@ -70,7 +70,7 @@ def test_cells_by_both_their_sides(tmp_path: Path) -> None:
 
 def test_a_height_that_stands_for_none(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="stands for no data"):
-        read_grid(ascii_grid(tmp_path, heights=HEIGHTS.replace("0.30", "99999", 1)))
+        read_grid(ascii_grid(tmp_path, heights=HEIGHTS.replace("0.30", "77777", 1)))
     named = ascii_grid(tmp_path, HEADER + "NODATA_value 99999\n", HEIGHTS.replace("0.30", "99999", 1))
     assert np.isnan(read_grid(named).height_m).sum() == 1
 

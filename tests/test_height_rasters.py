@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.grids import HeightGrid, read_grid
+from lunarsci.grids import read_grid
+from lunarsci.height_grid import HeightGrid
 from lunarsci.height_units import metres_in
 from lunarsci.twin.jobs.terrain import terrain
 

@@ -23,10 +23,11 @@ NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCEN
 """Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""
 SETTINGS = {
     "they are by definition what they are, or follow from others": (
-        "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "lanes.py: LN_2_HIGH, LN_2_LOW",
+        "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "images/camera_files.py: METRES", "lanes.py: LN_2_HIGH, LN_2_LOW",
         "regolith/inference/mode.py: RISES", "regolith/prior.py: NINETY_FIVE",
         "regolith/inference/verdict.py: OTHER_SIGNS",
-        "regolith/inference/verdict.py: UNITS", "spectra/abundance/mixing.py: UNIT_NM",
+        "regolith/inference/verdict.py: UNITS", "regolith/written_columns.py: QUANTITIES",
+        "spectra/abundance/mixing.py: UNIT_NM",
         "spectra/abundance/nbsr.py: CORRELATION", "spectra/abundance/nbsr.py: NORMAL_95",
         "spectra/abundance/one_by_one.py: CENTRAL", "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
@@ -54,7 +55,7 @@ SETTINGS = {
     "how long machines are waited for, and how much memory is taken": (
         "cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/labels.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
+        "images/cahv.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
         "projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST, DEEPEST",
         "regolith/inference/problem.py: STEP",

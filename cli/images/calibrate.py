@@ -34,14 +34,17 @@ OPTIONS = {
     "name": option("Of the camera or rig."),
 }
 Pictures = Annotated[
-    list[str], typer.Argument(metavar="PICTURES...", help="Pictures of the board; of a rig those of the left camera.")
+    list[str],
+    typer.Argument(
+        metavar="PICTURES...", help="Pictures of the board, or a pattern in quotes; of a rig those of the left one."
+    ),
 ]
 Right = Annotated[
     str | None,
     typer.Option(
         "--right",
         metavar="PATTERN",
-        help="Those of the right camera, in the same order: a pattern in quotes, such as 'right*.png'.",
+        help="Those of the right camera: a pattern in quotes, such as 'right*.png'. Numbers in names tell moments.",
     ),
 ]
 
@@ -58,10 +61,13 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     the rig is written with its covariance as `images dem` reads it. The picture of --plot shows residuals, and how
     uncertain directions are. Where the pictures leave focal length or baseline open, the exit code is 3.
     """
-    from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras, matching
+    from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras
+    from lunarsci.images.moments import matching
 
     with progress("looking for the board", quiet=output.quiet) as update:
-        found = calibrate_cameras(pictures, matching(right), request, progress=update)
+        found = calibrate_cameras(
+            matching(pictures), matching([right] if right else [], "right"), request, progress=update
+        )
 
     def rig_file(_: Mapping[str, Any]) -> bytes:
         return found.toml()

@@ -1,5 +1,6 @@
 """`lunarsci images cameras`: what is known of cameras."""
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,12 +16,18 @@ from ..shared.table import TextTable, plus_minus
 if TYPE_CHECKING:
     from lunarsci.images.jobs.cameras import CameraSheet
 
-OPTIONS = {"disparity_error": option("Random error of a disparity, in px, for the ranges' errors.")}
+OPTIONS = {
+    "disparity_error": option("Random error of a disparity, in px, for the ranges' errors."),
+    "translation_unit": option(
+        "Of T in a file of OpenCV, which does not say it.", show_default="m or mm, by its length"
+    ),
+}
 Sources = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[RIG|LABEL...]",
-        help="Rigs by name or TOML file; a label is one camera, two are the left and the right one of a rig.",
+        metavar="[RIG|LABEL|FILE...]",
+        help="Rigs by name or TOML file; labels, or YAML and XML of ROS, OpenCV and Kalibr: one is a camera or a rig, "
+        "two are the left and the right camera.",
         show_default="the rigs that come with lunarsci",
     ),
 ]
@@ -36,7 +43,8 @@ def cameras(output: Output, request: CamerasRequest, sources: Sources = None) ->
     """Cameras and stereo rigs: intrinsics, baseline, field of view, size of a pixel and errors of ranges.
 
     Labels are PDS4 of Chang'E's PCAM, or hold a CAHV, CAHVOR or CAHVORE model: the camera is fitted to what they say,
-    and what the fit misses is shown. With -o FILE.toml a rig is written as the file that `images dem` reads.
+    and what the fit misses is shown. Errors are those that a file states.
+    With -o FILE.toml a rig is written as the file that `images dem` reads.
     """
     from lunarsci.images.jobs.cameras import cameras
 
@@ -67,7 +75,9 @@ def _intrinsics(rig: Mapping[str, Any]) -> TextTable:
     rows = [[name, *(number(name, side) for side in sides)] for name in SHOWN]
     rows.append(["view [deg]", *(f"{side['view_across_deg']:.1f} x {side['view_down_deg']:.1f}" for side in sides)])
     rows.append(["size [px]", *(f"{side['width_px']} x {side['height_px']}" for side in sides)])
-    notes = [f"baseline {plus_minus(1e3 * rig['baseline_m'], 1e3 * rig['baseline_m_sigma'], digits=2)} mm"]
+    error = rig["baseline_m_sigma"]
+    notes = [f"baseline {plus_minus(1e3 * rig['baseline_m'], error and 1e3 * error, digits=2)} mm"]
+    notes += [f"read as: {said}" for said in rig["read_as"]]
     notes += [f"assumed: {', '.join(rig['assumed'])}"] if rig["assumed"] else []
     notes += [f"source: {rig['source']}"] if rig["source"] else []
     return TextTable(["", "left", "right"], rows, title=rig["name"], notes=notes)
@@ -80,13 +90,17 @@ def _ranges(rig: Mapping[str, Any]) -> TextTable:
             f"{row['disparity_px']:.1f}",
             f"{1e3 * row['pixel_m']:.2f}",
             f"{1e3 * row['range_random_m_sigma']:.2f}",
-            f"{1e3 * row['range_common_m_sigma']:.2f}",
+            _millimetres(row["range_common_m_sigma"]),
             "yes" if row["seen_by_both"] else "no",
         ]
         for row in rig["ranges"]
     ]
     headers = ["range [m]", "disparity [px]", "a pixel [mm]", "random [mm]", "common [mm]", "sharp in both"]
     return TextTable(headers, rows, title="Errors of the range along the left camera's axis")
+
+
+def _millimetres(metres: float) -> str:
+    return f"{1e3 * metres:.2f}" if math.isfinite(metres) else "-"
 
 
 def _alone(camera: Mapping[str, Any]) -> TextTable:

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.jobs.identify import LABELS, IdentifiedSoil, IdentifyRequest
+from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest
 from lunarsci.regolith.jobs.identify import identify as identify_soil
+from lunarsci.regolith.states_agreement import LABELS
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -62,6 +63,11 @@ OPTIONS = {
     ),
     "external_friction_angle": option("Assume φ_y in deg and solve K_y.", panel=ASSUMED),
     "reading": option(READING),
+    "units": option(
+        "Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the load); "
+        "m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim (1 - v/rw), travel (rw/v - 1) or %.",
+        metavar="COLUMN=UNIT,…",
+    ),
     "draws": option("Monte Carlo draws per state.", min=2, max=1_000_000),
     "seed": option("Seed of the random numbers.", min=0),
     "sinkage_error": option("1σ of the sinkage, in m.", panel=ERRORS),
@@ -94,7 +100,7 @@ def result_tables(found: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
     return [
         *_observation_tables(found.found, "Each state"),
-        _site_table(found, _site_title(found), NOTE),
+        _site_table(found, _site_title(found), NOTE, *read_as(found)),
         *_shares(found),
     ]
 
@@ -111,6 +117,11 @@ def single_tables(found: IdentifiedSoil, title: str) -> list[TextTable]:
         _site_table(found, middle, "errors are those of one state, as states scatter", *notes),
         *_shares(found),
     ]
+
+
+def read_as(found: IdentifiedSoil) -> list[str]:
+    """How columns of the table were read."""
+    return [f"read as: {'; '.join(found.read_as)}"] if found.read_as else []
 
 
 def _shares(found: IdentifiedSoil) -> list[TextTable]:

@@ -16,7 +16,7 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
-from .identify import States, single_tables, wheel_text
+from .identify import States, read_as, single_tables, wheel_text
 
 if TYPE_CHECKING:
     from lunarsci.regolith.inference.posterior import SoilPosterior
@@ -113,7 +113,7 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
         known = "laws differ" if name in found.disputed else "determined" if name in found.determined else left
         ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
         rows.append([label, significant(median), *ranges, unit, known])
-    notes = [*_fit(found), *_combinations(found), OTHERS]
+    notes = [*_fit(found), *_combinations(found), OTHERS, *read_as(soil)]
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
     title = f"The soil of all {wheel_text(soil)}, intervals {HOW[found.how]}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.guide.rover_files import camera_contents
 from lunarsci.inputs import InputFile, InputStream, read_json, text
 from lunarsci.names import some_of
 
@@ -175,13 +176,15 @@ def _rig(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.images.rig_files import read_rig
 
     rig = read_rig(file)
-    return {"name": rig.name, "baseline_m": float(rig.baseline_m)}
+    said = {"read as": "; ".join(rig.read_as)} if rig.read_as else {}
+    return {"name": rig.name, "baseline_m": float(rig.baseline_m)} | said
 
 
 def _terrain(file: InputFile) -> Mapping[str, Any]:
     import numpy as np
 
-    from lunarsci.grids import ERROR_LAYERS, read_grid
+    from lunarsci.grids import read_grid
+    from lunarsci.height_grid import ERROR_LAYERS
     from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 
     soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
@@ -197,6 +200,7 @@ def _terrain(file: InputFile) -> Mapping[str, Any]:
         "height_m": f"{known.min():.3f} to {known.max():.3f}",
         "holes": f"{1 - known.size / grid.height_m.size:.1%}",
         "coordinate system": "local" if not grid.crs else "projected",
+        "read as": "; ".join(grid.read_as) or "as written",
     }
 
 
@@ -242,7 +246,8 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.wheel import read_wheel
 
     table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
-    return {
+    said = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
+    return said | {
         **_rows(file),
         "columns of no use": _listed(table.unused) or "none",
         "range checked for": f"wheels of up to {largest.radius_m:g} m",
@@ -290,7 +295,8 @@ def _result(file: InputFile) -> Mapping[str, Any]:
 
 CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
-    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "rig": _rig, "terrain": _terrain,
+    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig,
+    "terrain": _terrain,
     "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
     "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
     "result": _result,

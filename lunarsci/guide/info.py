@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeAlias
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
+from lunarsci.guide.rover_files import is_image_of_heights, kind_of_rover_file, states_named_otherwise
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -49,6 +50,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
     "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
     "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
+    "camera": KindOfFile("camera", ("images cameras",)),
     "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
     "config": KindOfFile("options of commands", ("any command --config",)),
     "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images rocks", "images merge")),
@@ -100,6 +102,9 @@ MAGIC = {
     b"PK\x03\x04": "terrain",
     b"\x89HDF": "cube",
     b"CDF": "cube",
+    b"EHFA_HEADER_TAG": "terrain",
+    b"DSAA": "terrain",
+    b"DSBB": "terrain",
 }
 WAVELENGTH = re.compile(
     r"wave|wellenl|longueur|longitud|lunghezza|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel",
@@ -247,6 +252,8 @@ def kind_of(file: InputFile) -> str:
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
+    if suffix == ".img" and is_image_of_heights(file.name):
+        return "terrain"
     if suffix not in SUFFIXES and is_pds_label(file):
         return "cube" if read_pds_label(file).images else "spectra"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
@@ -260,10 +267,13 @@ def kind_of(file: InputFile) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
         text = beginning(file)
-    if text.lstrip().startswith("{"):
-        return _kind_of_json(file)
     if suffix == ".toml":
         return _kind_of_toml(file)
+    of_json = text.lstrip().startswith("{")
+    if not (of_json and b'"lunarsci/' in file.data) and (kind := kind_of_rover_file(file, text)):
+        return kind
+    if of_json:
+        return _kind_of_json(file)
     return _kind_of_table(file.name, text, suffix)
 
 
@@ -297,6 +307,7 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
         return "mgm"
     lines = _from_names([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
     columns = _cells(name, lines[:1])
+    columns += states_named_otherwise(columns)
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.grids import ERROR_LAYERS, check_relief, geotiff_bytes, read_grid
+from lunarsci.grids import check_relief, geotiff_bytes, read_grid
+from lunarsci.height_grid import ERROR_LAYERS
 
 
 class KnownNodes(NamedTuple):

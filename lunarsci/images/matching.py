@@ -108,7 +108,9 @@ def rectify(rig: StereoRig) -> Rectified:
     """
     along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
     if along[0] < 0.5:
-        raise DataError(f"{rig.name}: its right camera is not to the right of the left one; swap them in its file")
+        raise DataError(
+            f"{rig.name}: its right camera is not to the right of the left one; ask `lunarsci images cameras`"
+        )
     ahead = np.array([0.0, 0.0, 1.0]) + rig.rotation.T @ np.array([0.0, 0.0, 1.0])
     ahead -= (ahead @ along) * along
     ahead /= np.linalg.norm(ahead)

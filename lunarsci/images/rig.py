@@ -84,6 +84,7 @@ class StereoRig:
     nearest_m : where sharp pictures begin. [m]
     assumed : names of what is a guess.
     source : where the numbers are from.
+    read_as : how its files were read, where there was a choice.
     """
 
     name: str
@@ -97,6 +98,7 @@ class StereoRig:
     nearest_m: float = 0.0
     assumed: tuple[str, ...] = ()
     source: str = ""
+    read_as: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         Pose(rotation=self.rotation, center_m=self.translation_m)
@@ -220,6 +222,11 @@ class StereoRig:
     def range_error_m(self, range_m: npt.ArrayLike, disparity_sigma_px: float) -> FloatArray:
         """Random error of the range from that of a disparity: z^2 s / (f b). [m]"""
         return np.asarray(range_m, dtype=float) ** 2 * disparity_sigma_px / (self.left.fx_px * self.baseline_m)
+
+
+def is_swapped(translation_m: FloatArray) -> bool:
+    """Whether the right camera of a rig is left of the left one: by the left one's centre in the right one's frame."""
+    return bool(translation_m[0] > abs(translation_m[1]))
 
 
 def covariance_of(sigmas: dict[str, float]) -> FloatArray:

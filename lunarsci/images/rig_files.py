@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,10 +12,11 @@ from lunarsci.arrays import FloatArray
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
-from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of
+from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of, is_swapped
 from lunarsci.inputs import InputFile, read_input, text
 
 OWN = "rigs.toml"
+ONE_CAMERA = "is one camera; a rig needs two"
 SENSOR = ("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist")
 SIGMA_GROUPS = {"rotation_rad": RELATIVE[:3], "translation_m": RELATIVE[3:]}
 FORM = (
@@ -58,11 +60,19 @@ def own_text() -> str:
 
 
 def read_rig(*sources: str | InputFile) -> StereoRig:
-    """A rig by name (`yutu2-navcam`), from a TOML file, or from labels of the left and the right picture.
+    """A rig by name (`yutu2-navcam`), from a TOML file, from files of ROS, OpenCV or Kalibr, or from two labels.
 
     Labels are PDS4 XML of Chang'E cameras, or text with a CAHV, CAHVOR or CAHVORE model: PDS3 labels and VICAR files.
     Raises DataError for anything else.
     """
+    if 1 <= len(sources) <= 2 and sources[0] not in known_rigs():
+        from lunarsci.images.camera_files import rig_or_camera
+
+        given = [read_input(source) for source in sources] if _are_files(sources) else []
+        if isinstance(found := rig_or_camera(given), StereoRig):
+            return found
+        if found is not None:
+            raise DataError(f"{given[0].name}: {ONE_CAMERA}")
     if len(sources) == 2:
         from lunarsci.images.labels import rig_of_labels
 
@@ -85,16 +95,32 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
         raise
 
 
+def _are_files(sources: Sequence[str | InputFile]) -> bool:
+    return all(isinstance(source, InputFile) or Path(source).is_file() for source in sources)
+
+
 def _read(document: Mapping[str, Any], origin: str) -> StereoRig:
     if "camera" in document:
-        raise DataError(f"{origin}: is one camera; a rig needs two: calibrate the right one's pictures with it")
+        raise DataError(f"{origin}: {ONE_CAMERA}: calibrate the right one's pictures with it")
     try:
         assumed = (*document.get("assumed", ()), *_assumed(document))
-        return _rig(_plain(document), assumed)
+        return _checked(_rig(_plain(document), assumed), origin)
     except KeyError as error:
         raise DataError(f"{origin}: no {error.args[0]}; {FORM}") from error
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{origin}: {error}") from error
+
+
+def _checked(rig: StereoRig, origin: str) -> StereoRig:
+    """Raises DataError for a rig whose right camera is left of the left one."""
+    if not is_swapped(rig.translation_m):
+        return rig
+    turn, way = vector_of(rig.rotation.T), -rig.rotation.T @ rig.translation_m
+    raise DataError(
+        f"{origin}: the right camera is left of the left one. If the cameras are swapped exchange [left] and [right], "
+        f"with rotation_rad = [{_numbers(turn)}] and translation_m = [{_numbers(way)}]; if translation_m is meant as "
+        "the right camera's place in the left one's frame change its signs"
+    )
 
 
 def _rig(plain: Mapping[str, Any], assumed: tuple[str, ...]) -> StereoRig:

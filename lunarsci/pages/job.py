@@ -115,7 +115,8 @@ def page_of(documents: Sequence[Document], pictures: Sequence[GivenPicture], wan
 
 def _terrain(name: str, height_unit: str | None = None) -> Ground:
     """A terrain by its name or from its file, heights in a unit other than it states. Raises DataError."""
-    from lunarsci.grids import ERROR_LAYERS, read_grid
+    from lunarsci.grids import read_grid
+    from lunarsci.height_grid import ERROR_LAYERS
     from lunarsci.regolith.soil import read_soil
     from lunarsci.twin.ground.synthetic import synthetic_longji
     from lunarsci.twin.ground.terrain import SOIL_COLUMNS

@@ -3,9 +3,10 @@
 All tables of wheel states are read and checked here, whatever they are for.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,18 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
+from lunarsci.regolith.questions import Question
+from lunarsci.regolith.state_questions import (
+    SINKAGE,
+    another_unit,
+    converted_slip,
+    force_questions,
+    likely_sinkage_unit,
+    likely_slip,
+    slip_question,
+)
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
+from lunarsci.regolith.written_columns import LENGTHS, OPTION, NamedColumns, named_columns
 from lunarsci.regolith.written_names import check_written_for
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
@@ -76,6 +88,8 @@ class WheelStates:
     alike : whether they are alike in all states, as those of forces that were computed of a motion with drawn soils.
     wheels : names of the wheels, each once; none where the file has no column `wheel`.
     unstated : columns whose errors are those of `MeasurementErrors` although the file has the errors of a force.
+    read_as : how columns were read that have other names or units.
+    questions : what to ask of them.
     """
 
     id: tuple[str, ...]
@@ -85,6 +99,8 @@ class WheelStates:
     alike: bool = False
     wheels: tuple[str, ...] = ()
     unstated: tuple[str, ...] = ()
+    read_as: tuple[str, ...] = ()
+    questions: tuple[Question, ...] = ()
 
     def __len__(self) -> int:
         return len(self.id)
@@ -101,6 +117,7 @@ class StateTable:
     values, sigmas : shape (n, 6), columns in the order of `COLUMNS` [m, -, deg, N, N, N]; NaN in `values` where blank.
     valid : rows not marked otherwise. (n,)
     unused : columns that nobody knows.
+    named : how columns were read that have other names or units.
     """
 
     file: str
@@ -109,6 +126,7 @@ class StateTable:
     sigmas: FloatArray
     valid: BoolArray
     unused: tuple[str, ...]
+    named: NamedColumns
 
     def numbers(self, name: str) -> FloatArray:
         """A column as numbers, NaN where blank or missing. (n,) Raises DataError for text."""
@@ -122,7 +140,7 @@ class StateTable:
     def kept(self, rows: BoolArray) -> "StateTable":
         """Some of the rows."""
         table = self.table[rows].reset_index(drop=True)
-        return StateTable(self.file, table, self.values[rows], self.sigmas[rows], self.valid[rows], self.unused)
+        return replace(self, table=table, values=self.values[rows], sigmas=self.sigmas[rows], valid=self.valid[rows])
 
 
 def read_state_table(
@@ -136,12 +154,15 @@ def read_state_table(
     errors: MeasurementErrors | None = None,
     every: bool = False,
     any_wheel: bool = False,
+    units: str = "",
 ) -> StateTable:
     """Read a table of wheel states from CSV.
 
     Columns: those of `COLUMNS`, `NAME_sigma` for the standard deviation of NAME (else that of `errors`), `valid`, and
-    what tells states apart (`IDENTIFIERS`). Any other one that is nearly one of them is refused: a slip of the pen, or
-    another unit. Rows that are there twice count once, with a warning, where `time_s` and `wheel` tell.
+    what tells states apart (`IDENTIFIERS`); or the same by other names and in other units, as
+    `lunarsci.regolith.written_columns` says, and by `units`, with a warning. Any other one that is nearly one of them
+    is refused: a slip of the pen. Rows that are there twice count once, with a warning, where `time_s` and `wheel`
+    tell.
 
     Parameters
     ----------
@@ -157,7 +178,10 @@ def read_state_table(
     several drives where one is read, values that are mostly of a wrong sign or unit, and a column `rover` of another
     wheel.
     """
-    file, table = source.name, read_csv_table(source)
+    file, named = source.name, _named(source, wheel, units)
+    table = named.table
+    if named.read_as and not every:
+        warnings.warn(f"{file}: read as: {'; '.join(named.read_as)}", LunarSciWarning, stacklevel=2)
     columns = [str(name) for name in table.columns]
     if "normal_force_n" in needed and "normal_force_n" not in columns and {"wheel", "slip_ratio"} <= {*columns}:
         raise DataError(
@@ -178,7 +202,19 @@ def read_state_table(
     if not every:
         _check_scale(file, values[valid], wheel.radius_m)
     sigmas = _sigmas(file, table, values, errors or MeasurementErrors())
-    return StateTable(file, table, values, sigmas, valid, tuple(unused))
+    return StateTable(file, table, values, sigmas, valid, tuple(unused), named)
+
+
+def _named(source: InputFile, wheel: Wheel, units: str) -> NamedColumns:
+    """The columns under their own names; a sinkage without a unit in the one that makes it likely under this wheel."""
+    table = read_csv_table(source)
+    named = named_columns(source.name, table, KNOWN, units)
+    if "sinkage_m" not in named.unitless:
+        return named
+    written = _numbers(source.name, named.table, "sinkage_m")
+    unit, asked = likely_sinkage_unit(float(np.median(written[np.isfinite(written)])), wheel)
+    again = named_columns(source.name, table, KNOWN, ",".join(filter(None, (units, f"sinkage_m={unit}"))))
+    return replace(again, questions=() if asked is None else (asked,))
 
 
 def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
@@ -229,8 +265,10 @@ def _sigmas(file: str, table: "pd.DataFrame", values: FloatArray, errors: Measur
     return np.column_stack(columns)
 
 
-def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | None = None) -> WheelStates:
-    """Read wheel states from CSV, as `read_state_table` does.
+def read_states(
+    source: InputFile, wheel: Wheel, errors: MeasurementErrors | None = None, units: str = ""
+) -> WheelStates:
+    """Read wheel states from CSV, as `read_state_table` does; what would be likely in another unit is asked about.
 
     Lateral forces have the sign of the side slip they act against.
 
@@ -244,7 +282,10 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     """
     import pandas as pd
 
-    found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True)
+    found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
+    found, questions = _with_slip(found)
+    found, asked = _with_sinkage(found, wheel)
+    questions += asked
     if found.unused:
         # An error under another name than NAME_sigma would go unread.
         stems = [name.rpartition("_")[0] for name in found.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
@@ -260,7 +301,34 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     sigmas = np.where(np.isfinite(values), found.sigmas[keep], 0.0)
     wheels = tuple(sorted(set(found.wheels))) if "wheel" in frame else ()
     unstated = tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame)
-    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels, unstated)
+    questions += found.named.questions + force_questions(values, wheel, found.named.unitless, found.named.answered)
+    told = found.named.read_as
+    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels, unstated, told, questions)
+
+
+def _with_sinkage(found: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Question, ...]]:
+    """A table with sinkages of wheels that are not above their heads, and what to ask where they were."""
+    known = found.values[found.valid & np.isfinite(found.values[:, 0]), 0]
+    if not known.size or (middle := float(np.median(known))) < wheel.radius_m:
+        return found, ()
+    if not (unit := another_unit(middle, wheel)):
+        return found, ()
+    usual, size = SINKAGE.median * wheel.radius_m, LENGTHS[unit]
+    values, sigmas = found.values.copy(), found.sigmas.copy()
+    values[:, 0] *= size
+    sigmas[:, 0] *= size if "sinkage_m_sigma" in found.table else 1.0
+    asked = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
+    return replace(found, values=values, sigmas=sigmas), (asked,)
+
+
+def _with_slip(found: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
+    """A table with slips as ratios from -1 to 1, and what to ask where they were none."""
+    slip = found.values[:, 1]
+    if not (unit := likely_slip(slip[found.valid])):
+        return found, ()
+    values = found.values.copy()
+    values[:, 1] = converted_slip(slip, unit)
+    return replace(found, values=values), (slip_question(slip[found.valid], unit),)
 
 
 def _kept_rows(found: StateTable) -> BoolArray:
@@ -278,13 +346,20 @@ def _kept_rows(found: StateTable) -> BoolArray:
     return keep
 
 
+def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
+    """What could be wrong with sinkages that no wheel has, and the option that says so."""
+    if (least := float(np.nanmin(sinkage_m))) >= LEAST_SINKAGE_M:
+        return f"is it in another unit ({OPTION} sinkage_m=mm)?"
+    return f"is its zero off ({OPTION} sinkage_m={math.ceil(1e3 * (1e-3 - least)) / 1e3:+.3g})?"
+
+
 def _check_values(name: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> None:
     z, s, beta, load = values[:, 0], values[:, 1], values[:, 2], values[:, 3]
     for column, bad, rule in (
         (
             "sinkage_m",
             ~((z >= LEAST_SINKAGE_M) & (z < wheel.radius_m)),
-            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m",
+            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m; {_doubt_of_sinkage(z)}",
         ),
         ("slip_ratio", np.abs(s) > 1, "within -1 to 1"),
         ("side_slip_deg", np.abs(beta) > 90, "within -90 to 90 deg"),

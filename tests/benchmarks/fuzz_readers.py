@@ -321,6 +321,29 @@ def shares_of_swath() -> bytes:
         return Path(place, "map.nc").read_bytes()
 
 
+ROS = b"""image_width: 64
+image_height: 48
+camera_matrix: {rows: 3, cols: 3, data: [50.0, 0.0, 31.5, 0.0, 50.0, 23.5, 0.0, 0.0, 1.0]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.05, 0.01, 0.0, 0.0, 0.0]}
+projection_matrix: {rows: 3, cols: 4, data: [50.0, 0.0, 31.5, -5.0, 0.0, 50.0, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0]}
+"""
+KALIBR = b"""cam0:
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: radtan
+  intrinsics: [50.0, 50.0, 31.5, 23.5]
+  resolution: [64, 48]
+cam1:
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: radtan
+  intrinsics: [50.0, 50.0, 31.5, 23.5]
+  resolution: [64, 48]
+"""
 CRATERS = b"name,latitude_deg,longitude_deg,diameter_km\nA,0.5,0.9,10\nB,0.6,1.0,8\n"
 
 
@@ -499,6 +522,7 @@ def picture_readers() -> dict[str, Reader]:
         "camera label": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.2BL"], [label()]),
         "camera CAHVOR": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.lbl"], [CAHV]),
         "camera": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.toml"], [alone.encode()]),
+        "camera YAML": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.yaml"], [ROS, KALIBR]),
         "rig": Reader(of_path("images.rig_files:read_rig"), ["spoilt.toml"],
                       [rig()]),
         "rig of labels": Reader(of_labels, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),
@@ -802,7 +826,7 @@ def document_readers() -> dict[str, Reader]:
     tables = [spectrum_files()[".csv"], telemetry()[".csv"], table("sinkage_m,slip_ratio,normal_force_n"), ground_m,
               b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\n", belief(), soil_map(),
               json.dumps(former("fit")).encode(), FEATURE.encode(), b"CDF\x01",
-              b"slip,avg_Fx,avg_Fz\n0.1,2,3\n"]  # fmt: skip
+              b"slip,avg_Fx,avg_Fz\n0.1,2,3\n", ROS]  # fmt: skip
     settings = [SOIL, POSE, mission(), rig(), (own / "rovers/yutu2.toml").read_bytes(),
                 (own / "twin/plans/plan.toml").read_bytes(),
                 _function("guide.template:template")("prior").text.encode()]  # fmt: skip
@@ -907,7 +931,7 @@ READ_BY = {
     "rover": "rover, wheel",
     "soil": SOILS,
     "solar": "sunlight",
-    "sources": "rig, rig of labels, camera label, camera CAHVOR, camera",
+    "sources": "rig, rig of labels, camera label, camera CAHVOR, camera, camera YAML",
     "start": "start of a fit",
     "stations": f"{PICTURES}, rig, pose",
     "states": "record",
@@ -939,7 +963,7 @@ NO_FILE = {
     *("field_path", "form", "columns", "memory", "scheduler"),  # the file of a scheduler is read by dask
     *("assemblage", "band_minerals", "bands", "board", "bound", "composition", "dictionary", "fix", "fixes", "index",
       "interpolation", "kind", "lateral_modulus", "mast", "modes", "name", "products", "sizes", "source", "spectrum",
-      "id", "sweep", "target", "tie", "time", "title", "vary"),
+      "id", "sweep", "target", "tie", "time", "title", "units", "vary"),
     *("annulus", "classes", "gardening", "gravity", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
     *("images dem terrain", "spectra simulate soil"),
 }  # fmt: skip

@@ -126,7 +126,19 @@ def test_every_attribute_of_the_classes_behind_a_rover_is_described() -> None:
 
 def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
     told = {*TOML_KEYS, *(kind.strip() for kind in CSV_COLUMNS), *MAGIC.values(), *SUFFIXES.values()}
-    told |= {"prior", "spectra", "library", "mgm", "config", "belief", "soil map", "telemetry", "result", "table"}
+    told |= {
+        "prior",
+        "spectra",
+        "library",
+        "mgm",
+        "config",
+        "belief",
+        "soil map",
+        "telemetry",
+        "result",
+        "table",
+        "camera",
+    }
     assert told == KINDS.keys()
     assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones", "picture"}
 

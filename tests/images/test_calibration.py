@@ -19,15 +19,17 @@ import cv2
 from lunarsci.cli import main
 from lunarsci.cli.shared.examples import EXAMPLES
 
-from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.images.calibration import BoardView, CameraCalibration, calibrate
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import (
+    SIDES,
     CalibrateCamerasRequest,
     CalibratedCameras,
     _seen_share,
     calibrate_cameras,
 )
+from lunarsci.images.moments import of_moments
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
 from lunarsci.images.targets import BoardTarget, Sighting, check_board, find_target
@@ -180,6 +182,27 @@ def test_scripts_read_the_rig(
         read_rig(str(tmp_path / "one.toml"))
 
 
+def test_swapped_sides_are_told_and_the_advice_gives_the_rig(
+    shown: tuple[list[str], list[str]], found: CalibratedCameras
+) -> None:
+    left, right = (str(Path(side[0]).parent / f"{name}*.png") for name, side in zip(SIDES, shown, strict=True))
+    swapped = calibrate_cameras(right, left, distortion=4)
+    assert "left and right are swapped" in swapped.untrusted
+    assert "give its pictures first" in swapped.untrusted
+    assert not found.untrusted
+    assert calibrate_cameras(left, right, distortion=4).found.baseline_m == pytest.approx(found.found.baseline_m)
+    with pytest.raises(RequestError, match="put a pattern in quotes"):
+        calibrate_cameras(str(Path(shown[0][0]).parent / "middle*.png"))
+
+
+def test_pictures_belong_together_by_the_numbers_in_their_names() -> None:
+    left, right = [f"cam0/cam0_{k:03d}.png" for k in (1, 2, 3)], [f"cam1/cam1_{k:03d}.png" for k in (1, 3, 4)]
+    with pytest.warns(LunarSciWarning, match="left out: cam0/cam0_002.png, cam1/cam1_004.png"):
+        assert of_moments(left, right) == ([left[0], left[2]], right[:2])
+    assert of_moments(["2.png", "10.png"], ["10r.png", "2r.png"]) == (["2.png", "10.png"], ["2r.png", "10r.png"])
+    assert of_moments(["a.png"], ["b.png"]) == (["a.png"], ["b.png"])
+
+
 def refused(*pictures: object, **options: object) -> str:
     with pytest.raises((DataError, RequestError, ParameterError)) as caught:
         calibrate_cameras(*pictures, **options)  # type: ignore[arg-type]
@@ -206,7 +229,8 @@ def test_pictures_that_calibrate_nothing_are_refused(shown: tuple[list[str], lis
     )  # type: ignore[union-attr]
     with pytest.raises(DataError, match="goes on right of it beyond 8 x 6"):
         check_board([read_picture(left[0])], [seen], BoardTarget(columns=8))
-    assert "one of each moment" in refused(left, right[:-1])
+    named_otherwise = [tmp_path / f"{chr(ord('a') + k)}.png" for k in range(len(right) - 1)]
+    assert "one of each moment" in refused(left, named_otherwise)
     assert "given twice" in refused([*left[:3], left[0]])
     cv2.imwrite(str(tmp_path / "small.png"), cv2.imread(left[0])[::2, ::2])
     assert "one camera has one size" in refused([*left, str(tmp_path / "small.png")])

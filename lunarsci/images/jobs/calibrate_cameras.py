@@ -36,6 +36,10 @@ WORST_PX = 1.0
 """Residual from which a calibration is not to be trusted; assumed."""
 SEEN_SHARE, EDGE_PX = 0.6, 1.0
 """Share of the picture that boards must have covered, and error of a corner [px], beyond which it is said; assumed."""
+SWAPPED = (
+    "left and right are swapped, or both cameras are upside down: the camera of `right` stands left of the other one; "
+    "give its pictures first, and the others as `right`"
+)
 CELLS = 8
 FIRST = 3
 """Pictures after which it is asked whether the board is another one."""
@@ -116,9 +120,18 @@ class CalibratedCameras(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
+    def swapped(self) -> bool:
+        """Whether the camera of the right pictures stands left of the other one."""
+        from lunarsci.images.rig import is_swapped
+
+        return len(self.found.cameras) > 1 and is_swapped(self.found.translation_m)
+
+    @property
     def untrusted(self) -> str:
         if self.found.residual_px > WORST_PX:
             return f"the board's points are off by {self.found.residual_px:.2g} px; is it flat, and its size right?"
+        if self.swapped:
+            return SWAPPED
         vital = [line for line in self.not_determined() if line.startswith(("focal", "baseline"))]
         return f"these pictures do not determine the {vital[0]}" if vital else ""
 
@@ -298,8 +311,8 @@ def _seen_share(found: "CameraCalibration", index: int) -> float:
 
 @job
 def calibrate_cameras(
-    pictures: Sequence[str | Path | InputFile],
-    right: Sequence[str | Path | InputFile] = (),
+    pictures: str | Sequence[str | Path | InputFile],
+    right: str | Sequence[str | Path | InputFile] = (),
     request: CalibrateCamerasRequest | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -307,20 +320,19 @@ def calibrate_cameras(
 ) -> CalibratedCameras:
     """Calibrate one camera with pictures of a board, or a stereo rig with `pictures` of its left and `right` camera.
 
-    Pictures of both cameras belong together in their order. Raises RequestError, ParameterError, and DataError where
-    the board is not found, is another one, or is seen too seldom or from one side.
+    Both are files, or a pattern; pictures of both cameras belong together by the numbers in their names, else in their
+    order. Raises RequestError, ParameterError, and DataError where the board is not found, is another one, or is seen
+    too seldom or from one side.
     """
     from lunarsci.images.calibration import BoardView, calibrate
+    from lunarsci.images.moments import files_of, of_moments
     from lunarsci.images.pictures import read_picture
     from lunarsci.images.targets import alike_turned
 
     asked = request_of(CalibrateCamerasRequest, request, options)
     target, steps = asked.board_target(), progress or (lambda *_: None)
-    sides = [list(pictures), list(right)] if right else [list(pictures)]
-    if len({len(side) for side in sides}) > 1:
-        raise RequestError(
-            f"{len(sides[0])} pictures and {len(sides[1])} of `right`; give one of each moment, in order"
-        )
+    first, second = files_of(pictures), files_of(right, "right")
+    sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
     shown = [[read_picture(one) for one in side] for side in sides]
     _check_sizes(shown)
     count = 1 + sum(map(len, shown))
@@ -383,14 +395,3 @@ def _check_sizes(shown: "Sequence[Sequence[Picture]]") -> None:
             if picture.size != side[0].size:
                 sizes = (" x ".join(map(str, p.size)) for p in (picture, side[0]))
                 raise DataError(f"{picture.source.name}: {' px, the first one '.join(sizes)}; one camera has one size")
-
-
-def matching(pattern: str | None) -> list[str]:
-    """Files that match a pattern, in the order of their names. Raises RequestError where there are none."""
-    if pattern is None:
-        return []
-    path = Path(pattern)
-    found = sorted(map(str, path.parent.glob(path.name)))
-    if not found:
-        raise RequestError(f"`right` '{pattern}' matches no file; put the pattern in quotes")
-    return found

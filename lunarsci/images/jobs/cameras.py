@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.images.camera_files import LengthUnit
 from lunarsci.inputs import InputFile, Source, read_input, text
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.images.cahv import LabelCamera
     from lunarsci.images.camera import Camera
-    from lunarsci.images.labels import LabelCamera
     from lunarsci.images.rig import StereoRig
     from lunarsci.images.rig_files import SingleCamera
 
@@ -34,9 +35,12 @@ class CamerasRequest:
     Attributes
     ----------
     disparity_error : random error of a disparity. [px]
+    translation_unit : of the way between the cameras in a file of OpenCV, which does not say it; None takes m or mm,
+        whichever makes the baseline more usual.
     """
 
     disparity_error: float = 0.2
+    translation_unit: LengthUnit | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.disparity_error < 100:
@@ -61,18 +65,19 @@ class CameraSheet(Result):
         return {
             "rigs": [self._rig(rig) for rig in self.rigs],
             "cameras": [_alone(name, found) for name, found in self.alone.items()],
+            "read_as": [f"{rig.name}: {said}" for rig in self.rigs for said in rig.read_as],
         }
 
     def _rig(self, rig: "StereoRig") -> dict[str, Any]:
         from lunarsci.images.camera import vector_of
 
-        sigmas = rig.sigmas
+        sigmas = rig.sigmas if rig.covariance.any() else {}
         numbers = {side: _numbers(getattr(rig, side), sigmas, f"{side}_") for side in ("left", "right")}
         relative = {
             "rotation_rad": [float(v) for v in vector_of(rig.rotation)],
-            "rotation_rad_sigma": [sigmas[f"rotation_{axis}_rad"] for axis in "xyz"],
+            "rotation_rad_sigma": [sigmas.get(f"rotation_{axis}_rad") for axis in "xyz"],
             "translation_m": [float(v) for v in rig.translation_m],
-            "translation_m_sigma": [sigmas[f"translation_{axis}_m"] for axis in "xyz"],
+            "translation_m_sigma": [sigmas.get(f"translation_{axis}_m") for axis in "xyz"],
         }
         way = rig.translation_m / rig.baseline_m
         return {
@@ -80,7 +85,8 @@ class CameraSheet(Result):
             "source": rig.source,
             "assumed": list(rig.assumed),
             "baseline_m": rig.baseline_m,
-            "baseline_m_sigma": float(way @ rig.covariance[-3:, -3:] @ way) ** 0.5,
+            "baseline_m_sigma": float(way @ rig.covariance[-3:, -3:] @ way) ** 0.5 or None,
+            "read_as": list(rig.read_as),
             "relative": relative,
             "ranges": self.ranges(rig),
             **numbers,
@@ -96,7 +102,7 @@ class CameraSheet(Result):
         for away in ranges_m:
             left, right = rig.project(away * way)
             common = float("nan")
-            if np.isfinite([left, right]).all():
+            if np.isfinite([left, right]).all() and rig.covariance.any():
                 by = way @ rig.by_parameters(left, right)
                 common = math.sqrt(max(float(by @ rig.covariance @ by), 0.0))
             depth = away * float(way[2])
@@ -174,32 +180,55 @@ def _alone(name: str, found: "LabelCamera | SingleCamera") -> dict[str, Any]:
 def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = None, **options: Any) -> CameraSheet:
     """What is known of rigs: by name, from TOML files, or from labels; of all that come with lunarsci without any.
 
-    A label alone is one camera; two labels are the left and the right one of a rig. Raises RequestError and DataError.
+    A label, or a file of ROS or OpenCV with one camera, alone is one camera; two are the left and the right one of a
+    rig. Raises RequestError and DataError.
     """
-    from lunarsci.images.labels import read_label
+    from lunarsci.images.camera_files import is_rig, rig_or_camera
     from lunarsci.images.rig_files import known_rigs, read_camera, read_rig
 
     asked = request_of(CamerasRequest, request, options)
     given = [sources] if isinstance(sources, str) else list(sources)
     files: list[Any] = [None if one in known_rigs() else read_input(one) for one in given]
-    labels = [file for file in files if file is not None and not _is_toml(file)]
-    if len(labels) > 2:
-        raise RequestError(f"{len(labels)} labels; give one, or those of the left and the right picture")
     rigs: list[StereoRig] = []
     alone: dict[str, LabelCamera | SingleCamera] = {}
-    for one, file in zip(given, files, strict=True):
-        if file is not None and _is_toml(file) and (single := read_camera(file)):
+    pair: list[InputFile] = []
+    for one, file in zip(given or known_rigs(), files or [None] * len(known_rigs()), strict=True):
+        if file is None:
+            rigs.append(read_rig(one))  # type: ignore[arg-type]
+        elif is_rig(file):
+            rigs.append(rig_or_camera([file], asked.translation_unit))  # type: ignore[arg-type]
+        elif not _is_toml(file):
+            pair.append(file)
+        elif single := read_camera(file):
             alone[file.name] = single
-        elif file not in labels:
-            rigs.append(read_rig(one if file is None else file))  # type: ignore[arg-type]
-    if len(labels) == 2:
-        rigs.append(read_rig(*labels))
-    elif labels:
-        alone[labels[0].name] = read_label(labels[0])
-    if not given:
-        rigs = [read_rig(name) for name in known_rigs()]
+        else:
+            rigs.append(read_rig(file))
+    of_pair, of_labels = _of_pair(pair, asked.translation_unit)
+    rigs, alone = rigs + of_pair, alone | of_labels
     inputs = {file.name: file.sha256 for file in files if file is not None}
     return CameraSheet(rigs=tuple(rigs), alone=alone, request=asked, inputs=inputs)
+
+
+def _of_pair(
+    files: list[InputFile], unit: LengthUnit | None
+) -> "tuple[list[StereoRig], dict[str, LabelCamera | SingleCamera]]":
+    """The rig of two labels or files of ROS or OpenCV, and cameras of one, or of labels. Raises DataError."""
+    import numpy as np
+
+    from lunarsci.images.camera_files import WrittenCamera, rig_or_camera
+    from lunarsci.images.labels import read_label, rig_of_labels
+    from lunarsci.images.rig_files import SingleCamera
+
+    if len(files) > 2:
+        raise RequestError(f"{len(files)} labels; give one, or those of the left and the right picture")
+    found = rig_or_camera(files, unit)
+    if isinstance(found, WrittenCamera):
+        name = files[0].name
+        return [], {name: SingleCamera(found.camera, np.full((9, 9), np.nan), f"{name}; {'; '.join(found.said)}")}
+    if found is not None:
+        return [found], {}
+    labels: dict[str, LabelCamera | SingleCamera] = {file.name: read_label(file) for file in files}
+    return [rig_of_labels(*files)] if len(files) == 2 else [], labels
 
 
 def _is_toml(file: InputFile) -> bool:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.inputs import Source, read_input
+from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
 from lunarsci.regolith.wheel import PAPER, ShearSign
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.arrays import FloatArray
-    from lunarsci.regolith.identify import Assumptions, Estimate, Identification
+    from lunarsci.regolith.identify import Assumptions, Identification
+    from lunarsci.regolith.questions import Question
     from lunarsci.regolith.sensitivity import Sensitivity
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
@@ -25,22 +27,8 @@ if TYPE_CHECKING:
 
 ITS_WHEELS = 6
 """Of the rover whose wheel is taken where none is named."""
-LABELS = {
-    "stiffness_kpa_m_n": "stiffness K_s",
-    "exponent": "sinkage exponent N",
-    "friction_angle_deg": "internal friction angle φ",
-    "cohesion_pa": "cohesion c",
-    "external_friction_angle_deg": "external friction angle φ_y",
-    "lateral_modulus_mm": "lateral shear modulus K_y",
-}
-"""Parameters of the site in words."""
 HELD = {"stiffness_kpa_m_n": "kPa/m^N", "cohesion_pa": "Pa", "friction_angle_deg": "deg", "shear_modulus_mm": "mm"}
 """Units of what single states are solved with."""
-CONTRADICT, BY_CHANCE = 4.0, 0.001
-"""States contradict each other where a parameter scatters twice as widely between them as its errors allow, and such
-scatter has a smaller probability; assumed. Measured curves over slip have 6 to 200, states of one simulated soil 0."""
-TREND, LEAST_STATES = 0.8, 4
-"""Rank correlation with slip that is called a trend, from so many states on; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +50,7 @@ class IdentifyRequest:
     draws, seed : Monte Carlo draws of each state, 2 or more, and the seed of the random numbers.
     sinkage_error [m], force_error, travel_error, side_slip_error : standard deviations where the table gives none, all
         but the first as shares, see `MeasurementErrors`.
+    units : of columns, such as `normal_force_n=kN,slip_ratio=travel`, see `written_columns.asked_units`.
     sensitivity : whether to say how much of each variance comes from each measured quantity.
     """
 
@@ -81,6 +70,7 @@ class IdentifyRequest:
     travel_error: float = 0.04 / 3
     side_slip_error: float = 0.04 / 3
     sensitivity: bool = False
+    units: str = ""
 
     @property
     def assumptions(self) -> "Assumptions":
@@ -116,42 +106,6 @@ class IdentifyRequest:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class StatesAgreement:
-    """Whether single states tell one value of a parameter.
-
-    Attributes
-    ----------
-    parameter : its key.
-    states : how many of them give a value.
-    reduced_chi_square : of these values about their weighted mean, each with its own error.
-    probability : of a larger one by chance.
-    first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither or where it cannot be told.
-    """
-
-    parameter: str
-    states: int
-    reduced_chi_square: float
-    probability: float
-    first: float
-    last: float
-    trend: str
-
-    @property
-    def agree(self) -> bool:
-        """Whether one soil may have given them."""
-        return self.reduced_chi_square < CONTRADICT or self.probability > BY_CHANCE
-
-    @property
-    def text(self) -> str:
-        """In words, for those that do not agree."""
-        how = f" {self.trend} with slip from" if self.trend else " from"
-        first, last = (float(f"{value:.3g}") for value in (self.first, self.last))
-        symbol = LABELS[self.parameter].rpartition(" ")[2]
-        return f"{symbol}{how} {first:g} to {last:g}, chi-square {self.reduced_chi_square:.0f} a state"
-
-
 def alone_title(held: Mapping[str, float]) -> str:
     """What the numbers of single states are called beside the answer of all states together, with what they assume.
 
@@ -161,28 +115,6 @@ def alone_title(held: Mapping[str, float]) -> str:
     symbols = {name: label.rpartition(" ")[2] for name, label in LABELS.items()} | {"shear_modulus_mm": "K_x"}
     told = [f"{symbols[name]} = {value:g} {HELD.get(name, '')}".rstrip() for name, value in held.items()]
     return f"Each state by itself (assumes {', '.join(told)})"
-
-
-def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray") -> StatesAgreement | None:
-    """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
-    import numpy as np
-    from scipy.special import gammaincc
-
-    pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]
-    value, sigma = np.array(pairs, float).reshape(-1, 2).T
-    known = np.isfinite(value)
-    value, weight, slip = value[known], 1 / sigma[known] ** 2, slip[known]
-    degrees = len(value) - 1
-    if degrees < 1:
-        return None
-    chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
-    told = degrees + 1 >= LEAST_STATES and np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > 0
-    rank = float(np.corrcoef(slip.argsort().argsort(), value.argsort().argsort())[0, 1]) if told else 0.0
-    trend = "" if abs(rank) < TREND else "rises" if rank > 0 else "falls"
-    order = np.argsort(slip, kind="stable")
-    ends = float(value[order[0]]), float(value[order[-1]])
-    chance = float(gammaincc(degrees / 2, chi_square / 2))
-    return StatesAgreement(parameter, degrees + 1, chi_square / degrees, chance, *ends, trend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +133,7 @@ class StatesOfWheel:
     named_by: "NamedBy"
 
 
-def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErrors") -> StatesOfWheel:
+def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest) -> StatesOfWheel:
     """Read the states and the wheel: as asked for, as the table says, or Yutu-2's with a warning. Raises DataError."""
     from lunarsci.provenance import sha256
     from lunarsci.regolith.states import read_states
@@ -216,7 +148,9 @@ def read_wheel_states(states: Source, rover: str | None, errors: "MeasurementErr
     assumed = [name for name in description.assumed if name.startswith("wheel.")]
     assumed += [f"wheel.{name}" for name in left_to_defaults(description)]
     origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
-    found = StatesOfWheel(read_states(source, wheel, errors), named, wheel, origin, assumed, description.name, by)
+    found = StatesOfWheel(
+        read_states(source, wheel, asked.errors, asked.units), named, wheel, origin, assumed, description.name, by
+    )
     if by == "default":
         _warn_of_default(source.name, found, description)
     return found
@@ -251,6 +185,7 @@ class IdentifiedSoil(Result):
     assumed : keys of the rover's file that are guesses, and those of the wheel that it leaves to the usual numbers.
     called : its name in its file.
     named_by : `option`, `table` (the column `rover` of the states), or `default` where nothing names it.
+    read_as, questions : how columns of the table were read, and what to ask of them.
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
@@ -263,6 +198,8 @@ class IdentifiedSoil(Result):
     called: str
     named_by: "NamedBy"
     origin: MadeFrom
+    read_as: tuple[str, ...] = ()
+    questions: "tuple[Question, ...]" = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -284,7 +221,8 @@ class IdentifiedSoil(Result):
 
     @property
     def untrusted(self) -> str:
-        reasons = [f"no {LABELS[name]}: {self.found.site[name].reason}" for name in self.found.unsolved]
+        reasons = [*map(str, self.questions)]
+        reasons += [f"no {LABELS[name]}: {self.found.site[name].reason}" for name in self.found.unsolved]
         against = [item.text for item in self.agreements if not item.agree]
         if against:
             reasons.append(
@@ -297,6 +235,8 @@ class IdentifiedSoil(Result):
         shares = {} if self.shares is None else {"sensitivity": [asdict(share) for share in self.shares]}
         own = {
             "assumed_of_rover": list(self.assumed),
+            "read_as": list(self.read_as),
+            "questions": [asdict(one) for one in self.questions],
             "wheel": {
                 "of": self.rover,
                 "name": self.called,
@@ -370,7 +310,7 @@ def identify(
     """
     asked = request_of(IdentifyRequest, request, options)
     known = asked.assumptions
-    return identified(read_wheel_states(states, asked.rover, asked.errors), asked, known, progress)
+    return identified(read_wheel_states(states, asked.rover, asked), asked, known, progress)
 
 
 def identified(
@@ -396,4 +336,6 @@ def identified(
         called=given.called,
         named_by=given.named_by,
         origin=replace(given.origin, seed=asked.seed),
+        read_as=given.states.read_as,
+        questions=given.states.questions,
     )

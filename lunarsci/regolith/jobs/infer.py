@@ -166,7 +166,7 @@ def infer(
 
     asked = request_of(InferRequest, request, options)
     known = asked.assumptions
-    given = read_wheel_states(states, asked.rover, asked.errors)
+    given = read_wheel_states(states, asked.rover, asked)
     alone = identified(given, asked, known, progress)
     posterior, scores, inputs = _posterior(asked, given, progress)
     predicted = None
@@ -184,6 +184,8 @@ def infer(
         assumed=alone.assumed,
         called=alone.called,
         named_by=alone.named_by,
+        read_as=alone.read_as,
+        questions=alone.questions,
         origin=replace(made, inputs={**made.inputs, **inputs}, tables={**made.tables, **prior_hash()}),
         posterior=posterior,
         scores=scores,

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.grids import HeightGrid, read_grid
+from lunarsci.grids import read_grid
+from lunarsci.height_grid import HeightGrid
 from lunarsci.projections import projection_of
 from lunarsci.twin.ground.terrain import Terrain
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.documents import json_document
 from lunarsci.errors import DataError, OutputError
-from lunarsci.grids import ERROR_LAYERS, HeightGrid, check_relief, geotiff_bytes, read_grid
+from lunarsci.grids import check_relief, geotiff_bytes, read_grid
+from lunarsci.height_grid import ERROR_LAYERS, HeightGrid
 from lunarsci.inputs import read_input
 from lunarsci.projections import known_projection
 from lunarsci.regolith.soil import Soil

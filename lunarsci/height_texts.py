@@ -1,0 +1,226 @@
+"""Heights as text: ESRI ASCII grids, and tables with a row for each node, under usual names of columns or none.
+
+GDAL's reader of such tables wants them sorted, and an extra; pandas reads the numbers, and this puts them on a grid.
+"""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError
+from lunarsci.height_grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
+from lunarsci.height_rasters import EVEN, HEIGHT, HeightRaster, check_count
+from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.names import one_of
+from lunarsci.no_data import without_markers
+from lunarsci.projections import NO_RASTERIO
+from lunarsci.tables import numbers_of, read_csv_table
+
+HEADER = ("ncols", "nrows", "cellsize", "dx", "dy", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
+TEXTS = (".asc", ".csv", ".xyz", ".txt", ".dat", ".grd", ".agr")
+"""Ends of names of text."""
+NODE = ("x_m", "y_m", "height_m")
+AXES = {
+    **dict.fromkeys(("x", "east", "easting", "eastings", "xcoord", "xcoordinate", "lon", "longitude"), "x_m"),
+    **dict.fromkeys(("y", "north", "northing", "northings", "ycoord", "ycoordinate", "lat", "latitude"), "y_m"),
+    **dict.fromkeys(
+        ("z", "height", "heights", "elevation", "elev", "alt", "altitude", "zcoord", "dem", "dtm"), "height_m"
+    ),
+}
+"""What others call the columns of a table of nodes, without units."""
+SPARSE = 4.0
+"""Nodes of a grid for each row of a table without names, that may be holes; assumed."""
+ROUNDED = 0.04
+"""By how much steps may differ where places are rounded, as a share of one; assumed."""
+
+
+def is_ascii_grid(path: Path) -> bool:
+    """Whether a file begins as an ESRI ASCII grid does, or is named as one. Raises OSError."""
+    with path.open("rb") as stream:
+        start = stream.read(64).lstrip().lower()
+    return path.suffix.lower() == ".asc" or start.startswith((b"ncols", b"nrows"))
+
+
+def read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
+    """An ESRI ASCII grid, its cells in m. Raises DataError."""
+    lines = text(read_input(path)).splitlines()
+    header: dict[str, float] = {}
+    while lines and len(words := lines[0].split()) == 2 and (name := words[0].lower()) in HEADER:
+        if name in header:
+            raise DataError(f"{path}: {name} is there twice; keep the right one")
+        header[name] = float(words[1])
+        lines.pop(0)
+    shape = _checked_header(path, header)
+    heights = np.array(" ".join(lines).split(), dtype=np.float64)
+    if heights.size != shape[0] * shape[1]:
+        raise DataError(f"{path}: {heights.size} heights, {shape[0]} rows of {shape[1]} announced; is it cut short?")
+    heights[heights == header.get("nodata_value", -9999.0)] = np.nan
+    heights, said = without_markers(heights)
+    x0, y0 = (
+        header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + 0.5 * header[f"d{axis}"]) for axis in "xy"
+    )
+    height, (dx, dy) = heights.reshape(shape), (header["dx"], header["dy"])
+    if not np.isclose(dx, dy, rtol=EVEN):
+        return grid_of_raster(replace(_oblong(path, height, (x0, y0), (dx, dy)), said=said), **how)
+    return HeightGrid(
+        name=path.stem, x0_m=x0, y0_m=y0, spacing_m=dx, height_m=height[::-1], unit="", read_as=(said,) if said else ()
+    )
+
+
+def _oblong(path: Path, height: FloatArray, first: tuple[float, float], sides: tuple[float, float]) -> HeightRaster:
+    """Heights on cells that are not square, the northern row first; `first` is the centre of the south-western one."""
+    try:
+        from rasterio.transform import from_origin
+    except ImportError as error:
+        raise DataError(f"{path}: cells of {sides[0]:g} x {sides[1]:g} m; {NO_RASTERIO}") from error
+    west, north = first[0] - 0.5 * sides[0], first[1] + (len(height) - 0.5) * sides[1]
+    return HeightRaster(path=str(path), bands={HEIGHT: height}, transform=from_origin(west, north, *sides))
+
+
+def _checked_header(path: Path, header: dict[str, float]) -> tuple[int, int]:
+    """Rows and columns that the header of an ESRI ASCII grid announces, when nothing in it contradicts itself.
+
+    `cellsize` is in it as `dx` and `dy`, too, afterwards.
+    """
+    if "cellsize" in header and {"dx", "dy"} & {*header}:
+        raise DataError(f"{path}: cellsize and dx, dy; keep what is right")
+    header |= {name: header["cellsize"] for name in ("dx", "dy") if "cellsize" in header}
+    for name in ("ncols", "nrows", "dx", "dy"):
+        if name not in header:
+            raise DataError(
+                f"{path}: no {'cellsize' if name == 'dx' else name}; an ESRI ASCII grid begins with ncols, nrows, "
+                "xllcorner, yllcorner, cellsize (or dx, dy)"
+            )
+    if not all(header[name] >= 1 and header[name].is_integer() for name in ("ncols", "nrows")):
+        raise DataError(f"{path}: ncols {header['ncols']:g}, nrows {header['nrows']:g}; give counts of 1 or more")
+    if wrong := [header[name] for name in ("dx", "dy") if not 0 < header[name] < math.inf]:
+        raise DataError(f"{path}: a cellsize of {wrong[0]:g}; give the side of a cell in m")
+    given = {name for name in header if name[1:3] == "ll"}
+    if given - {"xllcorner", "yllcorner"} and given - {"xllcenter", "yllcenter"}:
+        raise DataError(f"{path}: {' and '.join(sorted(given))}; name the corner of the first cell, or its centre")
+    check_count(str(path), int(header["nrows"] * header["ncols"]))
+    return int(header["nrows"]), int(header["ncols"])
+
+
+def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
+    """A table of nodes with the columns `x_m`, `y_m` and `height_m`, or others that mean these. Raises DataError."""
+    table = read_csv_table(path)
+    named = {str(name): AXES.get(_plain(name), str(name)) for name in table}
+    if {*named.values()} >= {*NODE} and not {*NODE} <= {*named}:
+        return read_nodes(path, layers, unread)
+    table = table[[name for name in table if name in layers or name not in unread]]
+    known = (*NODE, *layers)
+    for name in NODE:
+        if name not in table:
+            raise DataError(f"{path}: no column {name}; a terrain needs x_m, y_m and height_m")
+    if unknown := {str(name) for name in table} - set(known):
+        raise DataError(f"{path}: '{min(unknown)}' is no column of a terrain; {one_of(min(unknown), known)}")
+    return _grid_of(path, {str(name): numbers_of(str(path), str(name), cells) for name, cells in table.items()})
+
+
+def read_nodes(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
+    """A table of x, y and height, with or without names, with commas, semicolons or blanks. Raises DataError."""
+    content = text(read_input(path))
+    found = node_columns(InputFile(str(path), content.encode()), content)
+    if found is None:
+        raise DataError(f"{path}: no table of x, y and height; name three columns x_m, y_m and height_m")
+    names, values = found
+    for name, written in zip(NODE, names, strict=True):
+        if re.search(r"lat|lon", written, re.IGNORECASE):
+            raise DataError(
+                f"{path}: column '{written}' has degrees, {name} is in m; give a GeoTIFF, which says on what body"
+            )
+    unit = next(iter(re.findall(r"(?:_|\(|\[|\s)(k?m|cm|mm|ft)\b", names[2].lower())), "")
+    said = f"columns {', '.join(names)} as x, y and height"
+    height, lost = without_markers(values[2])
+    grid = _grid_of(path, dict(zip(NODE, (*values[:2], height), strict=True)))
+    return replace(grid, unit=unit, read_as=(said, lost) if lost else (said,))
+
+
+def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple[list[str], FloatArray] | None:
+    """Names and numbers (3, n) of the columns of a table of nodes, or of them `alone`; None for any other table.
+
+    Three columns without names are such a table where the first two are places on a grid.
+    """
+    import pandas as pd
+
+    lines = [line for line in content.splitlines() if line.strip() and not line.lstrip().startswith(("#", "//"))]
+    split = re.compile(r"\s*[,;]\s*|\s+")
+    first = split.split(lines[0].strip()) if lines else []
+    bare = all(_is_number(cell) for cell in first)
+    if len(first) < 3 or (not bare and (len(lines) < 2 or len(split.split(lines[1].strip())) != len(first))):
+        return None
+    axes = [AXES.get(_plain(cell), "") for cell in first]
+    places = [0, 1, 2] if bare else [axes.index(name) for name in NODE if name in axes]
+    if len(places) < 3 or ((bare or alone) and len(first) != 3):
+        return None
+    rows = [split.split(line.strip()) for line in lines[0 if bare else 1 :]]
+    if {len(row) for row in rows} != {len(first)}:
+        return None
+    table = pd.DataFrame(rows, dtype=str)
+    names = [f"{place + 1}" if bare else first[place] for place in places]
+    try:
+        values = np.array([numbers_of(file.name, names[k], table[place]) for k, place in enumerate(places)])
+    except DataError:
+        return None
+    return (names, values) if not bare or _is_grid(values) else None
+
+
+def _is_grid(values: FloatArray) -> bool:
+    """Whether the first two of three columns (3, n) without names are places of nodes, all of them or most."""
+    rows = values.shape[1]
+    across, up = (len(np.unique(axis)) for axis in values[:2])
+    return min(across, up) >= 2 and 2 * max(across, up) <= rows and rows <= across * up <= SPARSE * rows
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _plain(name: object) -> str:
+    """A name without its unit, in small letters."""
+    return re.sub(r"[\s_]*[\[(]?\b(?:m|km|cm|mm|ft)\b[\])]?$|[^a-z]", "", str(name).lower().replace("_", " "))
+
+
+def _grid_of(path: Path, values: "dict[str, FloatArray]") -> HeightGrid:
+    """Nodes on their grid; those that are not there are holes."""
+    import pandas as pd
+
+    blank = np.isnan(values["x_m"]) | np.isnan(values["y_m"])
+    if blank.any():
+        raise DataError(
+            f"{path}, row {int(np.argmax(blank)) + 1}: x_m or y_m is missing; leave the row out or fill it in"
+        )
+    x, y = (_axis(values[name]) for name in ("x_m", "y_m"))
+    spacing = spacing_of(x, y)
+    check_count(str(path), x.size * y.size)
+    column, row = (np.rint((values[name] - axis[0]) / spacing).astype(int) for name, axis in (("x_m", x), ("y_m", y)))
+    if pd.DataFrame({"row": row, "column": column}).duplicated().any():
+        raise DataError(f"{path}: a node has two rows; keep one of each x_m, y_m")
+    found = {}
+    for name in (name for name in values if name not in NODE[:2]):
+        empty = np.nan if name in ("height_m", *ERROR_LAYERS) else np.nanmedian(values[name])
+        found[name] = np.full((y.size, x.size), empty)
+        found[name][row, column] = values[name]
+    height = found.pop("height_m")
+    return HeightGrid(
+        name=path.stem, x0_m=float(x[0]), y0_m=float(y[0]), spacing_m=spacing, height_m=height, layers=found
+    )
+
+
+def _axis(values: FloatArray) -> FloatArray:
+    """Places of nodes along an axis, in even steps where they are even but for their last digit."""
+    places = np.unique(values)
+    step = np.diff(places)
+    if places.size < 3 or np.ptp(step) > ROUNDED * np.median(step):
+        return places
+    return np.linspace(places[0], places[-1], places.size)

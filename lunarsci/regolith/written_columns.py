@@ -1,0 +1,229 @@
+"""Columns of wheel tests as others name and measure them: forces in kN, kgf and lbf, pulls over the load, two slips.
+
+A column that names its quantity and its unit is converted. One without a unit is taken in newtons, metres, degrees and
+shares of the rim's speed; what the numbers say of that is asked by `lunarsci.regolith.states`.
+
+Slip is 1 - v / (r w) in terramechanics (Wong 2008, Theory of Ground Vehicles, ISBN 978-0-470-17038-0), `rim` here, and
+r w / v - 1 for tyres (SAE J670), `travel` here; lunarsci's is the first one while a wheel drives, and the second one
+while it skids (Ding et al. 2024, 10.1038/s41467-024-46233-8).
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError, RequestError
+from lunarsci.names import one_of
+from lunarsci.regolith.questions import Question
+from lunarsci.tables import numbers_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORCES: Mapping[str, float] = {
+    **{"n": 1.0, "kn": 1e3, "mn": 1e-3, "kgf": 9.80665, "kg": 9.80665, "kp": 9.80665},
+    **{"lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605},
+}
+"""Newtons of a unit, exact by definition (Thompson & Taylor 2008, NIST Special Publication 811)."""
+LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "inch": 0.0254}
+"""Metres of a unit, exact by definition (as above)."""
+ANGLES: Mapping[str, float] = {"deg": 1.0, "rad": float(np.degrees(1.0)), "degrees": 1.0, "radians": np.degrees(1.0)}
+"""Degrees of a unit, by definition."""
+SHARES: Mapping[str, float] = {"share": 1.0, "ratio": 1.0, "%": 0.01, "pct": 0.01, "percent": 0.01}
+"""Of one, by definition."""
+OF_RUNS = ("meas", "measured", "avg", "average", "mean")
+"""Words that say how a number came about, not what it is of."""
+RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
+OPTION = "--units"
+
+
+class StateColumn(NamedTuple):
+    """Column of wheel states, its units, and what others call it: words with _ between them."""
+
+    column: str
+    units: Mapping[str, float]
+    names: tuple[str, ...]
+
+
+QUANTITIES = (
+    StateColumn(
+        "normal_force_n",
+        FORCES,
+        ("normal_force", "load", "normal_load", "vertical_load", "vertical_force", "wheel_load", "weight",
+         "w", "fz", "f_z",
+         "fn", "f_n"),
+    ),
+    StateColumn(
+        "drawbar_pull_n",
+        FORCES,
+        ("drawbar_pull", "drawbar", "dp", "pull", "fx", "f_x", "f_dp", "fdp", "drawbar_force", "net_traction"),
+    ),
+    StateColumn("lateral_force_n", FORCES, ("lateral_force", "side_force", "fy", "f_y", "fl", "f_l")),
+    StateColumn("sinkage_m", LENGTHS, ("sinkage", "wheel_sinkage", "sink", "sinkage_depth", "z")),
+    StateColumn(
+        "slip_ratio",
+        SHARES,
+        ("slip_ratio", "slip", "wheel_slip", "s", "i", "slip_rim", "slip_travel", "slip_v", "slip_over_v", "slip_sae"),
+    ),
+    StateColumn("side_slip_deg", ANGLES, ("side_slip", "sideslip", "slip_angle", "side_slip_angle", "beta")),
+    StateColumn("resistance_torque_nm", {"nm": 1.0}, ("resistance_torque", "torque", "wheel_torque")),
+)  # fmt: skip
+BY_TRAVEL = ("slip_travel", "slip_v", "slip_over_v", "slip_sae")
+SHARE_OF_LOAD = (
+    *("dp_over_w", "dp_w", "dpw", "dp_over_load", "dp_load", "pull_over_load", "pull_load", "pull_over_weight", "p_w"),
+    *("drawbar_pull_over_load", "drawbar_pull_over_weight", "drawbar_pull_load", "drawbar_pull_weight", "pull_weight"),
+    *("drawbar_pull_coefficient", "drawbar_coefficient", "pull_coefficient", "traction_coefficient", "dp_ratio"),
+)
+"""Names of a drawbar pull over the load."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What a column is: its quantity, unit ('' where none is named), and whether it is the error of it."""
+
+    column: str
+    unit: str
+    sigma: bool
+
+    @property
+    def target(self) -> str:
+        """The name that lunarsci has for it."""
+        return f"{self.column}_sigma" if self.sigma else self.column
+
+
+def of_name(name: str) -> Written | None:
+    """What a column's name says; None for one that names no quantity of a wheel.
+
+    >>> of_name("Normal load [kN]"), of_name("DP/W").unit, of_name("slip_travel").unit, of_name("colour")
+    (Written(column='normal_force_n', unit='kn', sigma=False), 'load', 'travel', None)
+    """
+    words = [word.lower() for word in re.findall(r"[A-Za-z]+|%", name)]
+    sigma = "sigma" in words
+    words = [word for word in words if word != "sigma" and word not in OF_RUNS]
+    whole = "_".join(words)
+    if whole in SHARE_OF_LOAD:
+        return Written("drawbar_pull_n", OVER_LOAD, sigma)
+    for quantity in QUANTITIES:
+        if whole in quantity.names:
+            return Written(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma)
+    for quantity in QUANTITIES:
+        if words and words[-1] in quantity.units and "_".join(words[:-1]) in quantity.names:
+            return Written(quantity.column, words[-1], sigma)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class NamedColumns:
+    """A table with the columns of wheel states under their own names and in their units.
+
+    Attributes
+    ----------
+    table : of text.
+    read_as : what was converted, and by what.
+    unitless : columns that name no unit.
+    answered : columns whose unit the option has said.
+    questions : what to ask of a column that names no unit.
+    """
+
+    table: "pd.DataFrame"
+    read_as: tuple[str, ...] = ()
+    unitless: tuple[str, ...] = ()
+    answered: tuple[str, ...] = ()
+    questions: tuple[Question, ...] = ()
+
+
+def asked_units(units: str) -> dict[str, str]:
+    """Units by column, of `COLUMN=UNIT` with commas between; `sinkage_m=+0.004` adds so many metres to it.
+
+    >>> asked_units("normal_force_n=kN, slip_ratio=travel")
+    {'normal_force_n': 'kn', 'slip_ratio': 'travel'}
+
+    Raises RequestError.
+    """
+    found: dict[str, str] = {}
+    known = {quantity.column: [*quantity.units] for quantity in QUANTITIES}
+    known["drawbar_pull_n"] += [OVER_LOAD]
+    known["slip_ratio"] += [RIM, TRAVEL]
+    for part in filter(None, (one.strip() for one in units.split(","))):
+        column, _, unit = (word.strip() for word in part.partition("="))
+        if column not in known:
+            raise RequestError(f"`units` '{part}': {one_of(column, [*known])}, = and its unit")
+        shift = column == "sinkage_m" and re.fullmatch(r"[+-]\d*\.?\d+(e-?\d+)?", unit)
+        if unit.lower() not in known[column] and not shift:
+            raise RequestError(f"`units` '{part}': {one_of(unit, known[column])}")
+        found[column] = unit.lower()
+    return found
+
+
+def named_columns(file: str, table: "pd.DataFrame", known: Sequence[str], units: str = "") -> NamedColumns:
+    """The columns of a table of wheel states by the names and units that they have; `units` says it otherwise.
+
+    Raises RequestError for units that are none, DataError for two columns of one quantity.
+    """
+    asked, found = asked_units(units), dict[str, str]()
+    columns = {str(name): of_name(str(name)) for name in table.columns if name not in known}
+    columns = {name: what for name, what in columns.items() if what and what.target not in table.columns}
+    own = [(name, sigma) for name in asked for sigma in (False, True)]
+    columns |= {one.target: one for one in (Written(name, "", sigma) for name, sigma in own) if one.target in table}
+    said, done = list[str](), table.copy()
+    for name, what in columns.items():
+        if what is None:
+            continue
+        if other := found.get(what.target):
+            raise DataError(f"{file}: columns '{other}' and '{name}' are both {what.target}; keep the right one")
+        found[what.target] = name
+        unit = asked.get(what.column, what.unit)
+        values = numbers_of(file, name, table[name])
+        done = done.rename(columns={name: what.target})
+        if unit not in (OVER_LOAD,):
+            done[what.target] = _cells(_converted(what, unit, values))
+        said.append(f"column '{name}' as {_told(what.target, unit)}{'' if what.unit else f' ({OPTION})'}")
+    over = [what for name, what in columns.items() if what and asked.get(what.column, what.unit) == OVER_LOAD]
+    for what in over:
+        if "normal_force_n" not in done:
+            raise DataError(f"{file}: no column normal_force_n, of which '{found[what.target]}' is a share; add it")
+        load = numbers_of(file, "normal_force_n", done["normal_force_n"])
+        done[what.target] = _cells(load * numbers_of(file, what.target, done[what.target]))
+    bare = [what.column for what in columns.values() if what and not what.unit and not what.sigma]
+    return NamedColumns(done, tuple(said), tuple(one for one in bare if one not in asked), tuple(asked))
+
+
+def _told(target: str, unit: str) -> str:
+    how = {"": "", OVER_LOAD: ", a share of the load", TRAVEL: ", r w / v - 1", RIM: ", 1 - v / (r w)"}
+    return target + how.get(unit, f", from {unit}")
+
+
+def _converted(what: Written, unit: str, values: FloatArray) -> FloatArray:
+    if unit in (TRAVEL, RIM):
+        return values if what.sigma else (by_travel(values) if unit == TRAVEL else by_rim(values))
+    if re.fullmatch(r"[+-].*", unit):
+        return values if what.sigma else values + float(unit)
+    return values * next(one.units for one in QUANTITIES if one.column == what.column).get(unit, 1.0)
+
+
+def by_travel(slip: FloatArray) -> FloatArray:
+    """lunarsci's slip ratio from r w / v - 1.
+
+    >>> by_travel(np.array([1.0, -0.5]))
+    array([ 0.5, -0.5])
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(slip > 0, slip / (1 + slip), slip)
+
+
+def by_rim(slip: FloatArray) -> FloatArray:
+    """lunarsci's slip ratio from 1 - v / (r w).
+
+    >>> by_rim(np.array([0.5, -1.0]))
+    array([ 0.5, -0.5])
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(slip < 0, slip / (1 - slip), slip)
+
+
+def _cells(values: FloatArray) -> list[str]:
+    return ["" if np.isnan(value) else repr(float(value)) for value in values]
