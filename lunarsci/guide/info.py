@@ -254,8 +254,6 @@ def kind_of(file: InputFile) -> str:
         return "spectra"
     if suffix == ".img" and is_image_of_heights(file.name):
         return "terrain"
-    if suffix not in SUFFIXES and is_pds_label(file):
-        return "cube" if read_pds_label(file).images else "spectra"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
         return SUFFIXES[suffix]
     if suffix == ".hdr":
@@ -274,6 +272,8 @@ def kind_of(file: InputFile) -> str:
         return kind
     if of_json:
         return _kind_of_json(file)
+    if is_pds_label(file):
+        return "cube" if read_pds_label(file).images else "spectra"
     return _kind_of_table(file.name, text, suffix)
 
 
