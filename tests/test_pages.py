@@ -118,6 +118,7 @@ def test_options_named_in_pages_exist(
         "--cut",
         "--halves",
         "--soils",
+        "--training",
         "--install-completion",
         "--show-completion",
     }
