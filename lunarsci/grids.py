@@ -19,6 +19,7 @@ from lunarsci.height_rasters import DRIVERS, check_count, read_height_raster
 from lunarsci.height_texts import TEXTS, is_ascii_grid, read_ascii, read_nodes, read_table
 from lunarsci.height_units import metres_in
 from lunarsci.names import one_of
+from lunarsci.no_data import USUALLY
 from lunarsci.printable import shortened
 from lunarsci.projections import NO_RASTERIO
 
@@ -76,6 +77,8 @@ def read_grid(
             grid = (read_table if end == ".csv" else read_nodes if end in TEXTS else _read_archive)(*asked)
         grid = grid if values else _without_fill(_in_metres(str(path), grid, unit))
         _check_heights(str(path), grid.height_m)
+        for said in (one for one in grid.read_as if USUALLY in one):
+            warnings.warn(f"{path}: {said}", LunarSciWarning, stacklevel=2)
         return grid
     except DataError:
         raise
@@ -108,11 +111,11 @@ def _without_fill(grid: HeightGrid) -> HeightGrid:
     known = grid.height_m[np.isfinite(grid.height_m)]
     for value in (float(known.min()), float(known.max())) if known.size else ():
         others = known[known != value]
-        if known.size - others.size < FILLED or not others.size:
+        if min(known.size - others.size, others.size) < FILLED:
             continue
         gap = float(np.abs(others - value).min())
         if gap > max(float(np.ptp(others)), LARGEST_STEP * grid.spacing_m):
-            said = f"{known.size - others.size} nodes of {value:g} m are without data: {gap:.3g} m from all others"
+            said = f"{known.size - others.size} nodes of {value:g} m {USUALLY}: {gap:.3g} m from all others"
             height = np.where(grid.height_m == value, np.nan, grid.height_m)
             return replace(grid, height_m=height, read_as=(*grid.read_as, said))
     return grid

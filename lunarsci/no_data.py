@@ -11,6 +11,7 @@ MARKERS = (
     *(-32768.0, -32767.0, -32766.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
 )
 """Numbers that stand for no height: those of ESRI's grids, and the ends of integers of 16 and 32 bits; assumed."""
+USUALLY = "are without data, as such numbers are usually"
 BEYOND = 1e19
 """No height is larger: -3.4e38, 1e20, 1.7e38 and -1e32 stand for none. [m]"""
 
@@ -27,7 +28,7 @@ def without_markers(heights: FloatArray) -> tuple[FloatArray, str]:
         said.append(_of(marker))
         found = np.where(found == marker, np.nan, found)
     lost = int(np.isnan(found).sum() - np.isnan(heights).sum())
-    return found, f"{lost} nodes of {' and '.join(said)} are without data, as such numbers are usually" if said else ""
+    return found, f"{lost} nodes of {' and '.join(said)} {USUALLY}" if said else ""
 
 
 def _of(value: float) -> str:
