@@ -39,7 +39,7 @@ OPTIONS = {
     "until": option("Rows with a time_s after this are left out.", metavar="S"),
     "start_time": option(
         "time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970. Rows "
-        "before it are left out. Without it times count from the start of the plan.",
+        "before it are left out. Without it the start is where the commands are those of the plan.",
         metavar="S",
     ),
     "lag": option(

@@ -38,7 +38,7 @@ class StatesRequest(RoverOnGround):
     track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
     since, until : rows whose time_s is before or after are left out; None takes all. [s]
     start_time : time_s of the start of the plan, by the clock of telemetry and `positions`, such as seconds since 1970;
-        rows before are left out. None: times count from the start of the plan. [s]
+        rows before are left out. None takes that at which the commands are those of the plan. [s]
     lag : by how much positions, headings and attitude are later than the columns of the wheels; they are put back. [s]
     """
 
