@@ -20,7 +20,7 @@ def without_markers(heights: FloatArray) -> tuple[FloatArray, str]:
     """Heights with NaN for what stands for none, and what was taken for that, '' where nothing was.
 
     A marker is a usual one, the lowest or highest number of all, and farther from the next one than that is from the
-    others: a gap that is wider than all of the ground is high. No lunar height is as far from a datum as any of them.
+    others: a gap that is wider than all of the ground is high.
     """
     found = np.where(np.isinf(heights) | (np.abs(heights) > BEYOND), np.nan, heights)
     said = [f"{_of(value)}" for value in np.unique(heights[~np.isnan(heights) & np.isnan(found)])[:1]]

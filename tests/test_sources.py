@@ -41,7 +41,7 @@ SETTINGS = {
         "twin/plans/limits.py: MOST", "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
         "twin/telemetry/findings_of_drive.py: HELD", "twin/telemetry/readings.py: ANY",
         "twin/telemetry/readings.py: AS_NAMED", "twin/telemetry/readings.py: READINGS",
-        "twin/telemetry/smoother.py: MEDIAN_OF_TWO", "twin/telemetry/wheel_readings.py: DEG",
+        "twin/telemetry/smoother.py: MEDIAN_OF_TWO",
         "twin/telemetry/columns.py: DEG", "twin/telemetry/columns.py: UNITS"),
     "the source stands in each of the entries": ("constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
     "places in rows, not numbers of the world": (

@@ -82,7 +82,7 @@ SHARE_OF_LOAD = (
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class ColumnMeaning:
     """What a column is: its quantity, unit ('' where none is named), and whether it is the error of it."""
 
     column: str
@@ -95,24 +95,24 @@ class Written:
         return f"{self.column}_sigma" if self.sigma else self.column
 
 
-def of_name(name: str) -> Written | None:
+def of_name(name: str) -> ColumnMeaning | None:
     """What a column's name says; None for one that names no quantity of a wheel.
 
     >>> of_name("Normal load [kN]"), of_name("DP/W").unit, of_name("slip_travel").unit, of_name("colour")
-    (Written(column='normal_force_n', unit='kn', sigma=False), 'load', 'travel', None)
+    (ColumnMeaning(column='normal_force_n', unit='kn', sigma=False), 'load', 'travel', None)
     """
     words = [word.lower() for word in re.findall(r"[A-Za-z]+|%", name)]
     sigma = "sigma" in words
     words = [word for word in words if word != "sigma" and word not in OF_RUNS]
     whole = "_".join(words)
     if whole in SHARE_OF_LOAD:
-        return Written("drawbar_pull_n", OVER_LOAD, sigma)
+        return ColumnMeaning("drawbar_pull_n", OVER_LOAD, sigma)
     for quantity in QUANTITIES:
         if whole in quantity.names:
-            return Written(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma)
+            return ColumnMeaning(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma)
     for quantity in QUANTITIES:
         if words and words[-1] in quantity.units and "_".join(words[:-1]) in quantity.names:
-            return Written(quantity.column, words[-1], sigma)
+            return ColumnMeaning(quantity.column, words[-1], sigma)
     return None
 
 
@@ -168,7 +168,9 @@ def named_columns(file: str, table: "pd.DataFrame", known: Sequence[str], units:
     columns = {str(name): of_name(str(name)) for name in table.columns if name not in known}
     columns = {name: what for name, what in columns.items() if what and what.target not in table.columns}
     own = [(name, sigma) for name in asked for sigma in (False, True)]
-    columns |= {one.target: one for one in (Written(name, "", sigma) for name, sigma in own) if one.target in table}
+    columns |= {
+        one.target: one for one in (ColumnMeaning(name, "", sigma) for name, sigma in own) if one.target in table
+    }
     said, done = list[str](), table.copy()
     for name, what in columns.items():
         if what is None:
@@ -188,8 +190,8 @@ def named_columns(file: str, table: "pd.DataFrame", known: Sequence[str], units:
             raise DataError(f"{file}: no column normal_force_n, of which '{found[what.target]}' is a share; add it")
         load = numbers_of(file, "normal_force_n", done["normal_force_n"])
         done[what.target] = _cells(load * numbers_of(file, what.target, done[what.target]))
-    bare = [what.column for what in columns.values() if what and not what.unit and not what.sigma]
-    return NamedColumns(done, tuple(said), tuple(one for one in bare if one not in asked), tuple(asked))
+    unitless = [what.column for what in columns.values() if what and not what.unit and not what.sigma]
+    return NamedColumns(done, tuple(said), tuple(one for one in unitless if one not in asked), tuple(asked))
 
 
 def _told(target: str, unit: str) -> str:
@@ -197,7 +199,7 @@ def _told(target: str, unit: str) -> str:
     return target + how.get(unit, f", from {unit}")
 
 
-def _converted(what: Written, unit: str, values: FloatArray) -> FloatArray:
+def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:
     if unit in (TRAVEL, RIM):
         return values if what.sigma else (by_travel(values) if unit == TRAVEL else by_rim(values))
     if re.fullmatch(r"[+-].*", unit):

@@ -21,9 +21,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from sklearn.ensemble import RandomForestRegressor
-from wheels import EARTH, JOINT, RIMS, grouser_runs, part_of, stated, states_of
+from wheels import EARTH, JOINT, RIMS, grouser_runs, part_of, published_curves, states_of
 
 from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.inference.prediction import candidates, compare_laws, predict_forces
@@ -95,17 +94,10 @@ def table(states: WheelStates, blocks: np.ndarray, asked: np.ndarray, wheel: Whe
 
 def published(data: Path) -> None:
     """Print the same of points of published curves, by source and grouser height: the pull at slips left out."""
-    rows = pd.read_csv(data / "wheel/roverdevkit_single_wheel_experiments.csv")
-    for (source, height), group in rows.groupby(["source", "grouser_height_m"]):
-        first = group.iloc[0]
-        wheel = Wheel(radius_m=first.wheel_radius_m, width_m=first.wheel_width_m, grouser_height_m=height)
-        names = ("meas_sinkage_m", "slip", "vertical_load_n", "meas_drawbar_pull_n")
-        sinkage, slip, load, pull = (group[name].to_numpy(float) for name in names)
-        blank = np.full(len(group), np.nan)
-        states = stated(np.column_stack([sinkage, slip, blank, load, pull, blank]))
-        print(f"{source}, grousers of {1e3 * height:.0f} mm: {len(group)} points")
-        blocks = np.unique(slip, return_inverse=True)[1]
-        table(states, blocks, np.ones(len(slip), dtype=bool), wheel, auto=True)
+    for name, (wheel, states) in published_curves(data).items():
+        blocks = np.unique(states.values[:, 1], return_inverse=True)[1]
+        print(f"{name}: {len(states)} points")
+        table(states, blocks, np.ones(len(states), dtype=bool), wheel, auto=True)
 
 
 def main() -> None:

@@ -44,6 +44,7 @@ __all__ = [
     "errors",
     "grouser_runs",
     "left_out",
+    "published_curves",
     "published_points",
     "published_verdicts",
     "stated",
@@ -271,8 +272,8 @@ def published_points(data: Path) -> dict[str, PointErrors]:
     return found
 
 
-def published_verdicts(data: Path) -> dict[str, FitVerdict]:
-    """Of joint fits to points of published curves, by source and grouser height, with the law that predicts best."""
+def published_curves(data: Path) -> dict[str, tuple[Wheel, WheelStates]]:
+    """Points of published curves, by source and grouser height."""
     rows = pd.read_csv(data / "wheel/roverdevkit_single_wheel_experiments.csv")
     found = {}
     for (source, height), group in rows.groupby(["source", "grouser_height_m"]):
@@ -282,9 +283,16 @@ def published_verdicts(data: Path) -> dict[str, FitVerdict]:
         sinkage, slip, load, pull = (group[name].to_numpy(float) for name in names)
         blank = np.full(len(group), np.nan)
         states = stated(np.column_stack([sinkage, slip, blank, load, pull, blank]))
+        found[f"{source}, grousers of {1e3 * height:.0f} mm"] = wheel, states
+    return found
+
+
+def published_verdicts(data: Path) -> dict[str, FitVerdict]:
+    """Of joint fits to points of published curves, by source and grouser height, with the law that predicts best."""
+    found = {}
+    for name, (wheel, states) in published_curves(data).items():
         law, _ = compare_laws(states, wheel, candidates(states))
-        posterior = infer_soil(states, wheel, model=law.model, contact=law.contact)
-        found[f"{source}, grousers of {1e3 * height:.0f} mm"] = posterior.verdict
+        found[name] = infer_soil(states, wheel, model=law.model, contact=law.contact).verdict
     return found
 
 

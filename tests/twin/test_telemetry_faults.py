@@ -26,6 +26,7 @@ from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simu
 from lunarsci.twin.telemetry.state_tables import position_table
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 from lunarsci.twin.telemetry.wheel_motion import wheel_motion
+from lunarsci.twin.telemetry.wheel_readings import in_units
 
 Spoil = Callable[[pd.DataFrame], pd.DataFrame]
 PLAN = Plan(name="test", legs=(Leg(3.0, 0.15), Leg(2.0, -0.13)), speed_m_s=0.05)
@@ -759,3 +760,14 @@ def test_a_turn_on_the_spot_has_a_motion_and_no_slip(yutu2: Rover) -> None:
     assert not found.drive.rows.measured.any() and not found.untrusted
     assert found.drive.motion.yaw_deg[-1] == pytest.approx(out.paths[0, -1, 5], abs=0.5)
     assert np.isnan(found.to_dict()["wheels"]["FL"]["slip_ratio"]["median"])
+
+
+def test_a_clock_in_ms_takes_rests_and_start_along(drive: SyntheticDrive, yutu2: Rover) -> None:
+    sent = csv(drive.telemetry.assign(time_s=1000.0 * drive.telemetry.time_s))
+    told = read_telemetry(InputFile("sent.csv", sent), yutu2, Findings("sent.csv"))
+    told = dataclasses.replace(told, rests_s=((20_000.0, 40_000.0),), start_s=5_000.0)
+    with pytest.warns(LunarSciWarning, match="time_s looks like ms"):
+        found = in_units(told, yutu2, Findings("sent.csv"))
+    assert found.time_s == pytest.approx(drive.telemetry.time_s.to_numpy())
+    assert found.rests_s == ((20.0, 40.0),) and found.start_s == 5.0
+    assert found.rested.sum() == 20

@@ -4,7 +4,7 @@ How far the model itself misses the forces, as shares of the load, from what a f
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -338,25 +338,3 @@ def tail_of(white: FloatArray) -> float:
 
     scores = [score(freedom) for freedom in TAILS]
     return TAILS[int(np.argmax(scores))]
-
-
-ALIKE = (0.6, 30.0)
-"""How far off in slip [-] and side slip [deg] from the states that taught it a law is as wrong as it is elsewhere;
-assumed, some steps between states of wheel tests."""
-LEAST_ELSEWHERE = (0.4, 0.1, 0.1)
-"""Share of the load by which a law misses F_N, F_DP, F_L where nothing taught it, at least: 0.15 to 0.20, and 0.09 to
-0.10, of runs that the best one has not seen (wheel of Pavlov & Johnson 2019, `tests/benchmarks/wheel_blocks.py`)."""
-
-
-def shares_at(model_error: Sequence[float], taught: FloatArray, motion: FloatArray) -> FloatArray:
-    """Share of the load by which the model misses F_N, F_DP, F_L at slips and side slips (n, 2 or more). (n, 3)
-
-    Near states that taught it (m, 2) that is the model error found there. Far from them the largest of the three comes
-    to it, as straight drives say nothing of how well the law knows lateral forces.
-    """
-    share = np.broadcast_to(np.array(model_error), (len(motion), 3))
-    if not len(taught):
-        return share
-    nearest = (((motion[:, None, :2] - taught[None]) / ALIKE) ** 2).sum(axis=2).min(axis=1)
-    elsewhere = np.maximum(share.max(), LEAST_ELSEWHERE)
-    return np.asarray(np.sqrt(share**2 + (-np.expm1(-nearest))[:, None] * elsewhere**2))

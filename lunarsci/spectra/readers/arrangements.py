@@ -214,7 +214,7 @@ def _is_quotient(ratio: FloatArray, over: FloatArray, under: FloatArray) -> bool
 
 
 def _is_count(values: FloatArray) -> bool:
-    """Whether all are the same whole number, or whole numbers beyond any reflectance factor."""
+    """Whether all are the same whole number, from 1 on."""
     known = values[np.isfinite(values)]
     return bool(known.size > 1 and (known == np.round(known)).all() and (known >= 1).all() and known.max() < 1e4
                 and (known == known[0]).all())  # fmt: skip

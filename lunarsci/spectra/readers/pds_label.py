@@ -1,8 +1,8 @@
 """Labels of the Planetary Data System: which tables and images are in which file, and how they are laid out.
 
 PDS3 labels are `KEY = value` lines in nested objects (PDS Standards Reference 3.8, chapter 12), PDS4 labels XML (PDS4
-Standards Reference, 1.22). `pdr` and `pds4_tools` read both and are in the extra `pds`; with the base install only a
-few keys of them are needed, and astropy and numpy read the numbers.
+Standards Reference, 1.22). Few keys of them are needed; astropy and numpy read the numbers. Why not `pdr` for labels of
+VNIS is said in `lunarsci.spectra.vnis.label`; for others neither it nor `pds4_tools` has been tried.
 """
 
 import re

@@ -17,7 +17,7 @@ UNITS = {
     "s": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "min": 60.0, "h": 3600.0},
     "deg": {"rad": DEG, "mrad": 1e-3 * DEG, "turns": 360.0},
     "deg_s": {"rad_s": DEG, "rpm": 6.0},
-    "m_s": {"mm_s": 1e-3, "cm_s": 1e-2, "km_h": 1.0 / 3.6},
+    "m_s": {"cm_s": 1e-2, "mm_s": 1e-3, "km_h": 1.0 / 3.6},
 }
 """What names may end in: the unit that is meant, and those that are read as well with their size in it."""
 UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() for unit in others)])})(?=$|_sigma$)")

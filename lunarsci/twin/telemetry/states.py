@@ -133,7 +133,7 @@ def states_of(
     telemetry = usable_headings(usable_positions(telemetry, way, findings), turned, findings)
     skids = not rover.steered_mask.any()
     meant = as_meant(telemetry, twist, findings, skids=skids, as_planned=as_planned)
-    if (meant.turned_deg != telemetry.turned_deg).any() or (meant.angle_deg != telemetry.angle_deg).any():
+    if meant is not telemetry:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LunarSciWarning)
             sent = _turned(meant, rover, Findings(meant.file), planned=plan is not None)

@@ -15,21 +15,21 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.columns import DEG, UNITS
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.readings import ALIKE, RARE, STRANGE
 
-DEG = math.degrees(1.0)
 AGREE, FASTER, SLOWER = 0.2, 0.25, 1.0
 """Standard deviation, in ln, of one column over another (a motor may be slower than told), and of the fastest rim over
 the rover's highest speed, if it is faster and if it is slower; assumed."""
 TURNING, FEWEST = 0.3, 3
 """Share of the largest turn from which on a row counts, and how many there are at least; assumed."""
-
-
 LEAST_DEG = 1.0
 """Angle of one of both from which on steering counts: it is noise below; assumed. [deg]"""
 STEERING = ("steered_deg", "steering_deg")
 COMMANDED = ("speed_m_s", "steering_deg")
+NAMED = dict.fromkeys(("angle_deg", *STEERING), "deg") | {"rate_deg_s": "deg_s", "speed_m_s": "m_s", "time_s": "s"}
+"""The unit that each column is named by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,19 +46,11 @@ class Unit:
 
 def units_of(rover: Rover) -> dict[str, tuple[Unit, ...]]:
     """The units in which each column may be, the first as it is named."""
-    rim = rover.wheel.shearing_radius_m
-    known = {
-        "angle_deg": (("deg", 1.0), ("rad", DEG), ("turns", 360.0)),
-        "rate_deg_s": (("deg/s", 1.0), ("rad/s", DEG), ("turns a minute", 6.0), ("deg a minute", 1.0 / 60.0)),
-        "speed_m_s": (("m/s", 1.0), ("cm/s", 0.01), ("mm/s", 0.001), ("km/h", 1.0 / 3.6), ("deg/s", rim / DEG),
-                      ("rad/s", rim)),
-        "time_s": (("s", 1.0), ("ms", 0.001), ("minutes", 60.0)),
-        "steered_deg": (("deg", 1.0), ("rad", DEG)),
-        "steering_deg": (("deg", 1.0), ("rad", DEG)),
-    }  # fmt: skip
-    found = {}
-    for name, units in known.items():
-        plain = [Unit(text, factor, STRANGE if k else 0.0) for k, (text, factor) in enumerate(units)]
+    rim, found = rover.wheel.shearing_radius_m, {}
+    for name, own in NAMED.items():
+        others = UNITS[own] | ({"deg_s": rim / DEG, "rad_s": rim} if own == "m_s" else {})
+        plain = [Unit(own.replace("_", "/"), 1.0, 0.0)]
+        plain += [Unit(text.replace("_", "/"), factor) for text, factor in others.items()]
         if name != "time_s":
             turned = "to the right" if name.startswith("steer") else "backwards"
             # What a sensor measures is told by the rover's motion, too.
@@ -158,4 +150,10 @@ def _taken(telemetry: Telemetry, units: dict[str, Unit], findings: Findings) -> 
         lost = math.isnan(factor)
         done = "it is left out" if lost else "taken so; name the unit in the column's name, or convert it"
         findings.add("read as", _words(name, units[name]), done, doubt=lost)
-    return replace(telemetry, **{name: factor * getattr(telemetry, name) for name, factor in changed.items()})
+    clock = changed.get("time_s", 1.0)
+    return replace(
+        telemetry,
+        rests_s=tuple((clock * begin, clock * end) for begin, end in telemetry.rests_s),
+        start_s=clock * telemetry.start_s,
+        **{name: factor * getattr(telemetry, name) for name, factor in changed.items()},
+    )
