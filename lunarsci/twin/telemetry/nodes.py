@@ -16,7 +16,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.filter import ReferenceMotion
 from lunarsci.twin.telemetry.motion_nodes import EFFECTS, SCALE, ErrorChain, Nodes, at_nodes
 from lunarsci.twin.telemetry.nuisances import Priors
-from lunarsci.twin.telemetry.odometry import ground_velocities, shape_effect, slope_effect, wheel_rows
+from lunarsci.twin.telemetry.odometry import ground_velocities, mean_speed, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.slip_process import believed_change
 from lunarsci.twin.telemetry.smoother import Smoothed, probable
@@ -34,13 +34,6 @@ AGREEMENT, LEAST_EFFECT = 0.4, 0.1
 """How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; assumed."""
 GAP_SHARE = 0.2
 """Error of the way over a gap, as a share of it; assumed."""
-
-
-def mean_speed(rim_m_s: FloatArray) -> FloatArray:
-    """Root mean square of the known rims. (n,)"""
-    known = np.isfinite(rim_m_s)
-    squares = np.where(known, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
-    return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
 
 
 def turning(rim_m_s: FloatArray) -> BoolArray:

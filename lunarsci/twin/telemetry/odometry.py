@@ -19,6 +19,13 @@ from lunarsci.twin.telemetry.reading import Findings
 from lunarsci.twin.telemetry.wheel_motion import WheelMotion
 
 
+def mean_speed(rim_m_s: FloatArray) -> FloatArray:
+    """Root mean square of the known rims. (n,)"""
+    known = np.isfinite(rim_m_s)
+    squares = np.where(known, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
+
+
 def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Speed of each wheel along and across its own plane for unit velocities of the rover's origin.
 

@@ -35,7 +35,6 @@ from lunarsci.twin.telemetry.motion_nodes import LAG, LINEAR_S, Nodes, lag_of_tu
 from lunarsci.twin.telemetry.nodes import (
     Rows,
     denser,
-    mean_speed,
     motion_at,
     nodes_of,
     on_ground,
@@ -44,7 +43,7 @@ from lunarsci.twin.telemetry.nodes import (
     within,
 )
 from lunarsci.twin.telemetry.nuisances import LATE_S, Priors
-from lunarsci.twin.telemetry.odometry import body_twist, of_one_motion
+from lunarsci.twin.telemetry.odometry import body_twist, mean_speed, of_one_motion
 from lunarsci.twin.telemetry.plan_checks import by_the_plan, check_ends
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
@@ -148,7 +147,7 @@ def states_of(
 def _turned(telemetry: Telemetry, rover: Rover, findings: Findings, *, planned: bool) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
-    wheels = wheel_motion(telemetry, rover, gaps, findings, planned=planned)
+    wheels = wheel_motion(telemetry, rover, gaps, findings)
     angle, known = steering_angles(telemetry, rover, findings)
     wheels, steering = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1]), np.radians(angle)
     return Rows(telemetry, of_one_motion(wheels, rover, 0.5 * (steering[1:] + steering[:-1]), findings), steering, gaps)

@@ -1,6 +1,15 @@
-"""How the wheels turned: their encoders, checked against each other, the rates and the commands."""
+"""How the wheels turned between rows: which of their encoders, rates and commands tell it, by how well they agree.
 
+Of a step an encoder counts, has begun anew after whole turns, or says nothing, as after a reset; a rate tells the turn
+or says nothing; a command is obeyed or not. Each set of these has odds beforehand, and what it takes for true must
+agree within its errors. The most probable set is taken for every step and wheel.
+"""
+
+import itertools
+import math
+import warnings
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,21 +17,20 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.repeats import held
 from lunarsci.twin.telemetry.rests import TURNED_DEG
 from lunarsci.twin.telemetry.wheel_readings import between
 
-MISFIT = 0.25
-"""Share of the expected turn, and [deg] `MISFIT_DEG`, by which an encoder's step may differ from its rate; assumed."""
-MISFIT_DEG = 3.0
-"""See `MISFIT`."""
-CLOCK_SHARE = 0.4
-"""Share of a step between rows by which the clock may differ from all wheels unsaid; assumed."""
-STUCK_ROWS = 4
-"""Equal readings in a row of something that moves are a sensor that hangs; assumed."""
+SIGMA_DEG, RATE_SHARE, TOLD_SHARE = 1.0, 0.1, 0.2
+"""Standard errors of turns between rows: of all [deg], of rates and of commands as shares; assumed."""
+ANY_DEG = 360.0
+"""Width of what a reading that says nothing may be, beside its own size: a turn."""
+LN_NOTHING = {"angle": math.log(0.01), "rate": math.log(0.005), "told": math.log(0.02)}
+"""Odds beforehand, of a step, that a witness says nothing of it; assumed."""
+LN_WRAP, LN_CLOCK = math.log(0.02), math.log(1e-4)
+"""Odds beforehand, of a step, that an encoder begins anew after whole turns, and that the clock jumps; assumed."""
 STILL_SHARE = 0.05
 """Share of the usual rim speed below which a wheel stands; assumed."""
-MOSTLY = 0.6
-"""Share of equal readings above which a channel is merely coarse or free of noise; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,33 +58,37 @@ class WheelMotion:
         return np.asarray((np.abs(np.nan_to_num(self.rim_m_s)) > STILL_SHARE * self.usual_m_s).any(axis=1))
 
 
-def wheel_motion(
-    telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: Findings, *, planned: bool = False
-) -> WheelMotion:
-    """Rim speeds from encoders, where these fail from rates, else from commands.
+def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: Findings) -> WheelMotion:
+    """Rim speeds from encoders, where these say nothing from rates, else from commands.
 
-    `gaps` are steps between rows over which nothing was sent (n - 1,); `planned` says that the clock will be compared
-    with a plan too. Resets and wraps of an encoder, readings that hang, runs without a reading, and a clock that jumps
-    against all encoders are said. Raises DataError where no wheel turns, and for rows that tell of none.
+    `gaps` are steps between rows over which nothing was sent. (n - 1,) Readings that hang or say nothing, wraps, runs
+    without a reading, and a clock that jumps against all encoders are said. Raises DataError where no wheel turns, and
+    for rows that tell of none.
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
-    told = between(telemetry.speed_m_s) / per_deg
-    angle = np.diff(telemetry.angle_deg, axis=0)
-    hung = _hanging_angles(telemetry, rover, angle, np.where(np.isfinite(told), told, between(telemetry.rate_deg_s)))
+    told = between(telemetry.speed_m_s) / per_deg * steps
+    angle, rates = np.diff(telemetry.angle_deg, axis=0), telemetry.rate_deg_s.copy()
+    # An encoder that hangs beside what its rate, else its command, says; a rate that hangs has no noise any more.
+    expected = _since_start(np.where(np.isfinite(between(rates)), between(rates) * steps, told))
+    hung, same = np.zeros((2, *rates.shape), dtype=bool)
+    for k in range(len(rover.wheels)):
+        hung[:, k] = held(telemetry.angle_deg[:, k], 1.0, expected[:, k], SIGMA_DEG)
+        turns = np.abs(np.nan_to_num(rates[:, k])) > 0
+        repeats = float((np.diff(rates[:, k]) == 0)[turns[1:]].mean()) if turns[1:].any() else 1.0
+        same[:, k] = held(rates[:, k], max(repeats, 0.5 / len(rates)), np.zeros(len(rates)), 1.0) & turns
+    others = np.isfinite(angle).any(axis=0) | np.isfinite(told).any(axis=0)
+    rates[same & others] = np.nan
     # The step at which an encoder that hung moves on holds all it missed.
-    angle[hung | np.vstack([np.zeros_like(hung[:1]), hung[:-1]])] = np.nan
-    rate = between(_sound_rates(telemetry, rover, angle / steps, told, findings, hung))
+    angle[hung[1:] | hung[:-1]] = np.nan
+    rate = between(rates) * steps
     # Noise of a wheel that stands is no motion: over hours it would add up to one.
     for turn in (told, rate, angle):
         turn[resting] *= 0.0
-    expected = np.where(np.isfinite(rate), rate, told) * steps
-    angle = _mended_steps(telemetry, rover, angle, expected, gaps, findings)
-    measured = np.where(np.isfinite(angle), angle / steps, np.where(hung, np.nan, rate))
-    _clock_steps(telemetry, angle, expected, gaps, findings, planned=planned)
-    _missing(telemetry, rover, measured, hung, findings)
-    told_share = _obedience(measured, told)
-    rim = per_deg * np.where(np.isfinite(measured), measured, told)
+    went = _turns(telemetry, angle, rate, told, per_deg, gaps)
+    measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
+    _say(telemetry, rover, went, hung[1:], same & others, ~np.isfinite(measured), findings)
+    rim, known = per_deg * np.where(np.isfinite(measured), measured, told / steps), np.isfinite(measured)
     fast = np.abs(rim[np.isfinite(rim)])
     usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
     if usual == 0:
@@ -87,13 +99,12 @@ def wheel_motion(
             f"{telemetry.file}: between {begin:.6g} and {end:.6g} s no wheel has an angle, a rate or a command of use, "
             f"in {int(blank.sum())} steps in all; leave these rows out, or give speed_W_m_s"
         )
-    known = np.isfinite(measured)
     return WheelMotion(
         rim_m_s=rim,
         measured=known,
         trusted=known if known.any() else np.isfinite(rim),
         usual_m_s=usual,
-        told_share=told_share,
+        told_share=_obedience(measured, told / steps),
     )
 
 
@@ -108,117 +119,143 @@ def resting_steps(telemetry: Telemetry) -> BoolArray:
     return np.asarray(resting | telemetry.rested)
 
 
-def _mended_steps(
+def _since_start(turn_deg: FloatArray) -> FloatArray:
+    return np.vstack([np.zeros_like(turn_deg[:1]), np.cumsum(np.nan_to_num(turn_deg), axis=0)])
+
+
+class _Turns(NamedTuple):
+    """What tells the turn of every step and wheel.
+
+    counts, tells : whether the encoder does, and whether the rate. (n - 1, wheels)
+    wraps : whole turns by which the encoder began anew. (n - 1, wheels)
+    off_deg : by how much the encoder is off the rate, else the command. (n - 1, wheels) [deg]
+    clock : how much more time went by than the clock says, 1 where it does not jump. (n - 1,)
+    """
+
+    counts: BoolArray
+    tells: BoolArray
+    wraps: FloatArray
+    off_deg: FloatArray
+    clock: FloatArray
+
+
+def _turns(
+    telemetry: Telemetry, angle: FloatArray, rate: FloatArray, told: FloatArray, per_deg: float, gaps: BoolArray
+) -> _Turns:
+    """The most probable set of witnesses, of turns that encoders, rates and commands say. (n - 1, wheels) [deg]"""
+    steps, sigma = np.diff(telemetry.time_s)[:, None], {"angle": np.full_like(angle, SIGMA_DEG)}
+    for name, turn, rows, share in (
+        ("rate", rate, telemetry.rate_deg_s, RATE_SHARE),
+        ("told", told, telemetry.speed_m_s / per_deg, TOLD_SHARE),
+    ):
+        changes = 0.5 * np.abs(np.nan_to_num(np.diff(rows, axis=0))) * steps
+        sigma[name] = np.sqrt(SIGMA_DEG**2 + (share * np.nan_to_num(turn)) ** 2 + changes**2)
+    if np.isfinite(angle).any() and not (np.isfinite(rate).any() or np.isfinite(told).any()):
+        # A wheel whose encoder alone tells turns about as far as it mostly does.
+        told, sigma["told"] = np.nanmedian(angle, axis=0) + 0.0 * angle, np.full_like(angle, ANY_DEG / 4.0)
+    known = np.isfinite(rate)
+    found = _likeliest({"angle": angle, "rate": rate, "told": told}, sigma, np.full(angle.shape[1], LN_WRAP))
+    # An encoder that wraps does so often; how many whole turns a gap hides nobody knows.
+    wraps = (found.wraps != 0).mean(axis=0)
+    angle = np.where(gaps[:, None] & (wraps > 0), np.nan, angle)
+    expected = np.where(known, rate, told)
+    clock = _clock(angle, expected, np.where(known, sigma["rate"], sigma["told"]))
+    turns = {"angle": angle, "rate": clock[:, None] * rate, "told": clock[:, None] * told}
+    found = _likeliest(turns, sigma, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
+    return found._replace(clock=clock, off_deg=angle - clock[:, None] * expected)
+
+
+def _ln_agree(off_deg: FloatArray, variance: FloatArray) -> FloatArray:
+    """ln of how much more probable what differs so is where both tell the same than where one says nothing."""
+    return np.asarray(math.log(ANY_DEG) - 0.5 * (off_deg**2 / variance + np.log(2.0 * np.pi * variance)))
+
+
+def _likeliest(turns: dict[str, FloatArray], sigma: dict[str, FloatArray], ln_wrap: FloatArray) -> _Turns:
+    shape = turns["angle"].shape
+    best, counts, tells, wraps = np.full(shape, -np.inf), np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape)
+    for taken in itertools.product((True, False), repeat=3):
+        ln, mean, precision, turned = np.zeros((4, *shape))
+        for name, true in zip(("told", "rate", "angle"), taken, strict=True):
+            known, value = np.isfinite(turns[name]), np.nan_to_num(turns[name])
+            if not true:
+                ln += np.where(known, LN_NOTHING[name], 0.0)
+                continue
+            if precision.any():
+                variance, off = sigma[name] ** 2 + 1.0 / precision, value - mean
+                agree = _ln_agree(off, variance)
+                if name == "angle":
+                    whole = np.rint(off / 360.0)
+                    anew = np.where(whole != 0, _ln_agree(off - 360.0 * whole, variance) + ln_wrap, -np.inf)
+                    turned, agree = np.where(anew > agree, whole, 0.0), np.maximum(agree, anew)
+                ln += agree
+            weight = sigma[name] ** -2
+            mean = (precision * mean + weight * (value - 360.0 * turned)) / (precision + weight)
+            precision = precision + weight
+            ln[~known] = -np.inf
+        better = ln > best
+        best = np.where(better, ln, best)
+        counts, tells = np.where(better, taken[2], counts), np.where(better, taken[1], tells)
+        wraps = np.where(better, turned, wraps)
+    return _Turns(counts, tells, wraps, np.full(shape, np.nan), np.ones(len(best)))
+
+
+def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatArray:
+    """How much more time went by than the clock says, where all encoders together say so. (n - 1,)"""
+    turning = np.isfinite(angle) & (np.abs(expected) > 3.0 * SIGMA_DEG)
+    share = np.ones(angle.shape)
+    share[turning] = angle[turning] / expected[turning]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        ratio = np.nan_to_num(np.nanmedian(np.where(turning, share, np.nan), axis=1), nan=1.0)
+
+    def ln_of(off_deg: FloatArray) -> FloatArray:
+        ln = np.logaddexp(_ln_agree(off_deg, sigma**2 + SIGMA_DEG**2), LN_NOTHING["angle"])
+        return np.asarray(np.where(turning, ln, 0.0).sum(axis=1))
+
+    gain = ln_of(np.nan_to_num(angle - ratio[:, None] * expected)) - ln_of(np.nan_to_num(angle - expected))
+    return np.where((gain + LN_CLOCK > 0) & (ratio >= 0), ratio, 1.0)
+
+
+def _say(
     telemetry: Telemetry,
     rover: Rover,
-    step: FloatArray,
-    expected: FloatArray,
-    gaps: BoolArray,
+    went: _Turns,
+    hung: BoolArray,
+    same: BoolArray,
+    lost: BoolArray,
     findings: Findings,
-) -> FloatArray:
-    """Turns between rows from the encoders, without wraps, NaN at resets. (n - 1, wheels) [deg]"""
-    if not np.isfinite(step).any():
-        return step
-    if not np.isfinite(expected).any():
-        return _nearest_turns(telemetry, rover, step, findings)
-    step, off = step.copy(), step - expected
-    wrong = np.abs(off) > _tolerance(expected)
-    # Over a gap the wheels may have stopped: any turn up to the expected one may be right.
-    wrong[gaps] &= (step * np.sign(expected) < -MISFIT_DEG)[gaps] | (np.abs(step) > 1.5 * np.abs(expected))[gaps]
-    # What all wheels do at once, forwards, is the clock, not an encoder.
-    wrong &= ~(np.sum(wrong, axis=1) > 0.5 * wrong.shape[1])[:, None] | (np.sign(step) != np.sign(expected))
-    for k, wheel in enumerate(rover.wheels):
-        rows = np.flatnonzero(wrong[:, k])
-        if not rows.size:
-            continue
-        turns = off[rows, k] / 360.0
-        wrapped = np.abs(turns - np.rint(turns)) * 360.0 < MISFIT_DEG + MISFIT * np.abs(expected[rows, k])
-        wrapped &= np.rint(turns) != 0
-        step[rows[wrapped], k] -= 360.0 * np.rint(turns[wrapped])
-        step[rows[~wrapped], k] = np.nan
-        if wrapped.any():
-            # Nobody knows how many whole turns a gap hides.
-            step[gaps, k] = np.nan
-        for kind, which, done in (
-            ("encoder wrap", wrapped, "whole turns added"),
-            ("encoder reset", ~wrapped & ~gaps[rows], "its rate, else the command, is taken for these steps"),
-            ("encoder over a gap", ~wrapped & gaps[rows], "its rate beside the gap is taken"),
-        ):
-            if which.any():
-                row = rows[int(np.argmax(which))]
-                what = f"the angle of wheel {wheel} jumps by {off[row, k]:+.4g} deg against its rate"
-                first = float(telemetry.time_s[row + 1])
-                findings.add(kind, what, done, count=int(which.sum()), time_s=first)
-    return step
-
-
-def _nearest_turns(telemetry: Telemetry, rover: Rover, step: FloatArray, findings: Findings) -> FloatArray:
-    """The same where neither rates nor commands tell the turn: of an angle that stays within one turn the nearest."""
-    step = step.copy()
-    for k, wheel in enumerate(rover.wheels):
-        angle, jumps = telemetry.angle_deg[:, k], np.abs(np.nan_to_num(step[:, k])) > 180.0
-        if jumps.any() and np.nanmax(angle) - np.nanmin(angle) <= 360.0:
-            first = float(telemetry.time_s[int(np.argmax(jumps)) + 1])
-            step[jumps, k] -= 360.0 * np.rint(step[jumps, k] / 360.0)
-            what = f"the angle of wheel {wheel} begins anew after each turn"
-            findings.add("encoder wrap", what, "whole turns added", count=int(jumps.sum()), time_s=first)
-    return step
-
-
-def _tolerance(expected: FloatArray) -> FloatArray:
-    """How far an encoder's step may be off. [deg]"""
-    largest = float(np.max(np.abs(expected), where=np.isfinite(expected), initial=0.0))
-    usual = float(np.nanmedian(np.abs(expected))) if np.isfinite(expected).any() else 0.0
-    return np.maximum(MISFIT_DEG + MISFIT * np.abs(expected), 0.5 * min(usual, largest))
-
-
-def _hanging_angles(telemetry: Telemetry, rover: Rover, step: FloatArray, wanted: FloatArray) -> BoolArray:
-    """Steps at which an encoder repeats itself while its wheel should turn. (n - 1, wheels)"""
-    largest = float(np.max(np.abs(wanted), where=np.isfinite(wanted), initial=0.0))
-    should = np.abs(np.nan_to_num(wanted)) > 0.3 * largest
-    hung = np.zeros(step.shape, dtype=bool)
-    for k in range(step.shape[1]):
-        hung[:, k] = _long_runs(should[:, k] & (step[:, k] == 0))
-    return hung
-
-
-def _sound_rates(
-    telemetry: Telemetry,
-    rover: Rover,
-    turned: FloatArray,
-    told: FloatArray,
-    findings: Findings,
-    stuck: BoolArray,
-) -> FloatArray:
-    """Rates without those that hang, or that encoder and command both deny. (n, wheels) [deg/s]"""
-    rate = telemetry.rate_deg_s.copy()
-    middles = between(rate)
-    for k, wheel in enumerate(rover.wheels):
-        hung = stuck[:, k]
-        if hung.any():
-            what = f"the angle of wheel {wheel} does not change while it is to turn: stuck wheel or sensor"
-            first = float(telemetry.time_s[int(np.argmax(hung))])
-            findings.add("stuck", what, "its states are not valid there", count=int(hung.sum()), time_s=first)
-        same = np.append(False, np.diff(rate[:, k]) == 0)
-        still = np.abs(np.nan_to_num(rate[:, k])) == 0
-        runs = _long_runs(same & ~still) if same.mean() < MOSTLY else np.zeros(len(same), dtype=bool)
-        both = np.abs(middles[:, k] - told[:, k]) > MISFIT_DEG + MISFIT * np.abs(told[:, k])
-        both &= np.abs(turned[:, k] - told[:, k]) < MISFIT_DEG + MISFIT * np.abs(told[:, k])
-        odd = np.zeros(len(same), dtype=bool)
-        odd[:-1] |= both
-        odd[1:] |= both
-        odd &= ~runs
-        for kind, rows, what in (
-            ("stuck", runs, f"the rate of wheel {wheel} stays the same to the last digit"),
-            ("odd rate", odd, f"the rate of wheel {wheel} is denied by its angle and by its command"),
-        ):
-            if rows.any():
-                first = float(telemetry.time_s[int(np.argmax(rows))])
-                other = bool(np.isfinite(turned[:, k]).any() or np.isfinite(told[:, k]).any())
-                done = "left out; its angle or command is taken" if other else "kept, as nothing else tells its turn"
-                findings.add(kind, what, done, count=int(rows.sum()), time_s=first)
-                rate[rows, k] = np.nan if other else rate[rows, k]
-    return rate
+) -> None:
+    """Say what does not tell the turn of a wheel, or tells it otherwise."""
+    blank = lost & ~hung
+    if blank.all():
+        done = "the commanded speeds are taken: slip holds as far as the wheels obeyed"
+        findings.add("no encoders", "neither angles nor rates of the wheels", done, count=len(blank))
+        return
+    jumps, known = "the angle of wheel {} jumps by {:+.4g} deg against its rate", np.isfinite(went.off_deg)
+    odd, rate = ~went.tells & went.counts, np.isfinite(between(telemetry.rate_deg_s))
+    for kind, where, what, done in (
+        ("stuck", hung, "the angle of wheel {} does not change while it is to turn: stuck wheel or sensor",
+         "its rate is taken there; without one its states are not valid"),
+        ("stuck", same, "the rate of wheel {} stays the same to the last digit",
+         "left out; its angle or command is taken"),
+        ("encoder wrap", went.counts & (went.wraps != 0), jumps, "whole turns added"),
+        ("encoder reset", ~went.counts & known, jumps, "its rate, else the command, is taken for these steps"),
+        ("odd rate", odd & rate & ~same[1:], "the rate of wheel {} is denied by its angle",
+         "left out; its angle is taken"),
+        ("missing readings", blank, "neither angle nor rate of wheel {}", "its states are not valid there"),
+    ):  # fmt: skip
+        for k in np.flatnonzero(where.any(axis=0)):
+            row = int(np.argmax(where[:, k]))
+            text = what.format(rover.wheels[k], went.off_deg[min(row, len(went.off_deg) - 1), k])
+            findings.add(kind, text, done, count=int(where[:, k].sum()), time_s=float(telemetry.time_s[row]))
+    if (jumped := went.clock != 1.0).any():
+        first, step_s = int(np.argmax(jumped)), np.diff(telemetry.time_s)
+        what = (
+            f"the clock counts {step_s[first]:.4g} s where the wheels turned for {(went.clock * step_s)[first]:.4g} s"
+        )
+        done = "slip rests on the wheels' angles, but times after it may not fit those before"
+        first_s = float(telemetry.time_s[first])
+        findings.add("clock step", what, done, count=int(jumped.sum()), time_s=first_s, doubt=True)
 
 
 def _obedience(measured: FloatArray, told: FloatArray) -> float:
@@ -226,82 +263,3 @@ def _obedience(measured: FloatArray, told: FloatArray) -> float:
     both = np.isfinite(measured) & np.isfinite(told)
     both &= np.abs(told) > 0.3 * np.max(np.abs(told), where=np.isfinite(told), initial=0.0)
     return float(np.median(measured[both] / told[both])) if both.any() else 1.0
-
-
-def _long_runs(on: BoolArray, least: int = STUCK_ROWS) -> BoolArray:
-    """Where something holds for at least so many steps in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
-    result = np.zeros(on.shape, dtype=bool)
-    for begin, end in edges.reshape(-1, 2):
-        result[begin:end] = end - begin >= least
-    return result
-
-
-def _clock_steps(
-    telemetry: Telemetry,
-    angle: FloatArray,
-    expected: FloatArray,
-    gaps: BoolArray,
-    findings: Findings,
-    *,
-    planned: bool,
-) -> None:
-    """Steps at which all encoders together say that another time went by than the clock says."""
-    steps = np.diff(telemetry.time_s)
-    largest = float(np.max(np.abs(expected[~gaps]), where=np.isfinite(expected[~gaps]), initial=0.0))
-    turning = np.isfinite(angle) & (np.abs(expected) > 0.3 * largest)
-    enough = turning.sum(axis=1) >= 0.5 * turning.shape[1]
-    if not enough.any():
-        return
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(turning, angle / expected, np.nan)
-    shares = np.ones(len(steps))
-    shares[enough] = np.nanmedian(ratio[enough], axis=1)
-    went, usual = shares * steps, float(np.median(steps))
-    wrong = (
-        enough & _steady(telemetry) & (np.abs(went - steps) > CLOCK_SHARE * np.maximum(np.minimum(steps, went), usual))
-    )
-    for kind, rows, why, doubt in (
-        ("clock step", wrong & ~gaps, "", True),
-        ("halt or clock step", wrong & gaps, ": they stopped within the gap, or the clock jumped", not planned),
-    ):
-        if rows.any():
-            first = int(np.argmax(rows))
-            findings.add(
-                kind,
-                f"the clock counts {steps[first]:.4g} s where the wheels turned for {went[first]:.4g} s{why}",
-                "slip rests on the wheels' angles, but times after it may not fit those before",
-                count=int(rows.sum()),
-                time_s=float(telemetry.time_s[first]),
-                doubt=doubt,
-            )
-
-
-def _steady(telemetry: Telemetry) -> BoolArray:
-    """Steps over which the wheels keep their rates: a change of speed is no step of the clock. (n - 1,)"""
-    rates = np.abs(telemetry.rate_deg_s)
-    if not np.isfinite(rates).any():
-        return np.ones(len(rates) - 1, dtype=bool)
-    rate = np.median(np.nan_to_num(rates), axis=1)
-    return np.asarray(np.abs(np.diff(rate)) <= 0.2 * np.maximum(rate[1:], rate[:-1]))
-
-
-def _missing(telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: BoolArray, findings: Findings) -> None:
-    lost = ~np.isfinite(measured) & ~hung
-    if not lost.any():
-        return
-    if lost.all():
-        done = "the commanded speeds are taken: slip holds as far as the wheels obeyed"
-        findings.add("no encoders", "neither angles nor rates of the wheels", done, count=len(lost))
-        return
-    for k, wheel in enumerate(rover.wheels):
-        if lost[:, k].any():
-            first = float(telemetry.time_s[int(np.argmax(lost[:, k]))])
-            what = f"neither angle nor rate of wheel {wheel}"
-            findings.add(
-                "missing readings",
-                what,
-                "its states are not valid there",
-                count=int(lost[:, k].sum()),
-                time_s=first,
-            )
