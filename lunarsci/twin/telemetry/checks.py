@@ -14,6 +14,7 @@ from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.repeats import held
 from lunarsci.twin.telemetry.rests import GAP
 
 LEAST_ROWS = 5
@@ -107,12 +108,9 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     return gaps
 
 
-OFF_DEG = 5.0
-"""Difference of measured and commanded steering that no motor on its way makes; assumed. [deg]"""
-SPIKES = 0.2
-"""Share of rows up to which such differences are taken for bad readings; assumed."""
-STUCK_DEG, STUCK_ROWS = 2.0, 4
-"""Change of the command [deg] over so many equal readings from which on a sensor hangs; assumed."""
+OFF_DEG, STEERED_DEG = 5.0, 0.5
+"""Difference of measured and commanded steering that no motor on its way makes, and standard error of one from the
+other; assumed. [deg]"""
 
 
 def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> tuple[FloatArray, BoolArray]:
@@ -145,24 +143,28 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
 
 
 def _mend(telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, told: FloatArray, findings: Findings) -> None:
-    """Put the command in the place of readings that hang or spike, in one wheel's column of `measured`."""
+    """Put the command in the place of readings that hang or spike, in one wheel's column of `measured`.
+
+    Where most readings are off their commands, it is these that are others.
+    """
     both = np.isfinite(measured[:, k]) & np.isfinite(told[:, k])
-    hung = np.zeros(len(both), dtype=bool)
-    same = np.flatnonzero(np.append(True, np.diff(measured[:, k]) != 0))
-    for begin, end in zip(same, [*same[1:], len(both)], strict=True):
-        piece = told[begin:end, k]
-        hung[begin + 1 : end] = end - begin >= STUCK_ROWS and bool(np.nan_to_num(np.ptp(piece)) > STUCK_DEG)
-    off = both & ~hung & (np.abs(measured[:, k] - told[:, k]) > OFF_DEG)
+    if not both.any():
+        return
+    hung, off = np.zeros((2, len(both)), dtype=bool)
+    hung[both] = held(measured[both, k], 1.0, told[both, k], STEERED_DEG)
+    off[both] = np.abs(measured[both, k] - told[both, k]) > OFF_DEG
+    off &= ~hung
+    obeyed = not np.median(off[both])
     for kind, rows, what in (
         ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change"),
         ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command"),
     ):
         if rows.any():
-            few = kind == "stuck" or bool(rows.sum() <= SPIKES * both.sum())
-            done = "the command is taken there" if few else "the measured angle is taken"
+            mended = kind == "stuck" or obeyed
+            done = "the command is taken there" if mended else "the measured angle is taken"
             first = float(telemetry.time_s[int(np.argmax(rows))])
-            findings.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=not few)
-            if few:
+            findings.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=not mended)
+            if mended:
                 measured[rows, k] = told[rows, k]
 
 

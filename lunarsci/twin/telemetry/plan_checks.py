@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.checks import UNDER_WAY, taken
@@ -102,25 +102,27 @@ class _Halt(NamedTuple):
 class _Way(NamedTuple):
     """Commands over the way of the rims, in rows or steps in which these move.
 
-    Time (n,) [s]; way (n,) [m]; steering (n, wheels) [deg]; speed of each rim over their mean (n, wheels) [-].
+    Time (n,) [s]; way (n,) [m]; steering [deg], or where no wheel is steered speed of each rim over their mean
+    (n, wheels); their usual speed [m/s].
     """
 
     time_s: FloatArray
     way_m: FloatArray
-    steering_deg: FloatArray
-    shares: FloatArray
+    command: FloatArray
     speed_m_s: float
 
     @classmethod
-    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, steering_deg: FloatArray) -> "_Way | None":
+    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, steering_deg: FloatArray | None) -> "_Way | None":
         """From commands at times; None where nothing moves."""
         mean = mean_speed(speed_m_s)
         moving = mean > UNDER_WAY * np.max(mean, initial=0.0)
         if moving.sum() < 2:
             return None
         steps = np.where(moving[1:] & moving[:-1], 0.5 * (mean[1:] + mean[:-1]) * np.diff(time_s), 0.0)
-        way, usual = np.append(0.0, np.cumsum(steps)), float(np.median(mean[moving]))
-        return cls(time_s[moving], way[moving], steering_deg[moving], speed_m_s[moving] / mean[moving, None], usual)
+        way, shares = np.append(0.0, np.cumsum(steps))[moving], speed_m_s[moving] / mean[moving, None]
+        return cls(
+            time_s[moving], way, shares if steering_deg is None else steering_deg[moving], np.median(mean[moving])
+        )
 
 
 class _Beside:
@@ -137,24 +139,24 @@ class _Beside:
 
     def __init__(self, sent: _Way, told: _Way, schedule: Schedule, rover: Rover) -> None:
         self.rover, self.schedule, self.told = rover, schedule, told
+        self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
         self.pace, self.sent, end = sent.speed_m_s / told.speed_m_s, sent, float(told.way_m[-1])
-        found = list[tuple[float, _Way, float]]()
         # Faster wheels go as far in less time, or are of another size and go farther.
-        for scale in (1.0, self.pace):
-            self.sent = sent._replace(way_m=sent.way_m / scale)
-            by_clock = float(np.interp(sent.time_s[0], told.time_s, told.way_m)) - self.sent.way_m[0]
-            found.append((self._ln_of(by_clock), self.sent, by_clock))
-            if found[0][0] > LN_OFFSET:
-                break
-            start, way = -self.sent.way_m[0], self.sent.way_m[-1] + end
-            coarse = self._best(
-                np.append(start, np.linspace(-self.sent.way_m[-1], end, min(MOST_TRIED, int(way / STEP_M))))
-            )
-            fine = self._best(coarse + np.arange(-way / MOST_TRIED, way / MOST_TRIED, STEP_M / 2.0))
-            found += [(self._ln_of(one) + LN_OFFSET, self.sent, one) for one in (start, coarse, fine)]
-        _, self.sent, self.offset_m = max(found, key=lambda one: one[0])
+        scaled = [sent._replace(way_m=sent.way_m / scale) for scale in (1.0, self.pace)]
+        starts = [float(np.interp(sent.time_s[0], told.time_s, told.way_m)) - one.way_m[0] for one in scaled]
+        ln = [self._ln_of(*one) for one in zip(scaled, starts, strict=True)]
+        if max(ln) < LN_OFFSET:
+            for one in tuple(scaled):
+                first, last = one.way_m[[0, -1]]
+                step = max(STEP_M, (last + end) / MOST_TRIED)
+                coarse = self._best(one, np.append(-first, np.arange(-last, end, step)))
+                fine = self._best(one, coarse + np.arange(-step, step, STEP_M / 2.0))
+                scaled, starts = [*scaled, one, one, one], [*starts, -first, coarse, fine]
+                ln += [self._ln_of(one, offset_m) + LN_OFFSET for offset_m in (-first, coarse, fine)]
+        best = int(np.argmax(ln))
+        self.sent, self.offset_m = scaled[best], starts[best]
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)
-        self.off, self.inside = self._steered(self.offset_m), self._inside(self.offset_m)
+        self.off, self.inside = self._compared(self.sent, self.offset_m)
         self.planned_s = np.interp(way + self.offset_m, told.way_m, told.time_s)
         within = float(length[self.inside].sum())
         short = within < COVERED * min(float(length.sum()), end)
@@ -166,40 +168,37 @@ class _Beside:
         per_deg, times = math.radians(rover.wheel.shearing_radius_m), telemetry.time_s
         speed = telemetry.speed_m_s if np.isfinite(telemetry.speed_m_s).any() else telemetry.rate_deg_s * per_deg
         if not np.isfinite(speed).any():
-            step = np.diff(telemetry.angle_deg, axis=0) / np.diff(times)[:, None] * per_deg
+            step = np.diff(telemetry.angle_deg, axis=0)
+            if np.nanmax(np.ptp(telemetry.angle_deg, axis=0)) <= 360.0:
+                step -= 360.0 * np.rint(step / 360.0)
+            step *= per_deg / np.diff(times)[:, None]
             speed = np.vstack([step[:1], between(step), step[-1:]])
         steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
-        sent = _Way.of(times, speed, steering)
         grid = np.linspace(0.0, schedule.duration_s, max(2, math.ceil(schedule.duration_s / 0.1)))
-        commands = commands_at(rover, schedule, grid)
-        told = _Way.of(grid, commands.speed_m_s, np.degrees(commands.steering_rad))
+        commands, steers = commands_at(rover, schedule, grid), rover.steered_mask.any()
+        sent = _Way.of(times, speed, steering if steers else None)
+        told = _Way.of(grid, commands.speed_m_s, np.degrees(commands.steering_rad) if steers else None)
         return None if sent is None or told is None else cls(sent, told, schedule, rover)
 
-    def _best(self, offsets_m: FloatArray) -> float:
-        return float(offsets_m[np.argmax([self._ln_of(float(one)) for one in offsets_m])])
+    def _best(self, sent: _Way, offsets_m: FloatArray) -> float:
+        return float(offsets_m[np.argmax([self._ln_of(sent, float(one)) for one in offsets_m])])
 
-    def _ln_of(self, offset_m: float) -> float:
+    def _ln_of(self, sent: _Way, offset_m: float) -> float:
         """ln of how probable an offset is, up to a constant."""
-        way = self.sent.way_m
-        some = np.arange(0, len(way), 1 + len(way) // MOST_TRIED)
-        inside, steps = self._inside(offset_m)[some], np.gradient(way)[some] * len(way) / len(some)
+        some = slice(None, None, 1 + len(sent.way_m) // MOST_TRIED)
+        off, inside = self._compared(sent, offset_m, some)
+        steps = np.gradient(sent.way_m)[some] * len(sent.way_m) / len(off)
         # Of the way in one, the part that is not in the other is as wrong as other commands are.
-        wrong = steps[self._steered(offset_m, some).any(axis=1) | ~inside].sum()
-        return LN_OFF_M * float(wrong + max(self.told.way_m[-1] - steps[inside].sum(), 0.0))
+        missed = max(self.told.way_m[-1] - steps[inside].sum(), 0.0)
+        return LN_OFF_M * float(steps[off.any(axis=1) | ~inside].sum() + missed)
 
-    def _inside(self, offset_m: float) -> BoolArray:
-        way = self.sent.way_m + offset_m
-        return np.asarray((way >= -STEP_M) & (way <= self.told.way_m[-1] + STEP_M))
-
-    def _steered(self, offset_m: float, rows: slice | IndexArray = slice(None)) -> BoolArray:
-        """Where steering, then speed, of each wheel is not that of the plan, nor just before or behind. (rows, 2 w)"""
-        wrong, told = None, np.hstack([self.told.steering_deg / STEERING_DEG, self.told.shares / SPEED_SHARE])
-        sent = np.hstack([self.sent.steering_deg / STEERING_DEG, self.sent.shares / SPEED_SHARE])[rows]
+    def _compared(self, sent: _Way, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
+        """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
+        way, off = sent.way_m[rows] + offset_m, np.ones(sent.command[rows].shape, dtype=bool)
         for beside in (-STEP_M / 2.0, 0.0, STEP_M / 2.0):
-            at = np.searchsorted(self.told.way_m, self.sent.way_m[rows] + offset_m + beside)
-            other = np.abs(sent - told[np.minimum(at, len(told) - 1)]) > 1.0
-            wrong = other if wrong is None else wrong & other
-        return np.asarray(wrong)
+            at = np.minimum(np.searchsorted(self.told.way_m, way + beside), len(self.told.way_m) - 1)
+            off &= np.abs(sent.command[rows] - self.told.command[at]) > self.allowed
+        return off, np.asarray((way >= -STEP_M) & (way <= self.told.way_m[-1] + STEP_M))
 
     @property
     def late_s(self) -> float:
@@ -211,16 +210,12 @@ class _Beside:
         """When commands are first not those of the plan [s], and what they are there. Some row must be off."""
         off = self.off & self.inside[:, None]
         row = int(np.argmax(off.any(axis=1)))
-        column = int(np.argmax(off[row]))
-        wheel, steers = self.rover.wheels[column % len(self.rover.wheels)], column < len(self.rover.wheels)
-        planned = int(np.argmin(np.abs(self.told.time_s - self.planned_s[row])))
-        sent, told = (
-            np.append(one.steering_deg[k], one.shares[k] * self.told.speed_m_s)[column]
-            for one, k in ((self.sent, row), (self.told, planned))
+        wheel, planned = int(np.argmax(off[row])), int(np.argmin(np.abs(self.told.time_s - self.planned_s[row])))
+        sent, told = (f"{one.command[k, wheel]:.3g}" for one, k in ((self.sent, row), (self.told, planned)))
+        unit = " deg" if self.rover.steered_mask.any() else " of the mean speed"
+        text = (
+            f"{'steering' if unit == ' deg' else 'rim'} of {self.rover.wheels[wheel]} is {sent}{unit}, planned {told}"
         )
-        text = f"steering of {wheel} is {sent:.1f} deg, planned {told:.1f}"
-        if not steers:
-            text = f"rim of {wheel} is at {sent:.3g} m/s, planned {told:.3g}"
         return float(self.sent.time_s[row]), text
 
     def last_off_s(self) -> float:

@@ -14,11 +14,12 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.checks import check_far, ordered
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.repeats import chance_by_noise, held
 from lunarsci.twin.telemetry.rests import GAP
 
-ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
-"""Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
-slopes by more than 1 degree, as a share of the slope; assumed."""
+MOUNTED_DEG, ATTITUDE_DEG, FOLLOWS = 2.0, 1.0, 0.6
+"""By how much a sensor of attitude may be turned on its rover [deg]; median difference from the terrain's beside that
+beyond which the terrain is not the ground [deg], or as a share of its slope where that is more; assumed."""
 
 
 def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
@@ -39,7 +40,7 @@ def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
 
 
 def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:
-    """Roll and pitch must be those of a rover that stands on this terrain."""
+    """Roll and pitch must be those of a rover that stands on this terrain, but for how their sensor is mounted."""
     for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
         measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
         known = np.isfinite(measured) & np.isfinite(stood)
@@ -48,14 +49,17 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
         a, b = measured[known], stood[known]
 
         def off(values: FloatArray, wanted: FloatArray = b) -> float:
-            return float(np.median(np.abs(values - wanted)))
+            mounted = np.clip(np.median(values - wanted), -MOUNTED_DEG, MOUNTED_DEG)
+            return float(np.median(np.abs(values - wanted - mounted)))
 
-        size = float(np.median(np.abs(b)))
-        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * size) and not (size > 1.0 and off(a) > FOLLOWS * size):
+        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * float(np.median(np.abs(b)))):
             continue
         hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
         hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
-        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: another terrain, frame or sign"
+        what = (
+            f"{name} is {off(a):.3g} deg off the terrain's in the median, beside {MOUNTED_DEG:g} deg of its sensor's "
+            f"mounting{hint}: another terrain, frame or sign"
+        )
         findings.add("attitude against terrain", what, "the terrain's is taken", count=int(known.sum()), doubt=True)
 
 
@@ -102,36 +106,25 @@ def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> Float
     return np.asarray(found.reshape(len(merged), *values.shape[1:]))
 
 
-HANG_ROWS, HANG_DEG = 10, 1.0
-"""Rows, or turn of the wheels [deg], over which a heading that stays the same hangs; assumed."""
-
-
 def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> Telemetry:
-    """Positions without those that have no proper covariance or repeat the one before though the rims moved on.
+    """Positions without those that have no proper covariance or only repeat the one before.
 
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
-    given = telemetry.fixed
+    given, value = telemetry.fixed, telemetry.fix_covariance_m2
     half = np.asarray(np.isfinite(telemetry.fix_m).any(axis=1)) & ~given
     _leave(findings, "half a position", "only one of x_m and y_m", half, telemetry)
-    value = telemetry.fix_covariance_m2
     complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
-    bad = given & ~complete
-    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, np.eye(2)))[:, 0]
-    bad = np.asarray(bad | (given & complete & (least <= 0)))
+    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
+    bad = np.asarray(given & (least <= 0))
     _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
-    used = given & ~bad
-    rows = np.flatnonzero(used)
-    same, again = np.zeros(len(used), dtype=bool), np.zeros(len(used), dtype=bool)
-    if rows.size > 1:
-        sigma = np.sqrt(np.trace(value[rows[1:]], axis1=1, axis2=2))
-        repeated = (np.diff(telemetry.fix_m[rows], axis=0) == 0).all(axis=1)
-        moved = np.diff(way_m[rows]) > np.minimum(0.5 * sigma, 0.05)
-        same[rows[1:]] = repeated & moved
-        again[rows[1:]] = repeated & ~moved
-    _leave(findings, "stuck position", "it repeats the one before though the wheels turned", same, telemetry)
-    _leave(findings, "repeated position", "sent again while the rover stands: one measurement", again, telemetry)
-    used &= ~same & ~again
+    rows, same = np.flatnonzero(given & ~bad), np.zeros(len(given), dtype=bool)
+    if rows.size:
+        place, sigma = telemetry.fix_m[rows], float(np.median(np.sqrt(np.trace(value[rows], axis1=1, axis2=2) / 2.0)))
+        same[rows] = held(place, chance_by_noise(place, sigma) ** 2, way_m[rows], np.sqrt(2.0) * sigma)
+    what = "it repeats the one before to the last digit: sent again, or the sensor hangs"
+    _leave(findings, "repeated position", what, same, telemetry)
+    used = given & ~bad & ~same
     if used.sum() < 2:
         raise DataError(
             f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
@@ -148,59 +141,32 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
 
 def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:
     if rows.any():
-        first = float(telemetry.time_s[int(np.argmax(rows))])
-        findings.add(kind, what, "these positions are left out", count=int(rows.sum()), time_s=first)
+        done, first = f"these {kind.split()[-1]}s are left out", float(telemetry.time_s[int(np.argmax(rows))])
+        findings.add(kind, what, done, count=int(rows.sum()), time_s=first)
 
 
 def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
-    """Headings without full turns between rows, and without those that hang.
+    """Headings without full turns between rows, and without those that only repeat the one before.
 
-    `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where none is left.
+    `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where fewer than two are left.
     """
-    yaw, sigma = telemetry.yaw_deg.copy(), telemetry.yaw_deg_sigma.copy()
-    blank = np.isfinite(yaw) & ~(np.isfinite(sigma) & (sigma > 0))
-    if blank.any():
-        first = float(telemetry.time_s[int(np.argmax(blank))])
-        findings.add(
-            "bad heading error",
-            "yaw_deg_sigma is missing, 0 or negative",
-            "these headings are left out",
-            count=int(blank.sum()),
-            time_s=first,
-        )
-        yaw[blank] = np.nan
+    yaw, sigma = telemetry.yaw_deg.copy(), telemetry.yaw_deg_sigma
+    given = np.isfinite(yaw)
+    blank = given & ~(sigma > 0)
+    rows, same = np.flatnonzero(given & ~blank), np.zeros(len(yaw), dtype=bool)
+    if rows.size:
+        error = float(np.median(sigma[rows]))
+        same[rows] = held(yaw[rows], chance_by_noise(yaw[rows], error), turned_deg[rows], np.sqrt(2.0) * error)
+    what = "yaw_deg repeats the one before to the last digit: sent again, or the sensor hangs"
+    _leave(findings, "heading error", "yaw_deg_sigma is missing, 0 or negative", blank, telemetry)
+    _leave(findings, "repeated heading", what, same, telemetry)
+    if not given.all():
+        first = float(telemetry.time_s[int(np.argmin(given))])
+        done = "found from the others"
+        findings.add("missing headings", "rows without yaw_deg", done, count=int((~given).sum()), time_s=first)
+    yaw[blank | same] = np.nan
     known = np.flatnonzero(np.isfinite(yaw))
     if known.size < 2:
         raise DataError(f"{telemetry.file}: {known.size} headings of use; side slip needs yaw_deg")
-    hanging = _hanging(yaw, sigma, turned_deg, known)
-    if hanging.any():
-        first = float(telemetry.time_s[int(np.argmax(hanging))])
-        what = "yaw_deg stays the same to the last digit while the rover drives"
-        findings.add("stuck heading", what, "these headings are left out", count=int(hanging.sum()), time_s=first)
-        yaw[hanging] = np.nan
-        known = np.flatnonzero(np.isfinite(yaw))
-        if known.size < 2:
-            raise DataError(f"{telemetry.file}: yaw_deg is the same throughout while the wheels turn the rover")
-    lost = ~np.isfinite(yaw) & ~hanging & ~blank
-    if lost.any():
-        first = float(telemetry.time_s[int(np.argmax(lost))])
-        findings.add("missing headings", "rows without yaw_deg", "found from the others", count=int(lost.sum()),
-                     time_s=first)  # fmt: skip
     yaw[known] = np.degrees(np.unwrap(np.radians(yaw[known])))
     return dataclasses.replace(telemetry, yaw_deg=yaw)
-
-
-def _hanging(yaw: FloatArray, sigma: FloatArray, turned_deg: FloatArray, known: IndexArray) -> BoolArray:
-    result = np.zeros(len(yaw), dtype=bool)
-    values = yaw[known]
-    changes = np.abs(np.diff(values))
-    finest = float(np.min(changes[changes > 0], initial=np.inf))
-    begins = np.flatnonzero(np.append(True, changes > 0))
-    for begin, end in zip(begins, [*begins[1:], len(values)], strict=True):
-        rows = known[begin:end]
-        turn = float(np.ptp(turned_deg[rows]))
-        error = float(np.median(sigma[rows]))
-        long = len(rows) >= HANG_ROWS and finest < 0.5 * error and turn > 0
-        if len(rows) >= 3 and (turn > max(HANG_DEG, 5.0 * error) or long):
-            result[rows[1:]] = True
-    return result
