@@ -132,7 +132,7 @@ class _Beside:
     ----------
     sent, told : both by their ways, that of the rows in the plan's metres.
     offset_m : of the way of the rows behind that of the plan, as it fits best.
-    planned_s : when the plan has each row. (n,) [s]
+    planned_s, late_s : when the plan has each row, and by how much the row is later at the drive's pace. (n,) [s]
     off : rows whose commands are not the plan's; `inside` are rows within the plan. (n,), (n,)
     share_off : of the way; 1 where too little of it lies within the plan.
     """
@@ -140,9 +140,9 @@ class _Beside:
     def __init__(self, sent: _Way, told: _Way, schedule: Schedule, rover: Rover) -> None:
         self.rover, self.schedule, self.told = rover, schedule, told
         self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
-        self.pace, self.sent, end = sent.speed_m_s / told.speed_m_s, sent, float(told.way_m[-1])
+        pace, end = sent.speed_m_s / told.speed_m_s, float(told.way_m[-1])
         # Faster wheels go as far in less time, or are of another size and go farther.
-        scaled = [sent._replace(way_m=sent.way_m / scale) for scale in (1.0, self.pace)]
+        scaled = [sent._replace(way_m=sent.way_m / scale) for scale in (1.0, pace)]
         starts = [float(np.interp(sent.time_s[0], told.time_s, told.way_m)) - one.way_m[0] for one in scaled]
         ln = [self._ln_of(*one) for one in zip(scaled, starts, strict=True)]
         if max(ln) < LN_OFFSET:
@@ -155,9 +155,11 @@ class _Beside:
                 ln += [self._ln_of(one, offset_m) + LN_OFFSET for offset_m in (-first, coarse, fine)]
         best = int(np.argmax(ln))
         self.sent, self.offset_m = scaled[best], starts[best]
+        faster = pace if self.sent.way_m[-1] == sent.way_m[-1] else 1.0
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)
         self.off, self.inside = self._compared(self.sent, self.offset_m)
         self.planned_s = np.interp(way + self.offset_m, told.way_m, told.time_s)
+        self.late_s = sent.time_s - self.planned_s / faster
         within = float(length[self.inside].sum())
         short = within < COVERED * min(float(length.sum()), end)
         self.share_off = 1.0 if short else float((length * self.off.any(axis=1))[self.inside].sum()) / within
@@ -200,12 +202,6 @@ class _Beside:
             off &= np.abs(sent.command[rows] - self.told.command[at]) > self.allowed
         return off, np.asarray((way >= -STEP_M) & (way <= self.told.way_m[-1] + STEP_M))
 
-    @property
-    def late_s(self) -> float:
-        """By how much the clock is late at the first row within the plan."""
-        row = int(np.argmax(self.inside))
-        return float(self.sent.time_s[row] - self.planned_s[row] / self.pace)
-
     def first_off(self) -> tuple[float, str]:
         """When commands are first not those of the plan [s], and what they are there. Some row must be off."""
         off = self.off & self.inside[:, None]
@@ -226,13 +222,13 @@ class _Beside:
         """Where the rover stood longer, or less long, than the plan has it."""
         rows = np.flatnonzero(self.inside)
         times, planned, way = self.sent.time_s[rows], self.planned_s[rows], self.sent.way_m[rows]
-        longer, found = np.diff(times) - np.diff(planned) / self.pace, list[_Halt]()
+        longer, found = np.diff(self.late_s[rows]), list[_Halt]()
         jumps = np.flatnonzero(np.abs(longer) > EDGE_S)
         for near in np.split(jumps, np.flatnonzero(np.diff(way[jumps]) > NEAR_M) + 1):
             total = float(longer[near].sum())
             if near.size and abs(total) > EDGE_S:
                 first, last = int(near[np.argmax(np.abs(longer[near]))]), int(near[-1])
-                stands = bool((np.diff(planned)[near[0] : last + 1] / self.pace > EDGE_S / 2.0).any())
+                stands = bool((np.diff(planned)[near[0] : last + 1] > EDGE_S / 2.0).any())
                 found.append(_Halt(times[first], times[first + 1], planned[first], total, stands))
         return tuple(found)
 
@@ -270,7 +266,7 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
 
 def _clocked(telemetry: Telemetry, beside: _Beside, findings: Findings) -> Telemetry:
     """Telemetry by the clock of the plan."""
-    late = beside.late_s
+    late = float(beside.late_s[beside.inside][0])
     if abs(late) * beside.schedule.plan.speed_m_s < STEP_M or beside.share_off > MOST:
         return telemetry
     what = f"the commands are those of the plan if the clock is {abs(late):.12g} s {'late' if late > 0 else 'early'}"

@@ -17,9 +17,9 @@ from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.repeats import chance_by_noise, held
 from lunarsci.twin.telemetry.rests import GAP
 
-MOUNTED_DEG, ATTITUDE_DEG, FOLLOWS = 2.0, 1.0, 0.6
-"""By how much a sensor of attitude may be turned on its rover [deg]; median difference from the terrain's beside that
-beyond which the terrain is not the ground [deg], or as a share of its slope where that is more; assumed."""
+ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 2.0
+"""Median difference of roll or pitch from the terrain's beyond which it is said [deg], or as a share of its slope where
+that is more; and by how much their sensor may be turned on the rover [deg]; assumed."""
 
 
 def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
@@ -40,7 +40,7 @@ def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
 
 
 def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:
-    """Roll and pitch must be those of a rover that stands on this terrain, but for how their sensor is mounted."""
+    """Roll and pitch are those of a rover that stands on this terrain; all alike off is their sensor's mounting."""
     for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
         measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
         known = np.isfinite(measured) & np.isfinite(stood)
@@ -49,18 +49,18 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
         a, b = measured[known], stood[known]
 
         def off(values: FloatArray, wanted: FloatArray = b) -> float:
-            mounted = np.clip(np.median(values - wanted), -MOUNTED_DEG, MOUNTED_DEG)
-            return float(np.median(np.abs(values - wanted - mounted)))
+            return float(np.median(np.abs(values - wanted)))
 
-        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * float(np.median(np.abs(b)))):
+        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * off(b, np.zeros(1))):
             continue
+        mounted = float(np.median(a - b))
+        turned = abs(mounted) < MOUNTED_DEG and off(a - mounted) < 0.5 * ATTITUDE_DEG
         hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
         hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
-        what = (
-            f"{name} is {off(a):.3g} deg off the terrain's in the median, beside {MOUNTED_DEG:g} deg of its sensor's "
-            f"mounting{hint}: another terrain, frame or sign"
-        )
-        findings.add("attitude against terrain", what, "the terrain's is taken", count=int(known.sum()), doubt=True)
+        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
+        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
+        done = "the terrain's is taken"
+        findings.add("attitude against terrain", what, done, count=int(known.sum()), doubt=not turned)
 
 
 def with_positions(telemetry: Telemetry, positions: Positions, file: str, findings: Findings) -> Telemetry:
