@@ -187,7 +187,7 @@ class WheelPace:
 
     Attributes
     ----------
-    ratio, sigma : rim speed measured over planned, the mean of the wheels' medians, and its standard error. [-]
+    ratio, sigma : rim speed measured over planned, the mean of the wheels, and its standard error. [-]
     speed_m_s : of the plan. [m/s]
     shell_ratio : r_s / r of the wheels. [-]
     """
@@ -201,7 +201,7 @@ class WheelPace:
     def of(cls, rim_m_s: FloatArray, times_s: FloatArray, rover: Rover, plan: Plan) -> "WheelPace | None":
         """From rim speeds r_s omega, NaN where not measured (n, wheels), at times (n,); None where too few turn.
 
-        The error is that of the medians within wheels, or what these scatter by where that is more. Speed and radius
+        The error is what wheels scatter by. Speed and radius
         cannot be told apart: both make the same ratio. With fixes the first leg alone counts.
         """
         schedule = make_schedule(plan, rover)
@@ -215,17 +215,17 @@ class WheelPace:
         for at in (times_s - half_s, times_s, times_s + half_s):
             turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > UNDER_WAY * np.abs(told).max()
         turning &= np.abs(rim_m_s) > UNDER_WAY * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
-        shares = [rim_m_s[turning[:, k], k] / told[turning[:, k], k] for k in range(len(rover.wheels))]
-        shares = [own for own in shares if own.size]
-        if sum(own.size for own in shares) < FEWEST_RATES:
+        # Of sums: a coarse encoder has steps of many sizes.
+        rows = [(rim_m_s[on, k], told[on, k]) for k, on in enumerate(turning.T) if on.any()]
+        if sum(rims.size for rims, _ in rows) < FEWEST_RATES:
             return None
-        medians = np.array([np.median(own) for own in shares])
-        within = sum(np.pi / 2.0 * float(own.var()) / own.size for own in shares) / len(shares) ** 2
-        between = float(medians.var(ddof=1)) / len(shares) if len(shares) > 1 else 0.0
+        means = np.array([rims.sum() / planned.sum() for rims, planned in rows])
+        # Errors of one wheel's steps cancel in their sum, so that they would say too much of it.
+        squared = means.var(ddof=1) if len(rows) > 1 else (rows[0][0] / rows[0][1]).var() / rows[0][0].size
         wheel = rover.wheel
         return cls(
-            ratio=float(medians.mean()),
-            sigma=float(np.sqrt(max(within, between))),
+            ratio=float(means.mean()),
+            sigma=float(np.sqrt(squared / len(rows))),
             speed_m_s=plan.speed_m_s,
             shell_ratio=wheel.shearing_radius_m / wheel.radius_m,
         )

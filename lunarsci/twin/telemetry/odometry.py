@@ -99,13 +99,16 @@ DISAGREE = 0.03
 SAID, UNDER_WAY = 0.01, 0.3
 """How far an encoder's scale must be off to be said, and share of the highest speed from which a wheel tells it;
 assumed."""
-MOST_SCALE = 1.5
-"""Farthest that an encoder's scale is off, as by another wheel or gear; assumed."""
-MOST_STEPS = 2000
-"""Steps between rows that the scale is found from."""
+MOST_SCALE, TURNED_RAD = 1.5, 0.1
+"""Farthest that an encoder's scale is off, as by another wheel or gear; change of steering beyond which steps are of
+two motions; assumed."""
+BLOCK_M = 0.5
+"""Way over which rims are averaged: the last digits of encoders count less in it; assumed."""
 
 
-def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, findings: Findings) -> WheelMotion:
+def of_one_motion(
+    wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, step_s: FloatArray, findings: Findings
+) -> WheelMotion:
     """Wheels whose rims tell of the motions of one rigid rover, with the encoder mended that fits the others least.
 
     It is the wheel without which all others agree best; it turned as they say, times a scale, which is 1 where nothing
@@ -113,30 +116,36 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
 
     Parameters
     ----------
-    steering_rad : between rows. (n - 1, wheels) [rad]
+    steering_rad, step_s : between rows. (n - 1, wheels) [rad], (n - 1,) [s]
     """
-    known = np.flatnonzero(np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving)
-    some = known[:: max(1, len(known) // MOST_STEPS)]
-    if not some.size or not rover.steered_mask.any():
+    known = np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving
+    if not known.any() or not rover.steered_mask.any():
         return wheels
-    rims, steering = wheels.rim_m_s.copy(), steering_rad[some]
+    # Steps without a halt between, or a change of steering as before a turn, that make a block.
+    way = np.cumsum(np.where(known, mean_speed(wheels.rim_m_s) * step_s, 0.0)) // BLOCK_M
+    turned = np.append(False, (np.abs(np.diff(steering_rad, axis=0)) > TURNED_RAD).any(axis=1))
+    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~known[:-1]) | turned)[known]
+    begins, weight = np.flatnonzero(np.append(True, np.diff(block) > 0)), step_s[known, None]
+
+    def means(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(weight * values[known], begins) / np.add.reduceat(weight, begins))
+
+    rims, steering = means(wheels.rim_m_s), means(steering_rad)
     along, _ = wheel_rows(rover, steering)
     left = []
     for k in range(len(rover.wheels)):
-        others = rims[some].copy()
+        others = rims.copy()
         others[:, k] = np.nan
         twist, off = body_twist(rover, others, steering)
         left.append((float(np.mean(off**2)), k, np.einsum("ni,ni->n", along[:, k], twist)))
     _, k, expected = min(left)
     turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
-    ratio = rims[some, k][turning] / expected[turning]
-    scale, trusted = float(np.median(ratio)), wheels.trusted.copy()
-    if 1.0 / MOST_SCALE < scale < MOST_SCALE:
-        rims[:, k] /= scale
-    else:
-        # A wheel that stands, or turns otherwise altogether, is no encoder that counts in another scale.
-        rims[:, k], trusted[:, k] = np.nan, False
-    off_m_s = float(np.median(body_twist(rover, rims[some], steering)[1])) / wheels.usual_m_s
+    scale, trusted = float(np.median(rims[turning, k] / expected[turning])), wheels.trusted.copy()
+    # A wheel that stands, or turns otherwise altogether, is no encoder that counts in another scale.
+    counts = 1.0 / MOST_SCALE < scale < MOST_SCALE
+    mended = np.where(np.arange(len(rover.wheels)) == k, scale if counts else np.nan, 1.0)
+    trusted[:, k] &= counts
+    off_m_s = float(np.median(body_twist(rover, rims / mended, steering)[1])) / wheels.usual_m_s
     if off_m_s > DISAGREE:
         what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
@@ -146,7 +155,7 @@ def of_one_motion(wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, f
         what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
         done = "its angles and rates are taken to be in that scale" if trusted[:, k].any() else "it is left out"
         findings.add("encoder scale", what, done)
-    return replace(wheels, rim_m_s=rims, trusted=trusted)
+    return replace(wheels, rim_m_s=wheels.rim_m_s / mended, trusted=trusted)
 
 
 LEAST_LOAD = 0.05

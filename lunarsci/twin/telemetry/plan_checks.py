@@ -14,9 +14,10 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.checks import UNDER_WAY, taken
+from lunarsci.twin.telemetry.nodes import Rows
 from lunarsci.twin.telemetry.odometry import mean_speed
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.wheel_readings import between
+from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE
 
 STEERING_DEG, SPEED_SHARE = 2.0, 0.25
 """How far a row's commands may be off the plan's: steering, and rim speed as a share of the mean of the rims;
@@ -40,21 +41,30 @@ STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
 """What slowing down and speeding up again cost, beside the halt itself; of the ramps assumed. [s]"""
 
 
-def by_the_plan(
-    telemetry: Telemetry, rover: Rover, schedule: Schedule, findings: Findings
-) -> tuple[Telemetry, bool, float]:
+def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
     """Telemetry by the clock of a plan; whether its commands are the plan's, and how much longer it stood still. [s]
 
     Another clock is found by the commands, and said. So are halts that the plan does not have, and other commands.
     """
-    if schedule.plan.fixes is not None or (beside := _Beside.of(telemetry, rover, schedule)) is None:
-        return telemetry, False, 0.0
-    telemetry = _clocked(telemetry, beside, findings)
+    if schedule.plan.fixes is not None or (beside := _Beside.of(sent, rover, schedule)) is None:
+        return sent, False, 0.0
+    late_s = _say_clock(sent.telemetry, beside, findings)
     halts = beside.halts() if beside.share_off <= MOST else ()
     _say_halts(halts, schedule, findings)
-    if beside.share_off > SOME:
-        return telemetry, not _say_commands(beside, findings), 0.0
-    return telemetry, True, sum(halt.longer_s for halt in halts)
+    as_planned = beside.share_off <= SOME or not _say_commands(beside, findings)
+    return _later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
+
+
+def _later(sent: Rows, start_s: float) -> Rows:
+    """The same by a clock that starts later, without what was before."""
+    if not start_s:
+        return sent
+    telemetry, wheels, steering, gaps = sent
+    first = int(np.searchsorted(telemetry.time_s, start_s))
+    rows = taken(telemetry, np.arange(first, len(telemetry.time_s)))
+    rows = replace(rows, time_s=rows.time_s - start_s, start_s=telemetry.start_s + start_s)
+    steps = {name: getattr(wheels, name)[first:] for name in ("rim_m_s", "measured", "trusted")}
+    return Rows(rows, replace(wheels, **steps), steering[first:], gaps[first:])
 
 
 def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findings: Findings) -> None:
@@ -112,17 +122,17 @@ class _Way(NamedTuple):
     speed_m_s: float
 
     @classmethod
-    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, steering_deg: FloatArray | None) -> "_Way | None":
-        """From commands at times; None where nothing moves."""
-        mean = mean_speed(speed_m_s)
-        moving = mean > UNDER_WAY * np.max(mean, initial=0.0)
-        if moving.sum() < 2:
+    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray) -> "_Way | None":
+        """From times (n,), mean speed of the rims between them (n - 1,), and commands; None where nothing moves."""
+        fast = speed_m_s > UNDER_WAY * np.max(speed_m_s, initial=0.0)
+        rows = np.append(fast, False)
+        if rows.sum() < 2:
             return None
-        steps = np.where(moving[1:] & moving[:-1], 0.5 * (mean[1:] + mean[:-1]) * np.diff(time_s), 0.0)
-        way, shares = np.append(0.0, np.cumsum(steps))[moving], speed_m_s[moving] / mean[moving, None]
-        return cls(
-            time_s[moving], way, shares if steering_deg is None else steering_deg[moving], np.median(mean[moving])
+        way = np.append(
+            0.0,
+            np.cumsum(np.where(speed_m_s > STILL_SHARE * np.median(speed_m_s[fast]), speed_m_s, 0.0) * np.diff(time_s)),
         )
+        return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
 
 
 class _Beside:
@@ -147,12 +157,12 @@ class _Beside:
         ln = [self._ln_of(*one) for one in zip(scaled, starts, strict=True)]
         if max(ln) < LN_OFFSET:
             for one in tuple(scaled):
-                first, last = one.way_m[[0, -1]]
+                last = float(one.way_m[-1])
                 step = max(STEP_M, (last + end) / MOST_TRIED)
-                coarse = self._best(one, np.append(-first, np.arange(-last, end, step)))
+                coarse = self._best(one, np.arange(-last, end, step))
                 fine = self._best(one, coarse + np.arange(-step, step, STEP_M / 2.0))
-                scaled, starts = [*scaled, one, one, one], [*starts, -first, coarse, fine]
-                ln += [self._ln_of(one, offset_m) + LN_OFFSET for offset_m in (-first, coarse, fine)]
+                scaled, starts = [*scaled, one, one, one], [*starts, 0.0, coarse, fine]
+                ln += [self._ln_of(one, offset_m) + LN_OFFSET for offset_m in (0.0, coarse, fine)]
         best = int(np.argmax(ln))
         self.sent, self.offset_m = scaled[best], starts[best]
         faster = pace if self.sent.way_m[-1] == sent.way_m[-1] else 1.0
@@ -165,22 +175,20 @@ class _Beside:
         self.share_off = 1.0 if short else float((length * self.off.any(axis=1))[self.inside].sum()) / within
 
     @classmethod
-    def of(cls, telemetry: Telemetry, rover: Rover, schedule: Schedule) -> "_Beside | None":
+    def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_Beside | None":
         """Of all rows; None where no wheel turns."""
-        per_deg, times = math.radians(rover.wheel.shearing_radius_m), telemetry.time_s
-        speed = telemetry.speed_m_s if np.isfinite(telemetry.speed_m_s).any() else telemetry.rate_deg_s * per_deg
-        if not np.isfinite(speed).any():
-            step = np.diff(telemetry.angle_deg, axis=0)
-            if np.nanmax(np.ptp(telemetry.angle_deg, axis=0)) <= 360.0:
-                step -= 360.0 * np.rint(step / 360.0)
-            step *= per_deg / np.diff(times)[:, None]
-            speed = np.vstack([step[:1], between(step), step[-1:]])
-        steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
-        grid = np.linspace(0.0, schedule.duration_s, max(2, math.ceil(schedule.duration_s / 0.1)))
-        commands, steers = commands_at(rover, schedule, grid), rover.steered_mask.any()
-        sent = _Way.of(times, speed, steering if steers else None)
-        told = _Way.of(grid, commands.speed_m_s, np.degrees(commands.steering_rad) if steers else None)
-        return None if sent is None or told is None else cls(sent, told, schedule, rover)
+        telemetry, rims = sent.telemetry, sent.wheels.rim_m_s
+        grid = np.linspace(0.0, schedule.duration_s, max(3, math.ceil(schedule.duration_s / 0.1)))
+        commands = commands_at(rover, schedule, grid)
+        means = mean_speed(rims), mean_speed(commands.speed_m_s[:-1])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shares = [one / mean[:, None] for one, mean in zip((rims, commands.speed_m_s[:-1]), means, strict=True)]
+        command = [np.vstack([one[:1], one]) for one in shares]
+        if rover.steered_mask.any():
+            steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
+            command = [steering, np.degrees(commands.steering_rad)]
+        made = [_Way.of(*one) for one in zip((telemetry.time_s, grid), means, command, strict=True)]
+        return None if made[0] is None or made[1] is None else cls(made[0], made[1], schedule, rover)
 
     def _best(self, sent: _Way, offsets_m: FloatArray) -> float:
         return float(offsets_m[np.argmax([self._ln_of(sent, float(one)) for one in offsets_m])])
@@ -229,7 +237,8 @@ class _Beside:
             if near.size and abs(total) > EDGE_S:
                 first, last = int(near[np.argmax(np.abs(longer[near]))]), int(near[-1])
                 stands = bool((np.diff(planned)[near[0] : last + 1] > EDGE_S / 2.0).any())
-                found.append(_Halt(times[first], times[first + 1], planned[first], total, stands))
+                begin = times[first] + min(planned[first + 1] - planned[first], times[first + 1] - times[first])
+                found.append(_Halt(begin, times[first + 1], planned[first + 1], total, stands))
         return tuple(found)
 
 
@@ -264,16 +273,19 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
     return f"split leg {before + number + 1} of the plan after {way}, with a [[leg]] of stop_s = {stop_s:.4g} between"
 
 
-def _clocked(telemetry: Telemetry, beside: _Beside, findings: Findings) -> Telemetry:
-    """Telemetry by the clock of the plan."""
-    late = float(beside.late_s[beside.inside][0])
-    if abs(late) * beside.schedule.plan.speed_m_s < STEP_M or beside.share_off > MOST:
-        return telemetry
+def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> float:
+    """By how much the clock is later than the plan's, said; 0 where it is not. [s]"""
+    rows = beside.late_s[beside.inside]
+    if beside.share_off > MOST or not rows.size:
+        return 0.0
+    # Until the first halt that one of them has alone.
+    late = float(np.median(rows[: 1 + int(np.argmax(np.append(np.abs(np.diff(rows)) > EDGE_S, True)))]))
+    if abs(late) * beside.schedule.plan.speed_m_s < STEP_M:
+        return 0.0
     what = f"the commands are those of the plan if the clock is {abs(late):.12g} s {'late' if late > 0 else 'early'}"
     start = f"`start_time` {telemetry.start_s + late:.12g}"
     findings.add("clock offset", what, f"times count from there, as {start} has it")
-    rows = taken(telemetry, telemetry.time_s >= late)
-    return replace(rows, time_s=rows.time_s - late, start_s=telemetry.start_s + late)
+    return late
 
 
 def _say_commands(beside: _Beside, findings: Findings) -> bool:

@@ -36,11 +36,16 @@ def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) 
     return np.asarray(result)
 
 
+def digit_of(values: FloatArray) -> float:
+    """The finest change between successive readings but for those of floating point; infinite where there is none."""
+    changes = np.abs(np.diff(values, axis=0))
+    known = changes[np.isfinite(changes)]
+    return float(np.min(known, where=known > 1e-6 * np.max(known, initial=0.0), initial=np.inf))
+
+
 def chance_by_noise(values: FloatArray, sigma: float) -> float:
     """Probability that a reading with an error of `sigma` repeats the one before, by its last digit.
 
     The difference of two is normal, of standard deviation sqrt 2 sigma, and rounded to the finest change there is.
     """
-    changes = np.abs(np.diff(values, axis=0))
-    digit = float(np.min(changes, where=changes > 0, initial=np.inf))
-    return min(1.0, digit / (2.0 * math.sqrt(math.pi) * sigma))
+    return min(1.0, digit_of(values) / (2.0 * math.sqrt(math.pi) * sigma))

@@ -121,13 +121,13 @@ def states_of(
 
     Raises DataError for telemetry that cannot be used, or that is not in the frame or the units it should be.
     """
-    telemetry, schedule = in_units(ordered(telemetry, findings), rover, findings), None
+    sent, schedule = _turned(in_units(ordered(telemetry, findings), rover, findings), rover, findings), None
     as_planned, longer_s, pace = False, 0.0, None
     if plan is not None:
         schedule = make_schedule(plan, rover)
-        telemetry, as_planned, longer_s = by_the_plan(telemetry, rover, schedule, findings)
-    sent = _turned(telemetry, rover, findings, planned=plan is not None)
+        sent, as_planned, longer_s = by_the_plan(sent, rover, schedule, findings)
     twist, way = _way(rover, sent, schedule)
+    telemetry = sent.telemetry
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
     telemetry = usable_headings(usable_positions(telemetry, way, findings), turned, findings)
     skids = not rover.steered_mask.any()
@@ -135,7 +135,7 @@ def states_of(
     if meant is not telemetry:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LunarSciWarning)
-            sent = _turned(meant, rover, Findings(meant.file), planned=plan is not None)
+            sent = _turned(meant, rover, Findings(meant.file))
     sent = sent._replace(telemetry=meant)
     if plan is not None and schedule is not None:
         check_ends(meant, schedule, longer_s, findings)
@@ -144,13 +144,14 @@ def states_of(
     return dataclasses.replace(found, pace=pace)
 
 
-def _turned(telemetry: Telemetry, rover: Rover, findings: Findings, *, planned: bool) -> Rows:
+def _turned(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, gaps, findings)
     angle, known = steering_angles(telemetry, rover, findings)
     wheels, steering = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1]), np.radians(angle)
-    return Rows(telemetry, of_one_motion(wheels, rover, 0.5 * (steering[1:] + steering[:-1]), findings), steering, gaps)
+    middle, steps = 0.5 * (steering[1:] + steering[:-1]), np.diff(telemetry.time_s)
+    return Rows(telemetry, of_one_motion(wheels, rover, middle, steps, findings), steering, gaps)
 
 
 def _along_the_ground(

@@ -17,14 +17,12 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.repeats import held
+from lunarsci.twin.telemetry.repeats import digit_of, held
 from lunarsci.twin.telemetry.rests import TURNED_DEG
 from lunarsci.twin.telemetry.wheel_readings import between
 
 SIGMA_DEG, RATE_SHARE, TOLD_SHARE = 1.0, 0.1, 0.2
 """Standard errors of turns between rows: of all [deg], of rates and of commands as shares; assumed."""
-ANY_DEG = 360.0
-"""Width of what a reading that says nothing may be, beside its own size: a turn."""
 LN_NOTHING = {"angle": math.log(0.01), "rate": math.log(0.005), "told": math.log(0.02)}
 """Odds beforehand, of a step, that a witness says nothing of it; assumed."""
 LN_WRAP, LN_CLOCK = math.log(0.02), math.log(1e-4)
@@ -68,26 +66,20 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
     told = between(telemetry.speed_m_s) / per_deg * steps
-    angle, rates = np.diff(telemetry.angle_deg, axis=0), telemetry.rate_deg_s.copy()
-    # An encoder that hangs beside what its rate, else its command, says; a rate that hangs has no noise any more.
-    expected = _since_start(np.where(np.isfinite(between(rates)), between(rates) * steps, told))
-    hung, same = np.zeros((2, *rates.shape), dtype=bool)
-    for k in range(len(rover.wheels)):
-        hung[:, k] = held(telemetry.angle_deg[:, k], 1.0, expected[:, k], SIGMA_DEG)
-        turns = np.abs(np.nan_to_num(rates[:, k])) > 0
-        repeats = float((np.diff(rates[:, k]) == 0)[turns[1:]].mean()) if turns[1:].any() else 1.0
-        same[:, k] = held(rates[:, k], max(repeats, 0.5 / len(rates)), np.zeros(len(rates)), 1.0) & turns
-    others = np.isfinite(angle).any(axis=0) | np.isfinite(told).any(axis=0)
-    rates[same & others] = np.nan
+    angle, rate = np.diff(telemetry.angle_deg, axis=0), between(telemetry.rate_deg_s) * steps
+    # An encoder that hangs beside what its rate, else its command, says.
+    expected, digits = _since_start(np.where(np.isfinite(rate), rate, told)), _digits(telemetry)
+    hung = np.column_stack(
+        [held(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
+    )
     # The step at which an encoder that hung moves on holds all it missed.
     angle[hung[1:] | hung[:-1]] = np.nan
-    rate = between(rates) * steps
     # Noise of a wheel that stands is no motion: over hours it would add up to one.
     for turn in (told, rate, angle):
         turn[resting] *= 0.0
-    went = _turns(telemetry, angle, rate, told, per_deg, gaps)
+    went = _turns(telemetry, angle, rate, told, rover, gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
-    _say(telemetry, rover, went, hung[1:], same & others, ~np.isfinite(measured), findings)
+    _say(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
     rim, known = per_deg * np.where(np.isfinite(measured), measured, told / steps), np.isfinite(measured)
     fast = np.abs(rim[np.isfinite(rim)])
     usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
@@ -123,6 +115,12 @@ def _since_start(turn_deg: FloatArray) -> FloatArray:
     return np.vstack([np.zeros_like(turn_deg[:1]), np.cumsum(np.nan_to_num(turn_deg), axis=0)])
 
 
+def _digits(telemetry: Telemetry) -> FloatArray:
+    """Standard error of the turn that each encoder says, by its last digit. (wheels,) [deg]"""
+    digits = np.array([digit_of(column) for column in telemetry.angle_deg.T])
+    return np.hypot(SIGMA_DEG, 0.5 * np.where(np.isfinite(digits), digits, 0.0))
+
+
 class _Turns(NamedTuple):
     """What tells the turn of every step and wheel.
 
@@ -140,62 +138,64 @@ class _Turns(NamedTuple):
 
 
 def _turns(
-    telemetry: Telemetry, angle: FloatArray, rate: FloatArray, told: FloatArray, per_deg: float, gaps: BoolArray
+    telemetry: Telemetry, angle: FloatArray, rate: FloatArray, told: FloatArray, rover: Rover, gaps: BoolArray
 ) -> _Turns:
     """The most probable set of witnesses, of turns that encoders, rates and commands say. (n - 1, wheels) [deg]"""
-    steps, sigma = np.diff(telemetry.time_s)[:, None], {"angle": np.full_like(angle, SIGMA_DEG)}
+    steps, per_deg = np.diff(telemetry.time_s)[:, None], math.radians(rover.wheel.shearing_radius_m)
+    sigma = {"angle": np.tile(_digits(telemetry), (len(steps), 1))}
     for name, turn, rows, share in (
         ("rate", rate, telemetry.rate_deg_s, RATE_SHARE),
         ("told", told, telemetry.speed_m_s / per_deg, TOLD_SHARE),
     ):
         changes = 0.5 * np.abs(np.nan_to_num(np.diff(rows, axis=0))) * steps
         sigma[name] = np.sqrt(SIGMA_DEG**2 + (share * np.nan_to_num(turn)) ** 2 + changes**2)
-    if np.isfinite(angle).any() and not (np.isfinite(rate).any() or np.isfinite(told).any()):
-        # A wheel whose encoder alone tells turns about as far as it mostly does.
-        told, sigma["told"] = np.nanmedian(angle, axis=0) + 0.0 * angle, np.full_like(angle, ANY_DEG / 4.0)
-    known = np.isfinite(rate)
-    found = _likeliest({"angle": angle, "rate": rate, "told": told}, sigma, np.full(angle.shape[1], LN_WRAP))
+    known, fastest = np.isfinite(rate), rover.max_speed_m_s / per_deg * steps
+    turns = {"told": told, "rate": rate, "angle": angle}
+    found = _likeliest(turns, sigma, fastest, np.full(angle.shape[1], LN_WRAP))
     # An encoder that wraps does so often; how many whole turns a gap hides nobody knows.
     wraps = (found.wraps != 0).mean(axis=0)
     angle = np.where(gaps[:, None] & (wraps > 0), np.nan, angle)
     expected = np.where(known, rate, told)
-    clock = _clock(angle, expected, np.where(known, sigma["rate"], sigma["told"]))
-    turns = {"angle": angle, "rate": clock[:, None] * rate, "told": clock[:, None] * told}
-    found = _likeliest(turns, sigma, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
-    return found._replace(clock=clock, off_deg=angle - clock[:, None] * expected)
+    clock = _clock(angle, expected, np.hypot(sigma["angle"], np.where(known, sigma["rate"], sigma["told"])))
+    turns = {"told": clock[:, None] * told, "rate": clock[:, None] * rate, "angle": angle}
+    found = _likeliest(turns, sigma, fastest, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
+    return found._replace(clock=clock, off_deg=angle - np.nan_to_num(clock[:, None] * expected))
 
 
-def _ln_agree(off_deg: FloatArray, variance: FloatArray) -> FloatArray:
-    """ln of how much more probable what differs so is where both tell the same than where one says nothing."""
-    return np.asarray(math.log(ANY_DEG) - 0.5 * (off_deg**2 / variance + np.log(2.0 * np.pi * variance)))
+def _ln_agree(off_deg: FloatArray, variance: FloatArray, any_deg: FloatArray | float = 360.0) -> FloatArray:
+    """ln of how much more probable what differs so is where both tell the same than where one says nothing.
+
+    What says nothing may be anything within a turn, or `any_deg`.
+    """
+    return np.asarray(np.log(any_deg) - 0.5 * (off_deg**2 / variance + np.log(2.0 * np.pi * variance)))
 
 
-def _likeliest(turns: dict[str, FloatArray], sigma: dict[str, FloatArray], ln_wrap: FloatArray) -> _Turns:
-    shape = turns["angle"].shape
+def _likeliest(
+    turns: dict[str, FloatArray], sigma: dict[str, FloatArray], fastest_deg: FloatArray, ln_wrap: FloatArray
+) -> _Turns:
+    """For each step and wheel; beforehand a turn is about 0, with that of the fastest rover for standard deviation."""
+    shape, widest = turns["angle"].shape, np.hypot(360.0, 4.0 * fastest_deg)
     best, counts, tells, wraps = np.full(shape, -np.inf), np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape)
     for taken in itertools.product((True, False), repeat=3):
-        ln, mean, precision, turned = np.zeros((4, *shape))
-        for name, true in zip(("told", "rate", "angle"), taken, strict=True):
-            known, value = np.isfinite(turns[name]), np.nan_to_num(turns[name])
+        ln, mean, turned = np.zeros((3, *shape))
+        precision = np.broadcast_to(fastest_deg**-2, shape)
+        for (name, turn), true in zip(turns.items(), taken, strict=True):
+            known, value = np.isfinite(turn), np.nan_to_num(turn)
             if not true:
                 ln += np.where(known, LN_NOTHING[name], 0.0)
                 continue
-            if precision.any():
-                variance, off = sigma[name] ** 2 + 1.0 / precision, value - mean
-                agree = _ln_agree(off, variance)
-                if name == "angle":
-                    whole = np.rint(off / 360.0)
-                    anew = np.where(whole != 0, _ln_agree(off - 360.0 * whole, variance) + ln_wrap, -np.inf)
-                    turned, agree = np.where(anew > agree, whole, 0.0), np.maximum(agree, anew)
-                ln += agree
+            variance, off = sigma[name] ** 2 + 1.0 / precision, value - mean
+            agree = _ln_agree(off, variance, widest)
+            if name == "angle":
+                whole = np.rint(off / 360.0)
+                anew = np.where(whole != 0, _ln_agree(off - 360.0 * whole, variance, widest) + ln_wrap, -np.inf)
+                turned, agree = np.where(anew > agree, whole, 0.0), np.maximum(agree, anew)
             weight = sigma[name] ** -2
             mean = (precision * mean + weight * (value - 360.0 * turned)) / (precision + weight)
-            precision = precision + weight
-            ln[~known] = -np.inf
+            precision, ln = precision + weight, np.where(known, ln + agree, -np.inf)
         better = ln > best
-        best = np.where(better, ln, best)
+        best, wraps = np.where(better, ln, best), np.where(better, turned, wraps)
         counts, tells = np.where(better, taken[2], counts), np.where(better, taken[1], tells)
-        wraps = np.where(better, turned, wraps)
     return _Turns(counts, tells, wraps, np.full(shape, np.nan), np.ones(len(best)))
 
 
@@ -209,7 +209,7 @@ def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatA
         ratio = np.nan_to_num(np.nanmedian(np.where(turning, share, np.nan), axis=1), nan=1.0)
 
     def ln_of(off_deg: FloatArray) -> FloatArray:
-        ln = np.logaddexp(_ln_agree(off_deg, sigma**2 + SIGMA_DEG**2), LN_NOTHING["angle"])
+        ln = np.logaddexp(_ln_agree(off_deg, sigma**2), LN_NOTHING["angle"])
         return np.asarray(np.where(turning, ln, 0.0).sum(axis=1))
 
     gain = ln_of(np.nan_to_num(angle - ratio[:, None] * expected)) - ln_of(np.nan_to_num(angle - expected))
@@ -221,7 +221,6 @@ def _say(
     rover: Rover,
     went: _Turns,
     hung: BoolArray,
-    same: BoolArray,
     lost: BoolArray,
     findings: Findings,
 ) -> None:
@@ -236,11 +235,9 @@ def _say(
     for kind, where, what, done in (
         ("stuck", hung, "the angle of wheel {} does not change while it is to turn: stuck wheel or sensor",
          "its rate is taken there; without one its states are not valid"),
-        ("stuck", same, "the rate of wheel {} stays the same to the last digit",
-         "left out; its angle or command is taken"),
         ("encoder wrap", went.counts & (went.wraps != 0), jumps, "whole turns added"),
         ("encoder reset", ~went.counts & known, jumps, "its rate, else the command, is taken for these steps"),
-        ("odd rate", odd & rate & ~same[1:], "the rate of wheel {} is denied by its angle",
+        ("odd rate", odd & rate, "the rate of wheel {} is denied by its angle",
          "left out; its angle is taken"),
         ("missing readings", blank, "neither angle nor rate of wheel {}", "its states are not valid there"),
     ):  # fmt: skip
@@ -259,7 +256,8 @@ def _say(
 
 
 def _obedience(measured: FloatArray, told: FloatArray) -> float:
-    """How fast wheels turn beside their commands; 1 where that is not known."""
+    """How fast wheels turn beside their commands, the median of the wheels; 1 where that is not known."""
     both = np.isfinite(measured) & np.isfinite(told)
-    both &= np.abs(told) > 0.3 * np.max(np.abs(told), where=np.isfinite(told), initial=0.0)
-    return float(np.median(measured[both] / told[both])) if both.any() else 1.0
+    # Of sums: a coarse encoder has steps of many sizes.
+    sums = [(np.abs(measured[on, k]).sum(), np.abs(told[on, k]).sum()) for k, on in enumerate(both.T)]
+    return float(np.median([own / whole for own, whole in sums if own and whole] or [1.0]))

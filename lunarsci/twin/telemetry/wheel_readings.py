@@ -91,7 +91,7 @@ def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     """Median of one column over another, where that one is large; NaN where there are too few rows."""
     known = np.isfinite(values) & np.isfinite(wanted)
     known &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
-    known &= np.abs(wanted) > TURNING * np.max(np.abs(wanted), where=known, initial=0.0)
+    known &= np.abs(wanted) > TURNING * (float(np.percentile(np.abs(wanted[known]), 90)) if known.any() else 0.0)
     return float(np.median(values[known] / wanted[known])) if known.sum() >= FEWEST else math.nan
 
 
