@@ -32,6 +32,8 @@ STEP_M, MOST_TRIED = 0.05, 500
 assumed. [m]"""
 NEAR_M = 0.3
 """Way within which standstills are one halt; assumed. [m]"""
+HALT = "unplanned halt"
+"""Kind of a finding: states are right, and a soil learned with the plan is not."""
 START_M, HEADING_DEG = 0.5, 10.0
 """How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
 EDGE_S = 5.0
@@ -249,7 +251,7 @@ def _say_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings)
             has = "and the plan has no halt there"
         what = f"the wheels stood still from {halt.begin_s:.6g} to {halt.end_s:.6g} s, {has}"
         done = f"times are kept as they are; before `twin update` {_remedy(halt, schedule)}"
-        findings.add("unplanned halt", what, done, time_s=halt.begin_s, doubt=True)
+        findings.add(HALT, what, done, time_s=halt.begin_s)
 
 
 def _remedy(halt: _Halt, schedule: Schedule) -> str:

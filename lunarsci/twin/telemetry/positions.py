@@ -160,13 +160,13 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     what = "yaw_deg repeats the one before to the last digit: sent again, or the sensor hangs"
     _leave(findings, "heading error", "yaw_deg_sigma is missing, 0 or negative", blank, telemetry)
     _leave(findings, "repeated heading", what, same, telemetry)
-    if not given.all():
-        first = float(telemetry.time_s[int(np.argmin(given))])
-        done = "found from the others"
-        findings.add("missing headings", "rows without yaw_deg", done, count=int((~given).sum()), time_s=first)
     yaw[blank | same] = np.nan
     known = np.flatnonzero(np.isfinite(yaw))
     if known.size < 2:
         raise DataError(f"{telemetry.file}: {known.size} headings of use; side slip needs yaw_deg")
+    if not given.all():
+        first = float(telemetry.time_s[int(np.argmin(given))])
+        done = "found from the others"
+        findings.add("missing headings", "rows without yaw_deg", done, count=int((~given).sum()), time_s=first)
     yaw[known] = np.degrees(np.unwrap(np.radians(yaw[known])))
     return dataclasses.replace(telemetry, yaw_deg=yaw)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.twin.telemetry.checks import FAST, MOST_FAST
+from lunarsci.twin.telemetry.plan_checks import HALT
 from lunarsci.twin.telemetry.reading import SHARED
 from lunarsci.twin.telemetry.states import DriveStates
 
@@ -38,14 +39,22 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
         columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
     columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
     columns["valid"] = rows.valid.ravel()
-    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive)
+    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive, _learned(drive))
 
 
-def _named(table: "pd.DataFrame", drive: DriveStates) -> "pd.DataFrame":
-    """With the rover, its ground, and why the states, or a soil learned from them, are doubtful, where they are."""
-    doubts = [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.doubt]
-    if drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum():
-        doubts += [f"{one.kind}: {one.what}" for one in drive.findings.entries if one.kind == FAST]
+def _learned(drive: DriveStates) -> tuple[str, ...]:
+    """Kinds of findings that leave the states right, and not a soil learned from them with the plan."""
+    many = drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum()
+    return (HALT, FAST) if many else (HALT,)
+
+
+def _named(table: "pd.DataFrame", drive: DriveStates, kinds: tuple[str, ...] = ()) -> "pd.DataFrame":
+    """With the rover, its ground, and why the table is doubtful, by findings that are a doubt or of some kinds."""
+    doubts = [
+        f"{one.kind}: {one.what}" if one.doubt else f"{one.kind}: {one.what}; {one.done}"
+        for one in drive.findings.entries
+        if one.doubt or one.kind in kinds
+    ]
     table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
     return table.assign(doubt="; ".join(doubts)) if doubts else table
 

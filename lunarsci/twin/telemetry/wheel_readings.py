@@ -22,8 +22,9 @@ from lunarsci.twin.telemetry.readings import ALIKE, RARE, STRANGE
 AGREE, FASTER, SLOWER = 0.2, 0.25, 1.0
 """Standard deviation, in ln, of one column over another (a motor may be slower than told), and of the fastest rim over
 the rover's highest speed, if it is faster and if it is slower; assumed."""
-TURNING, FEWEST = 0.3, 3
-"""Share of the largest turn from which on a row counts, and how many there are at least; assumed."""
+TURNING, NOISE, FEWEST = 0.3, 0.05, 3
+"""Share of the usual turn from which on a row counts, of the largest from which on one is usual, and how many rows
+there are at least; assumed."""
 LEAST_DEG = 1.0
 """Angle of one of both from which on steering counts: it is noise below; assumed. [deg]"""
 STEERING = ("steered_deg", "steering_deg")
@@ -91,7 +92,9 @@ def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     """Median of one column over another, where that one is large; NaN where there are too few rows."""
     known = np.isfinite(values) & np.isfinite(wanted)
     known &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
-    known &= np.abs(wanted) > TURNING * (float(np.percentile(np.abs(wanted[known]), 90)) if known.any() else 0.0)
+    # Of rows that are no noise at rest the middle one: the largest may be wild.
+    size = np.where(known, np.abs(wanted), 0.0)
+    known &= size > TURNING * float(np.median(size[size > NOISE * size.max(initial=0.0)] if size.any() else 0.0))
     return float(np.median(values[known] / wanted[known])) if known.sum() >= FEWEST else math.nan
 
 
