@@ -23,6 +23,8 @@ from lunarsci.twin.telemetry.wheel_readings import between
 
 SIGMA_DEG, RATE_SHARE, TOLD_SHARE = 1.0, 0.1, 0.2
 """Standard errors of turns between rows: of all [deg], of rates and of commands as shares; assumed."""
+STAMP_S = 0.5
+"""By how much rows may be stamped off; assumed. [s]"""
 LN_NOTHING = {"angle": math.log(0.01), "rate": math.log(0.005), "told": math.log(0.02)}
 """Odds beforehand, of a step, that a witness says nothing of it; assumed."""
 LN_WRAP, LN_CLOCK = math.log(0.02), math.log(1e-4)
@@ -149,7 +151,7 @@ def _turns(
     ):
         changes = 0.5 * np.abs(np.nan_to_num(np.diff(rows, axis=0))) * steps
         sigma[name] = np.sqrt(SIGMA_DEG**2 + (share * np.nan_to_num(turn)) ** 2 + changes**2)
-    known, fastest = np.isfinite(rate), rover.max_speed_m_s / per_deg * steps
+    known, fastest = np.isfinite(rate), rover.max_speed_m_s / per_deg * (steps + STAMP_S)
     turns = {"told": told, "rate": rate, "angle": angle}
     found = _likeliest(turns, sigma, fastest, np.full(angle.shape[1], LN_WRAP))
     # An encoder that wraps does so often; how many whole turns a gap hides nobody knows.
