@@ -4,6 +4,7 @@ How the wheels were steered is as measured, else as commanded, where the two agr
 """
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -27,68 +28,68 @@ doubt; assumed."""
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
     """Some rows of telemetry, as a mask or by number."""
-    arrays = {
-        field.name: getattr(telemetry, field.name)[rows]
-        for field in dataclasses.fields(telemetry)
-        if isinstance(getattr(telemetry, field.name), np.ndarray)
-    }
+    arrays: dict[str, Any] = {name: value[rows] for name, value in _arrays(telemetry).items()}
     return dataclasses.replace(telemetry, **arrays)
+
+
+def _arrays(telemetry: Telemetry) -> dict[str, FloatArray]:
+    """What has a row for each time, by name."""
+    values = {field.name: getattr(telemetry, field.name) for field in dataclasses.fields(telemetry)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
 
 def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
     """Rows that have a time, each time once, ascending.
 
-    Rows without a time, and rows that repeat one to the last digit, are left out and said. Raises DataError where one
-    time has two contents, where time runs backwards, and where fewer than five rows are left.
+    Rows without a time, and rows that repeat one to the last digit, are left out; rows out of their order by less than
+    a gap are put into it; rows of one time are one, the first that has a value. All of it is said. Raises DataError
+    where time runs backwards by more, and where fewer than five rows are left.
     """
     timed = np.isfinite(telemetry.time_s)
     if not timed.all():
         lost = int((~timed).sum())
         findings.add("no time", f"{lost} rows without a time_s", "left out", count=lost)
         telemetry = taken(telemetry, timed)
-    telemetry = _without_repeats(telemetry, findings)
-    steps = np.diff(telemetry.time_s)
-    if (back := np.flatnonzero(steps <= 0)).size:
-        row = int(back[0])
-        raise DataError(
-            f"{telemetry.file}: time runs backwards {back.size} times, first from {telemetry.time_s[row]:.6g} to "
-            f"{telemetry.time_s[row + 1]:.6g} s: the clock was reset, or rows are out of order; split the file there, "
-            "or sort it if the times are right"
-        )
+    if (np.diff(telemetry.time_s) <= 0).any():
+        telemetry = _in_order(telemetry, findings)
     if len(telemetry.time_s) < LEAST_ROWS:
         raise DataError(f"{telemetry.file}: {len(telemetry.time_s)} rows with a time; give {LEAST_ROWS} or more")
     return telemetry
 
 
-def _without_repeats(telemetry: Telemetry, findings: Findings) -> Telemetry:
-    content = np.column_stack(
-        [
-            getattr(telemetry, field.name).reshape(len(telemetry.time_s), -1)
-            for field in dataclasses.fields(telemetry)
-            if isinstance(getattr(telemetry, field.name), np.ndarray)
-        ]
-    )
-    order = np.argsort(telemetry.time_s, kind="stable")
-    later = order[1:][np.diff(telemetry.time_s[order]) == 0]
-    earlier = order[:-1][np.diff(telemetry.time_s[order]) == 0]
-    if not later.size:
+def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
+    import pandas as pd
+
+    content = np.column_stack([value.reshape(len(value), -1) for value in _arrays(telemetry).values()])
+    again = pd.DataFrame(content).duplicated().to_numpy()
+    if again.any():
+        first, count = float(telemetry.time_s[int(np.argmax(again))]), int(again.sum())
+        findings.add("repeated rows", f"{count} rows repeat another one", "left out", count=count, time_s=first)
+        telemetry = taken(telemetry, ~again)
+    steps = np.diff(telemetry.time_s)
+    if (back := np.flatnonzero(steps < 0)).size:
+        row = int(back[0])
+        what = f"from {telemetry.time_s[row]:.6g} to {telemetry.time_s[row + 1]:.6g} s"
+        if -steps.min() > GAP * np.median(steps[steps > 0]):
+            raise DataError(
+                f"{telemetry.file}: time runs backwards {back.size} times, first {what}: the clock was reset, or rows "
+                "are out of order; split the file there, or sort it if the times are right"
+            )
+        findings.add("rows out of order", f"time runs backwards, first {what}", "sorted by time", count=back.size)
+        telemetry = taken(telemetry, np.argsort(telemetry.time_s, kind="stable"))
+    if not (np.diff(telemetry.time_s) == 0).any():
         return telemetry
-    alike = np.all((content[later] == content[earlier]) | (np.isnan(content[later]) & np.isnan(content[earlier])), 1)
-    differ = ~alike & (later == earlier + 1)
+    columns: dict[str, Any] = {}
+    differ = np.zeros(len(telemetry.time_s), dtype=bool)
+    for name, value in _arrays(telemetry).items():
+        together = pd.DataFrame(value.reshape(len(value), -1)).groupby(telemetry.time_s)
+        columns[name] = together.first().to_numpy(float).reshape(-1, *value.shape[1:])
+        differ |= (together.transform("nunique") > 1).any(axis=1).to_numpy()
     if differ.any():
-        row = int(later[np.argmax(differ)])
-        raise DataError(
-            f"{telemetry.file}, row {row + 1}: time_s {telemetry.time_s[row]:.6g} has two rows that differ; keep the "
-            "right one"
-        )
-    later = later[alike]
-    if not later.size:
-        return telemetry
-    first = float(telemetry.time_s[later[0]])
-    findings.add("repeated rows", f"{later.size} rows repeat another one", "left out", count=later.size, time_s=first)
-    kept = np.ones(len(telemetry.time_s), dtype=bool)
-    kept[later] = False
-    return taken(telemetry, kept)
+        first, count = float(telemetry.time_s[int(np.argmax(differ))]), int(differ.sum())
+        what, done = f"{count} rows share their time and differ", "the first one of each time is taken"
+        findings.add("rows of one time", what, done, count=count, time_s=first)
+    return dataclasses.replace(telemetry, **columns)
 
 
 def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
@@ -201,8 +202,8 @@ class WheelPace:
     def of(cls, rim_m_s: FloatArray, times_s: FloatArray, rover: Rover, plan: Plan) -> "WheelPace | None":
         """From rim speeds r_s omega, NaN where not measured (n, wheels), at times (n,); None where too few turn.
 
-        The error is what wheels scatter by. Speed and radius
-        cannot be told apart: both make the same ratio. With fixes the first leg alone counts.
+        The error is what wheels scatter by. Speed and radius cannot be told apart: both make the same ratio. With
+        fixes the first leg alone counts.
         """
         schedule = make_schedule(plan, rover)
         told = commands_at(rover, schedule, times_s).speed_m_s
