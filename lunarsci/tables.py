@@ -1,4 +1,7 @@
-"""Tables: CSV as text and as numbers, refused where a row does not fit its header, and those of lunarsci."""
+"""Tables: CSV as text and as numbers, refused where a row does not fit its header, and those of lunarsci.
+
+pandas reads the cells; that rows have as many as the header it does not check: it pads short ones in silence.
+"""
 
 import codecs
 import csv

@@ -3,7 +3,8 @@
 M3's products lie in the archive as `M3G20090203T175131_V01_RFL.IMG` (reflectance, 32-bit floats, band interleaved by
 line, -999 for no value) with a header of the same name; `..._LOC.IMG` has longitude, latitude and radius of each pixel
 (64-bit floats), `..._OBS.IMG` ten angles and distances: Green et al. (2011), J. Geophys. Res. 116, E00G19,
-10.1029/2011JE003797, and the archive's labels.
+10.1029/2011JE003797, and the archive's labels. Blocks of lines come through numpy's memory maps: GDAL is an extra, and
+does not apply gains, offsets and bad bands of a header.
 """
 
 import re

@@ -1,4 +1,7 @@
-"""ENVI spectral libraries: a header of `key = value` lines (`.hdr`) beside a flat file of floats (`.sli`)."""
+"""ENVI spectral libraries: a header of `key = value` lines (`.hdr`) beside a flat file of floats (`.sli`).
+
+Why no library does it is said in `envi_header`.
+"""
 
 import re
 import warnings

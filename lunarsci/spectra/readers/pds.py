@@ -1,4 +1,7 @@
-"""Spectra in tables that a label of the Planetary Data System describes, as those of RELAB and CRISM."""
+"""Spectra in tables that a label of the Planetary Data System describes, as those of RELAB and CRISM.
+
+Why no library does it is said in `pds_label`; numpy reads tables of bytes, and text is split at the label's places.
+"""
 
 from dataclasses import replace
 from typing import Any
