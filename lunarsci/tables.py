@@ -8,7 +8,6 @@ import csv
 import difflib
 import io
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile, InputStream, csv_rows, read_input, text
 from lunarsci.printable import cell
 from lunarsci.provenance import sha256
@@ -216,7 +215,7 @@ def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "p
     kept = table.drop_duplicates()
     if len(kept) < len(table):
         text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
-        warnings.warn(text, LunarSciWarning, stacklevel=3)
+        warn(text)
     again = kept.duplicated(list(keys))
     if again.any():
         row = kept[again].iloc[0]

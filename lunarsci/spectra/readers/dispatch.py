@@ -10,7 +10,7 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, warn
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
@@ -186,7 +186,7 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     order, order_name = _ascending(values, kept)
     read_as = [f"{file}: {line}" for line in (*table.metadata.get("read_as", ()), *said, *converted, *spliced)]
     for line in read_as:
-        _warn(line)
+        warn(line)
     if record["wavelength_unit_from"] == "values":
         read_as.insert(0, f"{file}: wavelengths read as {record['wavelength_unit']} by their range (`wavelength_unit`)")
     common = {
@@ -216,7 +216,7 @@ def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
     what = f"rows without a wavelength above 0: {bad.size} of {keep.size}, first {table.places[bad[0]]}"
     if bad.size > keep.size / 2:
         raise DataError(f"{file}: {what}; check that column {table.wavelength.label} is the wavelength")
-    _warn(f"{file}: left out {what}")
+    warn(f"{file}: left out {what}")
     spectra = tuple((_rows(c, keep), None if s is None else _rows(s, keep)) for c, s in table.spectra)
     places = tuple(np.array(table.places)[keep].tolist())
     systematic = {k: tuple((n, _rows(c, keep)) for n, c in shifts) for k, shifts in table.systematic.items()}
@@ -243,7 +243,7 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
         return order, "ascending"
     if (steps < 0).all():
         return order, "descending"
-    _warn(f"{file}: wavelengths are in no order; the rows are sorted")
+    warn(f"{file}: wavelengths are in no order; the rows are sorted")
     return order, "unsorted"
 
 
@@ -377,14 +377,10 @@ def _report(spectra: SpectrumRows, counts: dict[str, IntArray], file: str) -> No
         if touched.size:
             first = spectra.ids[touched[0]]
             where = f" in {touched.size} of {len(spectra)} spectra, first '{first}'" if len(spectra) > 1 else ""
-            _warn(f"{file}: {what}: {counts[key].sum()}{where}")
+            warn(f"{file}: {what}: {counts[key].sum()}{where}")
     unusable = [spectra.ids[row] for row in np.flatnonzero(spectra.mask.all(axis=1)).tolist()]
     if unusable and len(spectra) == 1:
         raise DataError(f"{file}: no reflectance above 0 in column {spectra.about(0)['column']!r}; check the file")
     if unusable:
         listed = ", ".join(f"'{i}'" for i in unusable[:5]) + (", ..." if len(unusable) > 5 else "")
-        _warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)
+        warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")

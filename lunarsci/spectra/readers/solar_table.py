@@ -1,7 +1,6 @@
 """A user's solar spectrum: a text or ECSV table whose units its header states, or its integral tells."""
 
 import re
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
@@ -62,22 +61,18 @@ def read_solar_spectrum(source: InputFile) -> SolarSpectrum:
     _check_values(table, source.name)
     length, per, integral = _units(table, source.name)
     if table.length is None or table.per is None:
-        _warn(
+        warn(
             f"{source.name}: read as {length} and {per}, under which it integrates to {integral:.0f} W m-2 over "
             "430-2430 nm; the header does not say, name the columns wavelength_nm,irradiance_w_m-2_nm-1"
         )
     off = integral / _INTEGRAL_W_M2 - 1
     if abs(off) > _REMARKED_OFF:
-        _warn(
+        warn(
             f"{source.name}: its integral over 430-2430 nm, {integral:.0f} W m-2, is {off:+.1%} off that of ASTM G173, "
             "and reflectance changes by as much; check that it is at 1 AU"
         )
     wavelength, irradiance = _ascending(table, source.name)
     return SolarSpectrum(source.stem, wavelength * _NM[length], irradiance * _IRRADIANCE[per], source.name)
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)
 
 
 def _check_values(table: _Table, file: str) -> None:
@@ -97,7 +92,7 @@ def _check_values(table: _Table, file: str) -> None:
 
 def _ascending(table: _Table, file: str) -> tuple[FloatArray, FloatArray]:
     if not (np.diff(table.wavelength) > 0).all():
-        warnings.warn(f"{file}: rows were sorted by wavelength", LunarSciWarning, stacklevel=3)
+        warn(f"{file}: rows were sorted by wavelength")
     order = np.argsort(table.wavelength)
     return table.wavelength[order], table.irradiance[order]
 

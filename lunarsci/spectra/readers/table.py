@@ -7,7 +7,6 @@ says so.
 
 import re
 import unicodedata
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -17,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.kept_blocks import spans
 from lunarsci.spectra.rows import quoted
@@ -199,7 +198,7 @@ def wavelength_nm(column: Column, stated: WavelengthUnit | None, file: str) -> t
         found, stated, low, high, f"{file}: wavelengths {low:g}-{high:g} (column {column.label})"
     )
     if origin == "file" and stated not in (None, unit):
-        _warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
+        warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
     record = {"wavelength_unit": column.unit_text or unit, "wavelength_unit_from": origin}
     return to_nm(column.values, unit), record
 
@@ -216,13 +215,13 @@ def _wavelength_choice(
         return found, "file"
     if stated is not None:
         if not _plausible(stated, low, high):
-            _warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
+            warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
         return stated, "caller"
     if found is not None:
         raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; give `wavelength_unit` nm or um")
     for unit, (least, most) in SURELY.items():
         if least <= low and high <= most:
-            _warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
+            warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
             return unit, "values"
     raise DataError(
         f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um, or name the column "
@@ -333,7 +332,3 @@ def _unit_of(column: Column) -> str | None:
 
 def _contradicts(unit: str, median: float) -> bool:
     return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > MAX_PERCENT
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)

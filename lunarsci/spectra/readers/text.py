@@ -6,7 +6,6 @@ table are what, it does not tell.
 """
 
 import re
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import (
     on_one_grid,
@@ -119,10 +118,8 @@ def _warn_of_commented_rows(
     fields = body[0][1].count(separator) if separator != " " else 0
     lost = [n for n, text in comments if body[0][0] < n < body[-1][0] and fields and text.count(separator) == fields]
     if lost:
-        warnings.warn(
+        warn(
             f"{file}: left out {len(lost)} lines among the data that begin as comments do, the first is line {lost[0]}",
-            LunarSciWarning,
-            stacklevel=3,
         )
 
 
