@@ -19,7 +19,7 @@ from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, spectra_of
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.libraries import without_wavelength_files
-from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, unlikely_of_many, without_steps
+from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, without_steps
 from lunarsci.spectra.readers.table import (
     SURELY,
     Column,
@@ -234,25 +234,24 @@ def _from_memory(
     name = f"spectrum {before + 1}"
     try:
         if isinstance(item, Spectrum):
-            spectra = [item]
+            rows = SpectrumRows.of(item)
         else:
             rows = _of_arrays(before, item, wavelength_unit, reflectance_unit)
-            batch.read_as.extend(rows.about(0).get("read_as", ()))
-            spectra = [rows[k] for k in range(len(rows))]
-            told = unlikely_of_many([SpectrumRows.of(one) for one in spectra])
+            # What is computed scatters by nothing.
+            told = [line for line in unlikely(rows, f"<{name}>") if SAID["smooth"] not in line]
     except (DataError, ParameterError) as error:
         batch.failures.append(Failure.of(name, str(error).replace(f"<{name}>", name)))
         return
+    batch.read_as.extend(rows.about(0).get("read_as", ()) if not isinstance(item, Spectrum) else ())
+    rows = _levelled(batch, rows, told)
     for line in told:
         warn(line)
-    if told:
-        spectra = [_levelled(batch, SpectrumRows.of(one), told)[0] for one in spectra]
-        batch.read_as[:] = dict.fromkeys(batch.read_as)
-    for spectrum in spectra:
-        content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
-        batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))
-        batch.inputs[f"<{spectrum.id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
-        yield _averaged(batch, SpectrumRows.of(spectrum), f"<{spectrum.id}>")
+    for k, id in enumerate(rows.ids):
+        sigma = None if rows.uncertainty is None or not rows.known[k] else rows.uncertainty[k]
+        content = (rows.wavelength_nm, rows.reflectance[k], sigma)
+        batch.origins.append(str(item.metadata.get("source", f"<{id}>")) if isinstance(item, Spectrum) else f"<{id}>")
+        batch.inputs[f"<{id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
+    yield _averaged(batch, rows, f"<{rows.ids[0]}>")
 
 
 def _of_arrays(

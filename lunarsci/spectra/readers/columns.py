@@ -80,7 +80,7 @@ _NOT_A_SPECTRUM = {
 _NOT_REFLECTANCE = {
     *("radiance", "irradiance", "transmittance", "emissivity", "cal", "calibration", "dn", "rad", "irrad", "raw"),
 }
-_SIGMA = {"sigma", "1sigma", "σ", "1σ", "std", "sd", "se", "sem", "error", "err", "unc", "+-", "rms", "scatter"}
+_SIGMA = {"sigma", "1sigma", "σ", "1σ", "std", "sd", "se", "sem", "error", "err", "unc", "+-", "rms", "rsd", "scatter"}
 _SIGMA_WORD = re.compile(
     r"st(d|and)?(ard)?(abw|afw|dev|err)|s(t|tan)?dev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|"
     r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"

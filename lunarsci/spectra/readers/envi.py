@@ -14,16 +14,13 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.envi_header import NUMBERS, EnviHeader, data_names, header_names, is_header, partner
-from lunarsci.spectra.readers.table import MAX_PERCENT, Column, SpectrumTable
+from lunarsci.spectra.readers.table import MAX_PERCENT, USUAL_SCALE, Column, SpectrumTable
 from lunarsci.spectra.rows import quoted
 
 DATA_SUFFIXES = (".sli", ".slb")
 _LIBRARY = "envi spectral library"
 _NOT_SPECTRA = re.compile(r"(wavelengths?|bandpass|resolution|fwhm)\b", re.IGNORECASE)
 """Records that the libraries of the USGS carry among their spectra."""
-USUAL_SCALE = 10_000.0
-"""What reflectances in whole numbers are multiplied by where a header is silent, as ATCOR, FLAASH and HyMap products
-do; assumed."""
 _MOST_VALUES = 1_000_000_000
 
 

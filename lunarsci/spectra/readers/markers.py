@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.kept_blocks import spans
 from lunarsci.no_data import far_ends
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 
@@ -22,6 +23,7 @@ FEWEST_OTHERS = 10
 """Numbers beside one that repeats, and that could be a reflectance by its size, before it is a marker; assumed."""
 MOST_MARKERS = 3
 """Different markers of a file; assumed."""
+_AT_ONCE = 256
 
 
 def without_deleted(values: FloatArray) -> IntArray:
@@ -40,9 +42,9 @@ def markers_of(values: FloatArray) -> list[float]:
     """
     found, left = list[float](), values
     for _ in range(MOST_MARKERS):
-        ends = far_ends(left, FAR, from_zero=True)
+        parts = (left[block.start : block.stop] for block in spans(len(left), _AT_ONCE))
         new = {
-            one.value for one in ends
+            one.value for part in parts for one in far_ends(part, FAR, from_zero=True)
             if abs(one.value) > MAX_PERCENT or (one.repeats > 1 and one.others >= FEWEST_OTHERS)
         }  # fmt: skip
         if not new:

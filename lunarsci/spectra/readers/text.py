@@ -5,8 +5,10 @@ keys, names and units above, text below. pandas reads the numbers where there ar
 table are what, it does not tell.
 """
 
+import io
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,32 @@ _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
+
+
+def read_excel(source: InputFile) -> SpectrumTable:
+    """Read the first sheet of an Excel workbook that has more than one row and column, as a table of text.
+
+    Raises DataError without openpyxl, for a workbook that cannot be read or has no such sheet, and as `read_text` does.
+    """
+    import pandas as pd
+
+    try:
+        sheets = pd.read_excel(io.BytesIO(source.data), sheet_name=None, header=None, dtype=object, engine="openpyxl")
+    except ImportError as error:
+        raise DataError(
+            f"{source.name}: Excel needs openpyxl; pip install 'lunarsci[excel]', or save the sheet as CSV"
+        ) from error
+    except Exception as error:  # whatever openpyxl and zipfile raise of a damaged file
+        raise DataError(f"{source.name}: not an Excel workbook that can be read; save its sheet as CSV") from error
+    filled = {name: sheet.dropna(how="all").dropna(how="all", axis=1) for name, sheet in sheets.items()}
+    chosen = next((str(name) for name, sheet in filled.items() if min(sheet.shape) > 1), None)
+    if chosen is None:
+        raise DataError(f"{source.name}: no sheet with more than one row and column; save the spectra as CSV")
+    content = filled[chosen].to_csv(index=False, header=False).encode()
+    found = read_text(InputFile(source.name, content))
+    said = [f"sheet '{chosen}' of {len(sheets)}; save another as CSV"] if len(sheets) > 1 else []
+    about = {**found.metadata, "read_as": [*said, *found.metadata.get("read_as", ())]}
+    return replace(found, source=source, format="excel", metadata=about if about["read_as"] else found.metadata)
 
 
 def read_text(source: InputFile) -> SpectrumTable:
