@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -44,6 +45,8 @@ _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
+MOST_UNPACKED = 1 << 28
+"""Bytes of an Excel workbook when it is unpacked; assumed."""
 
 
 def read_excel(source: InputFile) -> SpectrumTable:
@@ -54,6 +57,10 @@ def read_excel(source: InputFile) -> SpectrumTable:
     import pandas as pd
 
     try:
+        with ZipFile(io.BytesIO(source.data)) as packed:
+            size = sum(one.file_size for one in packed.infolist())
+        if size > MOST_UNPACKED:
+            raise ValueError(f"{size} bytes when unpacked")
         sheets = pd.read_excel(io.BytesIO(source.data), sheet_name=None, header=None, dtype=object, engine="openpyxl")
     except ImportError as error:
         raise DataError(
@@ -93,7 +100,7 @@ def read_text(source: InputFile) -> SpectrumTable:
     if table.names:
         names, body = table.names, table.lines
     else:
-        names, body = _header_and_body(table.lines, comments, separator, source.name)
+        names, body = header_and_body(table.lines, comments, separator, source.name)
     values = numbers_at_once(body, separator)
     rows: list[Row] = []
     if values is None or len(values) < 2 or np.isnan(values[-1]).all() or len(names or values) != len(values):
@@ -157,7 +164,7 @@ def _block(values: FloatArray, places: Sequence[int]) -> FloatArray:
     return values[places[0] : places[-1] + 1] if side_by_side else values[places]
 
 
-def _header_and_body(
+def header_and_body(
     lines: Sequence[tuple[int, str]], comments: Sequence[tuple[int, str]], separator: str, file: str
 ) -> tuple[list[str] | None, Sequence[tuple[int, str]]]:
     """Names of the columns, if there are any, and the lines of numbers."""
