@@ -83,7 +83,7 @@ def _unit(column: Any, file: str) -> Any:
     text = str(column.unit).strip().casefold()
     if text in _DIMENSIONLESS:
         return u.dimensionless_unscaled
-    length = length_unit(text)
+    length = "%" if text == "percent" else length_unit(text)
     if length is None and is_wavelength(str(column.name)):
         raise DataError(
             f"{file}: column {quoted(str(column.name))} has the unknown unit {quoted(str(column.unit))}; use nm or um"
