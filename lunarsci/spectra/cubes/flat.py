@@ -62,7 +62,7 @@ def open_envi(path: str, locations: str | None, framed: Callable[[str], PixelFra
         fwhm=found.numbers("fwhm", source.channels, "bands"),
         bad=None if (good := found.numbers("bbl", source.channels, "bands")) is None else good == 0,
         **_scales(found, source.channels),
-        ignored=[*_ignored(found), *([M3_IGNORED] if m3 else [])],
+        ignored=[mark for mark in (found.number("data ignore value"), M3_IGNORED if m3 else None) if mark is not None],
         frame=framed(data) if "map info" in found.fields else None,
         names=found.cells("band names") if "band names" in found.fields else (),
         backplanes=planes,
@@ -136,11 +136,6 @@ def _each(header: EnviHeader, key: str, bands: int) -> FloatArray | None:
         only = header.numbers(key, 1, "bands")
         return None if only is None else np.full(bands, only[0])
     return header.numbers(key, bands, "bands")
-
-
-def _ignored(header: EnviHeader) -> list[float]:
-    value = header.number("data ignore value")
-    return [] if value is None else [value]
 
 
 def _backplanes(

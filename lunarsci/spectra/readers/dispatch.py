@@ -106,18 +106,11 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
 
 def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
     # astropy takes longer to import than a CSV file to read: only files that need it pay for it.
-    if format == "ecsv":
-        from lunarsci.spectra.readers.astropy_tables import read_ecsv
-
-        return read_ecsv
-    if format == "fits":
-        from lunarsci.spectra.readers.astropy_tables import read_fits
-
-        return read_fits
-    if format == "pds":
+    if format in ("ecsv", "fits", "pds"):
+        from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
         from lunarsci.spectra.readers.pds import read_pds
 
-        return read_pds
+        return {"ecsv": read_ecsv, "fits": read_fits, "pds": read_pds}[format]
     return _READERS[format]
 
 
