@@ -140,6 +140,7 @@ def _from_text(content: str, file: str) -> _Table:
         names, numbered = header_and_body(numbered, comments, separator, file)
     body = [Row(n, split_fields(line, separator, f"{file}: line {n}")) for n, line in numbered]
     width = check_widths(body, file)
+    names = names if names and len(names) == width else None
     filled = [k for k in range(width) if not all(is_missing(row.fields[k]) for row in body)]
     wavelength, irradiance = _places(names or [""] * width, filled, file)
 
