@@ -13,6 +13,7 @@
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 
 
@@ -112,3 +113,8 @@ class SchedulerError(LunarSciError, RuntimeError):
 
 class LunarSciWarning(UserWarning):
     """A result that stands, with something the reader should know about it."""
+
+
+def warn(message: str) -> None:
+    """Say something of a result that stands, as a LunarSciWarning where the caller was called."""
+    warnings.warn(message, LunarSciWarning, stacklevel=3)

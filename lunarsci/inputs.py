@@ -13,14 +13,13 @@ import json
 import os
 import re
 import sys
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from lunarsci.documents import json_document
-from lunarsci.errors import DataError, LunarSciWarning, NoFilesError, ParameterError
+from lunarsci.errors import DataError, NoFilesError, ParameterError, warn
 from lunarsci.names import some_of
 
 if TYPE_CHECKING:
@@ -299,7 +298,7 @@ def _decoded(input: InputFile) -> str:
     # Binary content is about to be refused by the caller: a remark on its encoding would only distract.
     if "\0" not in decoded:
         message = f"{input.name}: is not valid UTF-8 and was read as Latin-1; save it as UTF-8 if a name looks wrong"
-        warnings.warn(message, LunarSciWarning, stacklevel=3)
+        warn(message)
     return decoded
 
 
@@ -358,7 +357,7 @@ def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
         raise NoFilesError(f"{path}: folder holds no files; name the files or a pattern")
     data = [name for name in found if all_files or not no_data(name)]
     if left := [Path(name).name for name in found if not all_files and no_data(name)]:
-        warnings.warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}", LunarSciWarning, 2)
+        warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}")
     if not data:
         raise NoFilesError(f"{path}: folder holds no files of data; name the files or a pattern")
     return data

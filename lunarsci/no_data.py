@@ -1,6 +1,8 @@
-"""Values that stand for none where a file does not say which they are."""
+"""Values that stand for none where a file does not say which they are: heights, and the law of all such marks."""
 
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,11 +38,34 @@ def _of(value: float) -> str:
 
 
 def _marker(heights: FloatArray) -> float | None:
-    known = heights[~np.isnan(heights)]
-    if not known.size:
-        return None
-    for value in (float(known.min()), float(known.max())):
-        others = known[known != value] if value in MARKERS else np.empty(0)
-        if others.size and np.abs(others - value).min() > np.ptp(others):
-            return value
-    return None
+    """A height has no natural 0, so that only usual marks are looked for."""
+    ends = far_ends(heights.reshape(1, -1), times=1.0, from_zero=False)
+    return next((one.value for one in ends if one.value in MARKERS), None)
+
+
+class FarEnd(NamedTuple):
+    """The lowest or highest number of a row, how often it is there, and how many others are."""
+
+    value: float
+    repeats: int
+    others: int
+
+
+def far_ends(rows: FloatArray, times: float, *, from_zero: bool) -> Iterator[FarEnd]:
+    """Ends of rows (n, c) that are farther from the next number than `times` the range of all others; NaN is none.
+
+    The range is that of the others and of 0 where numbers are measured `from_zero`, as reflectances are.
+    """
+    for end in (np.fmin, np.fmax):
+        edge = end.reduce(rows, axis=1)[:, None]
+        at = rows == edge
+        others = np.where(at, np.nan, rows)
+        count = np.isfinite(others).sum(axis=1)
+        low, high = np.fmin.reduce(others, axis=1), np.fmax.reduce(others, axis=1)
+        if from_zero:
+            low, high = np.fmin(low, 0.0), np.fmax(high, 0.0)
+        with np.errstate(invalid="ignore"):
+            gap = (low - edge[:, 0]) if end is np.fmin else (edge[:, 0] - high)
+            far = (gap > times * (high - low)) & (count > 0)
+        for row in np.flatnonzero(far).tolist():
+            yield FarEnd(float(edge[row, 0]), int(at[row].sum()), int(count[row]))

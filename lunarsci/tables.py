@@ -1,11 +1,13 @@
-"""Tables: CSV as text and as numbers, refused where a row does not fit its header, and those of lunarsci."""
+"""Tables: CSV as text and as numbers, refused where a row does not fit its header, and those of lunarsci.
+
+pandas reads the cells; that rows have as many as the header it does not check: it pads short ones in silence.
+"""
 
 import codecs
 import csv
 import difflib
 import io
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile, InputStream, csv_rows, read_input, text
 from lunarsci.printable import cell
 from lunarsci.provenance import sha256
@@ -213,7 +215,7 @@ def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "p
     kept = table.drop_duplicates()
     if len(kept) < len(table):
         text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
-        warnings.warn(text, LunarSciWarning, stacklevel=3)
+        warn(text)
     again = kept.duplicated(list(keys))
     if again.any():
         row = kept[again].iloc[0]

@@ -66,8 +66,11 @@ class Report:
     stored: Mapping[str, Any] | None = None
 
     def with_reasons(self, told: Callable[[str], str]) -> "Report":
-        """With the reasons of its failures, and why it is not to be trusted, as `told` words them."""
-        return replace(self, untrusted=told(self.untrusted), failures=[one.worded(told) for one in self.failures])
+        """With the reasons of its failures, why it is not to be trusted, and how it was read, as `told` words them."""
+        lines = self.result.get("read_as")
+        result = {**self.result, "read_as": [*map(told, lines)]} if isinstance(lines, list | tuple) else self.result
+        failures = [one.worded(told) for one in self.failures]
+        return replace(self, untrusted=told(self.untrusted), failures=failures, result=result)
 
     @classmethod
     def of(

@@ -10,7 +10,7 @@ Files = Annotated[
     list[str],
     typer.Argument(
         metavar="FILE",
-        help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
+        help="Spectra: ECSV, CSV, text or Excel (first column wavelength, then spectra), RELAB .tab/.asc, PDS, FITS "
         "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
         "patterns; - is stdin.",
     ),

@@ -19,6 +19,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "cluster": ("distributed",),
     "images": ("cv2",),
     "parquet": ("pyarrow",),
+    "excel": ("openpyxl",),
     "report": ("jinja2",),
 }
 """Extras of the package, and the modules they bring."""

@@ -260,7 +260,7 @@ def kind_of(file: InputFile) -> str:
         return "cube" if not Path(file.name).with_suffix(".sli").is_file() else "spectra"
     if suffix == ".parquet":
         return "telemetry"
-    if suffix == ".sli":
+    if suffix in (".sli", ".xlsx"):
         return "spectra"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)

@@ -1,4 +1,8 @@
-"""Lines, fields and numbers of text tables."""
+"""Lines, fields and numbers of text tables.
+
+pandas reads plain numbers where they are many; a wrong cell with its line and column, decimal commas beside points and
+missing cells of spreadsheets in one table it does not tell.
+"""
 
 import io
 import re

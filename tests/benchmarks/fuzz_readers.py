@@ -119,15 +119,17 @@ def spectrum_files() -> dict[str, bytes]:
 
     nm, reflectance = curve()
     plain = Table({"wavelength_nm": nm, "reflectance": reflectance})
-    ecsv, fits = io.StringIO(), io.BytesIO()
+    ecsv, fits, workbook = io.StringIO(), io.BytesIO(), io.BytesIO()
     plain.write(ecsv, format="ascii.ecsv")
     plain.write(fits, format="fits")
+    plain.to_pandas().to_excel(workbook, index=False, engine="openpyxl")
     rows = list(zip(nm, reflectance, strict=True))
     return {
         ".csv": b"wavelength_nm,rock,rock_sigma\n" + b"".join(b"%.1f,%.5f,0.001\n" % row for row in rows),
         ".txt": b"# SYNTHETIC\n" + b"".join(b"%.4f %.5f\n" % (w / 1000, r) for w, r in rows),
         ".ecsv": ecsv.getvalue().encode(),
         ".fits": fits.getvalue(),
+        ".xlsx": workbook.getvalue(),
         ".sed": b"Instrument: X\nData:\nWvl\tReflect. %\twavelength_nm\tb\n"
         + b"".join(b"%.1f\t%.5f\t%.1f\t%.5f\n" % (w, 100 * r, w + 3, r) for w, r in rows),
         ".tab": b"%d\n" % len(rows) + b"".join(b"  %9.4f %9.5f %9.5f\n" % (w, r, 0.001) for w, r in rows),
@@ -881,8 +883,8 @@ PARTS = (spectra_readers, cube_readers, picture_readers, ground_readers, soil_re
 # --- which reader a parameter of a command comes to ---
 
 SPECTRA = (
-    "spectra .csv, spectra .txt, spectra .ecsv, spectra .fits, spectra .sed, spectra .tab, spectra splib, "
-    "spectra .sli, spectra PDS3, spectra PDS4"
+    "spectra .csv, spectra .txt, spectra .ecsv, spectra .fits, spectra .sed, spectra .tab, spectra .xlsx, "
+    "spectra splib, spectra .sli, spectra PDS3, spectra PDS4"
 )
 PICTURES = "picture png, picture tiff, picture jpeg"
 GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif, terrain in degrees, terrain PDS3"

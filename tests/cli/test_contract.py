@@ -343,12 +343,21 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
 
 def test_reasons_name_options_as_they_are_typed(run: Run, rock: Path, tmp_path: Path) -> None:
     percent, kept = tmp_path / "percent.csv", tmp_path / "failed"
-    percent.write_text("wavelength_nm,reflectance\n" + "".join(f"{400 + 10 * k},{20 + 0.1 * k}\n" for k in range(90)))
-    said = "give --reflectance-unit percent"
+    percent.write_text("wavelength_nm,R (%)\n" + "".join(f"{400 + 10 * k},{0.20 + 0.001 * k}\n" for k in range(90)))
+    said = "give --reflectance-unit fraction or percent"
     alone = run("spectra", "bands", percent)
     done = run("spectra", "bands", percent, rock, "--json", "--failed", kept)
     assert (alone.code, done.code) == (1, 1) and said in alone.err[-1] and said in done.err[-2]
     assert said in kept.read_text() and said in json.loads(done.out)["provenance"]["failures"][0]
+
+
+def test_read_as_names_options_as_they_are_typed(run: Run, tmp_path: Path) -> None:
+    percent = tmp_path / "percent.csv"
+    percent.write_text("wavelength_nm,Reflectance\n" + "".join(f"{400 + 10 * k},{20 + 0.1 * k}\n" for k in range(90)))
+    done = run("spectra", "bands", percent, "--json")
+    said = "read as percent; --reflectance-unit decides otherwise"
+    assert done.code == 0 and any(said in line for line in done.err)
+    assert any(said in line for line in json.loads(done.out)["result"]["read_as"])
 
 
 EMPTY_TAKEN = ("bands", "indices", "fit", "unmix", "calibrate", "match")

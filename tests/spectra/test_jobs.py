@@ -161,10 +161,16 @@ def test_a_single_channel_far_off_moves_no_answer(factor: float, at_nm: float) -
     assert [one["center_nm"] for one in fitted] == pytest.approx([one["center_nm"] for one in truth], rel=1e-9)
 
 
+def test_arrays_in_percent_are_read_so() -> None:
+    with pytest.warns(LunarSciWarning, match="read as percent"):
+        found = bands((WAVELENGTH_NM, 100 * REFLECTANCE)).to_table()
+    expected = bands((WAVELENGTH_NM, REFLECTANCE)).to_table()
+    assert found["bc1000_nm"][0].value == pytest.approx(expected["bc1000_nm"][0].value)
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ((WAVELENGTH_NM, 100 * REFLECTANCE), "no fraction; give `reflectance_unit` percent"),
         (
             (WAVELENGTH_NM, REFLECTANCE[1:]),
             r"shape \(379,\) beside 380 wavelengths; give \(wavelength_nm, reflectance\)",

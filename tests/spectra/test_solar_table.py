@@ -209,6 +209,12 @@ def test_unusable_files_say_what_and_where(content: str, what: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_names_that_are_too_few_say_nothing() -> None:
+    with pytest.warns(LunarSciWarning, match="read as nm and W m-2 nm-1"):
+        found = read_solar_spectrum(a_file(table("a spectrum of the Sun")))
+    assert found.irradiance == pytest.approx(planck(PLANCK_NM), rel=1e-5)
+
+
 def test_binary_content_is_refused() -> None:
     with pytest.raises(DataError, match="binary"):
         read_solar_spectrum(InputFile("sun.nc", b"CDF\x01\x00\x00\x00" * 50))

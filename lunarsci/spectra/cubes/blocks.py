@@ -1,14 +1,13 @@
 """What goes through a map: blocks of rows as they are read, their layers as they are measured, and a tally of them."""
 
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import warn
 from lunarsci.spectra.cubes.cube import LEFT_OUT, NO_DATA, Cube
 from lunarsci.spectra.cubes.output import FLAG_LAYER, NO_CODE, Layer
 from lunarsci.spectra.cubes.regions import Region
@@ -104,7 +103,7 @@ def warn_of_cost(products: Sequence[Product], cube: Cube, region: Region) -> Non
     if hours > LONG_HOURS:
         names = " and ".join(product.name for product in slow)
         message = f"{names}: {each:.2g} s a pixel, about {told} for {count:,} pixels on one core; `every` makes it less"
-        warnings.warn(message, LunarSciWarning, stacklevel=3)
+        warn(message)
 
 
 def _nothing(layer: Layer) -> Any:

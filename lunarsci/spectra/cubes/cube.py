@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning, warn
 from lunarsci.spectra.readers.markers import unnamed_markers
 from lunarsci.spectra.readers.table import Column, WavelengthUnit, wavelength_nm
 
@@ -337,7 +337,7 @@ def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]
             except DataError:
                 raise error from None
         unit = record["wavelength_unit"]
-        _warn(f"{layout.name}: says that wavelengths {low:g}-{high:g} are in {layout.unit}; read as {unit}")
+        warn(f"{layout.name}: says that wavelengths {low:g}-{high:g} are in {layout.unit}; read as {unit}")
     lost = int((~known).sum())
     return converted, [f"{lost} channels without a wavelength are left out"] if lost else []
 
@@ -351,7 +351,7 @@ def _check_order(cube: Cube) -> None:
         )
     steps = np.diff(cube.channels)
     if not ((steps > 0).all() or (steps < 0).all()):
-        _warn(f"{cube.name}: wavelengths are in no order; bands are sorted by them")
+        warn(f"{cube.name}: wavelengths are in no order; bands are sorted by them")
     if (~cube.bad).sum() < FEWEST_CHANNELS:
         raise DataError(f"{cube.name}: {(~cube.bad).sum()} good channels; a spectrum needs {FEWEST_CHANNELS}")
 
@@ -394,7 +394,3 @@ def _check_level(cube: Cube, layout: Layout, stated: Stated) -> None:
             f"{cube.name}: has numbers of about {median:.4g}, no reflectances; radiance must be calibrated first, "
             f"scaled ones need `scale` ({guess}what they were multiplied by)"
         )
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)

@@ -3,19 +3,18 @@
 M3's products lie in the archive as `M3G20090203T175131_V01_RFL.IMG` (reflectance, 32-bit floats, band interleaved by
 line, -999 for no value) with a header of the same name; `..._LOC.IMG` has longitude, latitude and radius of each pixel
 (64-bit floats), `..._OBS.IMG` ten angles and distances: Green et al. (2011), J. Geophys. Res. 116, E00G19,
-10.1029/2011JE003797, and the archive's labels.
+10.1029/2011JE003797, and the archive's labels. Blocks of lines come through numpy's memory maps: GDAL is an extra.
 """
 
 import re
-import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import read_input
 from lunarsci.spectra.cubes.cube import MOST_VALUES, SYNTHETIC, Backplane, FlatFile, Layout, PixelFrame, sha256_of
 from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
@@ -37,8 +36,10 @@ _OBS = {
 """Bands of an OBS file that go into maps."""
 
 
-def open_envi(path: str, locations: str | None = None) -> Layout:
+def open_envi(path: str, locations: str | None, framed: Callable[[str], PixelFrame | None]) -> Layout:
     """A cube of the data file or the header at `path`; the other one lies beside it.
+
+    `framed` says where the pixels of a data file lie whose header has `map info`.
 
     Raises DataError when one of them is missing, the header is no image's or contradicts itself, or the data file has
     another size than the header says.
@@ -61,8 +62,8 @@ def open_envi(path: str, locations: str | None = None) -> Layout:
         fwhm=found.numbers("fwhm", source.channels, "bands"),
         bad=None if (good := found.numbers("bbl", source.channels, "bands")) is None else good == 0,
         **_scales(found, source.channels),
-        ignored=[*_ignored(found), *([M3_IGNORED] if m3 else [])],
-        frame=_frame(found, data),
+        ignored=[mark for mark in (found.number("data ignore value"), M3_IGNORED if m3 else None) if mark is not None],
+        frame=framed(data) if "map info" in found.fields else None,
         names=found.cells("band names") if "band names" in found.fields else (),
         backplanes=planes,
         inputs={name: sha256_of(name) for name in (header, data, *used)},
@@ -137,21 +138,6 @@ def _each(header: EnviHeader, key: str, bands: int) -> FloatArray | None:
     return header.numbers(key, bands, "bands")
 
 
-def _ignored(header: EnviHeader) -> list[float]:
-    value = header.number("data ignore value")
-    return [] if value is None else [value]
-
-
-def _frame(header: EnviHeader, data: str) -> PixelFrame | None:
-    """As GDAL reads `map info` and `coordinate system string`; None where there is none."""
-    if "map info" not in header.fields:
-        return None
-    from lunarsci.spectra.cubes.rasters import frame_of, opened
-
-    with opened(data, "ENVI") as dataset:
-        return frame_of(dataset)
-
-
 def _backplanes(
     data: str, source: FlatFile, locations: str | None, m3: str | None
 ) -> tuple[dict[str, Backplane], list[str]]:
@@ -189,7 +175,7 @@ def _plane_file(path: str, of: FlatFile, *, stated: bool, fewest: int) -> tuple[
     except DataError as error:
         if stated:
             raise
-        warnings.warn(f"{error}; it is not used", LunarSciWarning, stacklevel=2)
+        warn(f"{error}; it is not used")
         return None, ()
     return found, _pair(path)
 

@@ -1,4 +1,7 @@
-"""Cubes that a label of the Planetary Data System describes, as those of CRISM and IIRS."""
+"""Cubes that a label of the Planetary Data System describes, as those of CRISM and IIRS.
+
+Why no library does it is said in `lunarsci.spectra.readers.pds_label`.
+"""
 
 from pathlib import Path
 

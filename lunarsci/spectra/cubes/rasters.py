@@ -59,7 +59,7 @@ def _layout(path: str, said: Stated) -> Layout:
     if start.startswith((HDF, b"CDF")):
         return open_netcdf(path)
     if start.split(b"\n")[0].strip() == b"ENVI" or has_header(path):
-        return open_envi(path, said.locations)
+        return open_envi(path, said.locations, _envi_frame)
     if label := label_of_cube(path):
         return open_pds(label)
     raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
@@ -83,6 +83,12 @@ def opened(path: str, driver: str) -> Iterator[Any]:
                 yield dataset
     except (RasterioError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: cannot be read ({' '.join(str(error).split())}); fetch or write it again") from error
+
+
+def _envi_frame(data: str) -> PixelFrame | None:
+    """As GDAL reads `map info` and `coordinate system string`."""
+    with opened(data, "ENVI") as dataset:
+        return frame_of(dataset)
 
 
 def frame_of(dataset: Any) -> PixelFrame | None:
@@ -139,21 +145,18 @@ def _described(dataset: Any) -> tuple[FloatArray | None, WavelengthUnit | None]:
     """Wavelengths of bands, from their tags or descriptions, and their unit."""
     bands = range(1, dataset.count + 1)
     tags = [{**dataset.tags(band, ns="IMAGERY"), **dataset.tags(band)} for band in bands]
-    if all("CENTRAL_WAVELENGTH_UM" in tag for tag in tags):
-        return np.array([number(tag["CENTRAL_WAVELENGTH_UM"]) or np.nan for tag in tags], float), "um"
-    if all("wavelength" in tag for tag in tags):
-        units = {length_unit(tag.get("wavelength_units", "")) for tag in tags}
-        return np.array([number(tag["wavelength"]) or np.nan for tag in tags], float), _one(units)
-    found = [_in_name(name or "") for name in dataset.descriptions]
-    if any(item is None for item in found):
-        return None, None
-    units = {item[1] for item in found if item}
-    return np.array([item[0] for item in found if item]), _one(units)
-
-
-def _one(units: set[WavelengthUnit | None]) -> WavelengthUnit | None:
-    """The unit that all bands have."""
-    return units.pop() if len(units) == 1 else None
+    for key, stated in (("CENTRAL_WAVELENGTH_UM", "um"), ("wavelength", None)):
+        if all(key in tag for tag in tags):
+            found = [
+                (number(tag[key]) or np.nan, length_unit(stated or tag.get("wavelength_units", ""))) for tag in tags
+            ]
+            break
+    else:
+        named = [_in_name(name or "") for name in dataset.descriptions]
+        if len(found := [one for one in named if one is not None]) < len(named):
+            return None, None
+    units = {unit for _, unit in found}
+    return np.array([value for value, _ in found], float), units.pop() if len(units) == 1 else None
 
 
 def _in_name(name: str) -> tuple[float, WavelengthUnit | None] | None:
@@ -178,9 +181,8 @@ class NetcdfVariable:
         """Values with the file's scale and fill values applied, shape (lines, samples, channels)."""
         variable = netcdf(self.path)[self.name]
         with _netcdf_errors(self.path):
-            part: npt.NDArray[Any] = (
-                variable.isel({self.axes[0]: lines, self.axes[1]: samples}).transpose(*self.axes).values
-            )
+            chosen = variable.isel({self.axes[0]: lines, self.axes[1]: samples})
+            part: npt.NDArray[Any] = chosen.transpose(*self.axes).values
         return part if part.ndim == 3 else part[..., None]
 
 
@@ -233,35 +235,32 @@ def _netcdf_errors(path: str) -> Iterator[None]:
 def open_netcdf(path: str) -> Layout:
     """The variable of three dimensions, one of which has wavelengths. Raises DataError where there is none, or many."""
     with _netcdf_errors(path):
-        return _netcdf_layout(path, netcdf(path))
-
-
-def _netcdf_layout(path: str, data: Any) -> Layout:
-    waves = {axis: name for name in data.variables for axis in [_wave_axis(data[name], str(name))] if axis}
-    cubes = [name for name, item in data.data_vars.items() if item.ndim == 3 and item.dtype.kind in "iufc"]
-    with_waves = [name for name in cubes if set(data[name].dims) & set(waves)]
-    if len(with_waves) > 1:
-        raise DataError(f"{path}: has several cubes ({', '.join(map(str, with_waves[:5]))}); give a file with one")
-    if not cubes:
-        raise DataError(f"{path}: has no variable of lines, samples and wavelengths; give a cube")
-    variable = data[(with_waves or cubes)[0]]
-    axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
-    lines, samples = (str(name) for name in variable.dims if name != axis)
-    wave, stored = data[waves[axis]] if axis in waves else None, variable.encoding.get("dtype", variable.dtype)
-    scaled = "scale_factor" in variable.encoding or "add_offset" in variable.encoding
-    return Layout(
-        name=path,
-        format="netcdf",
-        source=NetcdfVariable(path, str(variable.name), (lines, samples, axis)),
-        shape=(variable.sizes[lines], variable.sizes[samples]),
-        dtype=np.dtype(float) if scaled else np.dtype(stored),
-        wavelength=None if wave is None else np.asarray(wave.values, float),
-        unit=None if wave is None else length_unit(str(wave.attrs.get("units", ""))),
-        **_channel_arrays(data, axis),
-        frame=netcdf_frame(data, variable, lines, samples),
-        backplanes=_netcdf_locations(data, path, lines, samples),
-        inputs={path: sha256_of(path)},
-    )
+        data = netcdf(path)
+        waves = {axis: name for name in data.variables for axis in [_wave_axis(data[name], str(name))] if axis}
+        cubes = [name for name, item in data.data_vars.items() if item.ndim == 3 and item.dtype.kind in "iufc"]
+        with_waves = [name for name in cubes if set(data[name].dims) & set(waves)]
+        if len(with_waves) > 1:
+            raise DataError(f"{path}: has several cubes ({', '.join(map(str, with_waves[:5]))}); give a file with one")
+        if not cubes:
+            raise DataError(f"{path}: has no variable of lines, samples and wavelengths; give a cube")
+        variable = data[(with_waves or cubes)[0]]
+        axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
+        lines, samples = (str(name) for name in variable.dims if name != axis)
+        wave, stored = data[waves[axis]] if axis in waves else None, variable.encoding.get("dtype", variable.dtype)
+        scaled = "scale_factor" in variable.encoding or "add_offset" in variable.encoding
+        return Layout(
+            name=path,
+            format="netcdf",
+            source=NetcdfVariable(path, str(variable.name), (lines, samples, axis)),
+            shape=(variable.sizes[lines], variable.sizes[samples]),
+            dtype=np.dtype(float) if scaled else np.dtype(stored),
+            wavelength=None if wave is None else np.asarray(wave.values, float),
+            unit=None if wave is None else length_unit(str(wave.attrs.get("units", ""))),
+            **_channel_arrays(data, axis),
+            frame=netcdf_frame(data, variable, lines, samples),
+            backplanes=_netcdf_locations(data, path, lines, samples),
+            inputs={path: sha256_of(path)},
+        )
 
 
 def _wave_axis(variable: Any, name: str) -> str | None:
@@ -349,11 +348,11 @@ def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
         with opened(path, "GTiff") as dataset:
             source, shape = RasterFile(path, "GTiff"), (dataset.height, dataset.width, dataset.count)
     elif start.startswith((HDF, b"CDF")):
-        planes = [str(name) for name, item in netcdf(path).data_vars.items() if item.ndim == 2]
+        planes = {str(name): item for name, item in netcdf(path).data_vars.items() if item.ndim == 2}
         if len(planes) != 1:
-            raise DataError(f"{path}: has {len(planes)} images ({', '.join(planes[:5])}); give a file with one")
-        image = netcdf(path)[planes[0]]
-        source, shape = NetcdfVariable(path, planes[0], tuple(map(str, image.dims))), image.shape
+            raise DataError(f"{path}: has {len(planes)} images ({', '.join([*planes][:5])}); give a file with one")
+        [(name, image)] = planes.items()
+        source, shape = NetcdfVariable(path, name, tuple(map(str, image.dims))), image.shape
     elif has_header(path):
         source = flat = envi_plane(path)
         shape = (flat.lines, flat.samples, flat.channels)
@@ -384,8 +383,9 @@ def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
     place = next((k for k, name in enumerate(names) if "wave" in name or name in ("nm", "um")), 0)
     others = {key: k for k, name in enumerate(names) for key in ("fwhm", "good") if key in name}
     columns = {"wavelength": place} | others
-    found = {key: [number(row[k]) if k < len(row) else None for row in cells] for key, k in columns.items()}
-    values = {key: np.array([np.nan if one is None else one for one in each], float) for key, each in found.items()}
+    values = {
+        k: np.array([number(row[c]) if c < len(row) else None for row in cells], float) for k, c in columns.items()
+    }
     count = layout.source.read(slice(0, 1), slice(0, 1)).shape[2]
     if len(cells) != count:
         raise DataError(f"{file}: has {len(cells)} wavelengths, {layout.name} has {count} bands; give one for each")

@@ -84,7 +84,7 @@ class BandsRequest:
     smooth_nm: float = SMOOTH_NM
     smooth: int | None = None
     smooth_order: int = 3
-    wavelength_unit: Literal["nm", "um"] | None = None
+    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
     id: tuple[str, ...] = ()
 

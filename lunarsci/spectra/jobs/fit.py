@@ -63,7 +63,7 @@ class ModelRequest:
     fix: tuple[str, ...] = ()
     bound: tuple[str, ...] = ()
     tie: tuple[str, ...] = ()
-    wavelength_unit: Literal["nm", "um"] | None = None
+    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
     id: tuple[str, ...] = ()
 

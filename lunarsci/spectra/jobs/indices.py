@@ -31,7 +31,7 @@ class IndicesRequest:
 
     index: tuple[str, ...] = ()
     smooth_nm: float = 0.0
-    wavelength_unit: Literal["nm", "um"] | None = None
+    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
     id: tuple[str, ...] = ()
 

@@ -33,7 +33,7 @@ class ImportRequest:
     )
     metadata: str | Any | None = None
     source: str = ""
-    wavelength_unit: Literal["nm", "um"] | None = None
+    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
 
 

@@ -64,7 +64,7 @@ class MapRequest:
     craters: str | None = None
     single_precision: bool = False
     wavelengths: str | None = None
-    wavelength_unit: Literal["nm", "um"] | None = None
+    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
     scale: float | None = None
     ignore: float | None = None
     saturated: float | None = None

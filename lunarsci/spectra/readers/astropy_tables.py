@@ -14,7 +14,7 @@ from astropy import units as u
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is_wavelength
 from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
@@ -83,7 +83,7 @@ def _unit(column: Any, file: str) -> Any:
     text = str(column.unit).strip().casefold()
     if text in _DIMENSIONLESS:
         return u.dimensionless_unscaled
-    length = length_unit(text)
+    length = "%" if text == "percent" else length_unit(text)
     if length is None and is_wavelength(str(column.name)):
         raise DataError(
             f"{file}: column {quoted(str(column.name))} has the unknown unit {quoted(str(column.unit))}; use nm or um"
@@ -165,7 +165,7 @@ def read_ecsv(source: InputFile) -> SpectrumTable:
         table = _parsed(text, source.name)
     _check_names(text, source.name)
     for message in said:
-        warnings.warn(f"{source.name}: {one_line(message.message)}", LunarSciWarning, stacklevel=2)
+        warn(f"{source.name}: {one_line(message.message)}")
     return spectrum_table(table, source, "ecsv")
 
 
@@ -203,7 +203,7 @@ def read_fits(source: InputFile) -> SpectrumTable:
     if table is None:
         raise DataError(f"{source.name}: no FITS table with two columns or more; store the spectra as a binary table")
     for message in messages:
-        warnings.warn(f"{source.name}: {message}", LunarSciWarning, stacklevel=2)
+        warn(f"{source.name}: {message}")
     return spectrum_table(_unrolled(table, source.name), source, "fits")
 
 

@@ -1,6 +1,5 @@
 """Many inputs at once: files, patterns, tables and arrays become spectra; what cannot be read is remembered."""
 
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,31 +10,28 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, NoFilesError, ParameterError
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, NoFilesError, ParameterError, warn
 from lunarsci.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows, averaged
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.detectors import joined
-from lunarsci.spectra.readers.dispatch import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra, spectra_of
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.libraries import without_wavelength_files
-from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, unlikely_of_many, without_steps
-from lunarsci.spectra.readers.markers import without_markers
+from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, without_steps
 from lunarsci.spectra.readers.table import (
     SURELY,
     Column,
     ReflectanceUnit,
     SpectrumTable,
+    StatedUnits,
     WavelengthUnit,
     length_unit,
-    medians_above_0,
     name_tokens,
     spectral_unit,
     to_nm,
 )
-from lunarsci.spectra.readers.table import reflectance_unit as choice_of_unit
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.name import product_name
@@ -126,7 +122,7 @@ def read_batch(
         raise DataError("no spectra were given; name files or tables")
     clean, told = cleaned(parts)
     for line in told:
-        warnings.warn(line, LunarSciWarning, stacklevel=3)
+        warn(line)
     found = replace(batch, spectra=SpectrumCollection(clean))
     return _those(found, only) if only else found
 
@@ -194,7 +190,7 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
         return
     found = _levelled(batch, found, told)
     for line in told:
-        warnings.warn(line, LunarSciWarning, stacklevel=2)
+        warn(line)
     batch.origins.extend([source.name] * len(found))
     batch.inputs[source.name] = source.sha256
     batch.inputs.update(found.about(0).get("inputs", {}))
@@ -214,7 +210,7 @@ def _averaged(batch: SpectraBatch, rows: SpectrumRows, name: str) -> SpectrumRow
     found, each = averaged(rows)
     if each > 1:
         batch.read_as.append(f"{name}: {rows.wavelength_nm.size} channels, every {each} averaged")
-        warnings.warn(batch.read_as[-1], LunarSciWarning, stacklevel=4)
+        warn(batch.read_as[-1])
     return found
 
 
@@ -234,98 +230,77 @@ def _with_wavelengths(item: Any) -> Any:
 def _from_memory(
     batch: SpectraBatch, item: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
 ) -> Iterator[SpectrumRows]:
+    before, told = len(batch.origins), list[str]()
+    name = f"spectrum {before + 1}"
     try:
-        units = (wavelength_unit, reflectance_unit)
-        spectra = [item] if isinstance(item, Spectrum) else _of_arrays(batch, item, *units)
-        told = [] if isinstance(item, Spectrum) else unlikely_of_many([SpectrumRows.of(one) for one in spectra])
+        if isinstance(item, Spectrum):
+            rows = SpectrumRows.of(item)
+        else:
+            rows = _of_arrays(before, item, wavelength_unit, reflectance_unit)
+            # What is computed scatters by nothing.
+            told = [line for line in unlikely(rows, f"<{name}>") if SAID["smooth"] not in line]
     except (DataError, ParameterError) as error:
-        batch.failures.append(Failure.of(f"spectrum {len(batch.origins) + 1}", error))
+        batch.failures.append(Failure.of(name, str(error).replace(f"<{name}>", name)))
         return
+    batch.read_as.extend(rows.about(0).get("read_as", ()) if not isinstance(item, Spectrum) else ())
+    rows = _levelled(batch, rows, told)
     for line in told:
-        warnings.warn(line, LunarSciWarning, stacklevel=2)
-    if told:
-        spectra = [_levelled(batch, SpectrumRows.of(one), told)[0] for one in spectra]
-        batch.read_as[:] = dict.fromkeys(batch.read_as)
-    for spectrum in spectra:
-        content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
-        batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))
-        batch.inputs[f"<{spectrum.id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
-        yield _averaged(batch, SpectrumRows.of(spectrum), f"<{spectrum.id}>")
+        warn(line)
+    for k, id in enumerate(rows.ids):
+        sigma = None if rows.uncertainty is None or not rows.known[k] else rows.uncertainty[k]
+        content = (rows.wavelength_nm, rows.reflectance[k], sigma)
+        batch.origins.append(str(item.metadata.get("source", f"<{id}>")) if isinstance(item, Spectrum) else f"<{id}>")
+        batch.inputs[f"<{id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
+    yield _averaged(batch, rows, f"<{rows.ids[0]}>")
 
 
 def _of_arrays(
-    batch: SpectraBatch, given: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
-) -> list[Spectrum]:
-    """Spectra of arrays, numbered from those of the batch on. Raises DataError, ParameterError."""
-    before = len(batch.origins)
+    before: int, given: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
+) -> SpectrumRows:
+    """Spectra of arrays, numbered from those `before` on, read as a table. Raises DataError, ParameterError."""
     name = f"spectrum {before + 1}"
     if not isinstance(given, tuple) or len(given) not in (2, 3):
         raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
-    wavelength = _in_nm(name, given[0], wavelength_unit)
-    rows = [_rows_of(name, _plain(name, part), wavelength.size) for part in given[1:]]
-    in_units = [_quantity(part) is not None for part in given[1:]]
-    reflectance, sigma = rows[0].copy(), rows[1] if len(rows) == 2 else None
-    if sigma is not None and len(sigma) not in (1, len(reflectance)):
-        raise ParameterError(f"{name}: {len(sigma)} rows of errors for {len(reflectance)} spectra; {ARRAYS}")
-    wavelength, reflectance, sigma = _mended(batch, name, wavelength, reflectance, sigma)
-    found = []
-    for k, values in enumerate(reflectance):
-        name = f"spectrum {before + k + 1}"
-        median = float(medians_above_0(values[None])[0])
-        stated: ReflectanceUnit | None = "fraction" if in_units[0] else reflectance_unit
-        unit = choice_of_unit(Column("", values, 2), median, stated, f"<{name}>")
-        if unit.remark:
-            told = f"{name}: a median of {median:.4g} is hardly {reflectance_unit}; is `reflectance_unit` right?"
-            warnings.warn(told, LunarSciWarning, stacklevel=2)
-        scale = unit.scale
-        errors = None if sigma is None else (1.0 if in_units[-1] else scale) * sigma[min(k, len(sigma) - 1)]
-        found.append(Spectrum(name, wavelength, scale * values, errors))
-    return found
-
-
-def _mended(
-    batch: SpectraBatch, name: str, wavelength: FloatArray, reflectance: FloatArray, sigma: FloatArray | None
-) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    """Arrays in order of wavelength, without marks of no data, detectors joined: as a table of a file is read."""
-    errors = (
-        [None] * len(reflectance) if sigma is None else [sigma[min(k, len(sigma) - 1)] for k in range(len(reflectance))]
+    wavelength = np.asarray(given[0] if (quantity := _wavelengths(name, given[0])) is None else quantity, float)
+    if wavelength.ndim != 1:
+        raise ParameterError(f"{name}: wavelengths of shape {wavelength.shape}; they are one row of numbers")
+    rows = [_rows_of(name, _plain(name, part), wavelength.size).copy() for part in given[1:]]
+    units = ["fraction" if _quantity(part) is not None else None for part in given[1:]]
+    if len(rows) == 2 and len(rows[1]) not in (1, len(rows[0])):
+        raise ParameterError(f"{name}: {len(rows[1])} rows of errors for {len(rows[0])} spectra; {ARRAYS}")
+    columns = tuple(
+        (
+            Column(f"spectrum {before + k + 1}", values, k + 2, units[0]),
+            Column("", rows[1][min(k, len(rows[1]) - 1)], k + 2, units[1]) if len(rows) == 2 else None,
+        )
+        for k, values in enumerate(rows[0])
     )
-    pairs = [
-        (Column("", values, k + 2), None if own is None else Column("", own, k + 2))
-        for k, (values, own) in enumerate(zip(reflectance, errors, strict=True))
-    ]
     places = tuple(f"channel {k + 1}" for k in range(wavelength.size))
-    table = SpectrumTable(InputFile(f"<{name}>", b""), "arrays", Column("", wavelength, 1), tuple(pairs), places)
-    table, _, marks = without_markers(replace(table, block=reflectance))
-    table, wavelength, spliced = joined(table, wavelength)
-    for line in (*marks, *spliced):
-        batch.read_as.append(f"<{name}>: {line}")
-        warnings.warn(batch.read_as[-1], LunarSciWarning, stacklevel=2)
-    order = np.argsort(wavelength, kind="stable")
-    found = np.array([own.values for _, own in table.spectra if own is not None])
-    return wavelength[order], table.reflectances[:, order], found[:, order] if sigma is not None else None
+    axis = Column("wavelength", wavelength, 1)
+    table = SpectrumTable(InputFile(f"<{name}>", b""), "arrays", axis, columns, places, block=rows[0])
+    unit = "nm" if quantity is not None else wavelength_unit or _by_range(name, wavelength)
+    return spectra_of(table, StatedUnits(unit, None if units[0] else reflectance_unit))
 
 
-def _in_nm(name: str, given: Any, unit: WavelengthUnit | None) -> FloatArray:
-    """Wavelengths in nm: of a quantity, or in the unit that is stated, or by their values, as in a file without one."""
+def _wavelengths(name: str, given: Any) -> Any:
+    """Wavelengths of a quantity, None for plain numbers. [nm]"""
     if np.any(_mask(given)):
         raise ParameterError(f"{name}: some wavelengths are masked; mask the reflectances of these channels")
-    if (quantity := _quantity(given)) is not None:
-        from astropy.units import spectral
+    if (quantity := _quantity(given)) is None:
+        return None
+    from astropy.units import spectral
 
-        return np.asarray(quantity.to_value("nm", spectral()), float)
-    values = np.asarray(given, float)
-    if values.ndim != 1:
-        raise ParameterError(f"{name}: wavelengths of shape {values.shape}; they are one row of numbers")
+    return quantity.to_value("nm", spectral())
+
+
+def _by_range(name: str, values: FloatArray) -> WavelengthUnit:
+    """The unit of wavelengths by their values, as in a file without one; nm where these tell nothing."""
     low, high = SURELY["um"]
-    if unit is None and values.size and low <= values.min() and values.max() <= high:
-        unit = "um"
-        warnings.warn(
-            f"<{name}>: wavelengths {values.min():g}-{values.max():g} read as µm; give nm, or wavelength_unit='um'",
-            LunarSciWarning,
-            stacklevel=2,
-        )
-    return values * 1000.0 if unit == "um" else values
+    if not (values.size and low <= values.min() and values.max() <= high):
+        return "nm"
+    told = f"<{name}>: wavelengths {values.min():g}-{values.max():g} read as µm"
+    warn(f"{told}; give nm, or wavelength_unit='um'")
+    return "um"
 
 
 def _mask(given: Any) -> Any:
@@ -385,7 +360,7 @@ def _without_results(folder: str, names: Sequence[str]) -> list[str]:
         return list(names)
     told = some_of([Path(name).name for name in left], NAMED_LEFT)
     count = f"{len(left)} result{'s' if len(left) > 1 else ''}"
-    warnings.warn(f"{folder}: left out, {count} of lunarsci: {told}", LunarSciWarning, 3)
+    warn(f"{folder}: left out, {count} of lunarsci: {told}")
     if len(left) == len(names):
         raise NoFilesError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
     return [name for name in names if name not in left]

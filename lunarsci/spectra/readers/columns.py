@@ -4,7 +4,6 @@ Tables that say something of spectra by their ids.
 """
 
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.names import some_of
 from lunarsci.spectra.readers.quantities import quantity_of
@@ -81,7 +80,7 @@ _NOT_A_SPECTRUM = {
 _NOT_REFLECTANCE = {
     *("radiance", "irradiance", "transmittance", "emissivity", "cal", "calibration", "dn", "rad", "irrad", "raw"),
 }
-_SIGMA = {"sigma", "1sigma", "σ", "1σ", "std", "sd", "se", "sem", "error", "err", "unc", "+-", "rms", "scatter"}
+_SIGMA = {"sigma", "1sigma", "σ", "1σ", "std", "sd", "se", "sem", "error", "err", "unc", "+-", "rms", "rsd", "scatter"}
 _SIGMA_WORD = re.compile(
     r"st(d|and)?(ard)?(abw|afw|dev|err)|s(t|tan)?dev|(mess)?(fehler|unsicher)|uncert|incert|[ée]cart ?type|erreur|"
     r"desv(est|t|iaci)|deviazione|погрешн|ошибк|стандартноеоткл|误差|誤差|标准差|標準偏差|niepewno|odchyl|os[äa]kerhet|"
@@ -188,7 +187,7 @@ def assign_roles(
         )
     if dropped:
         message = f"{source.name}: left out {listed}: no reflectance by name, unit or content"
-        warnings.warn(message, LunarSciWarning, stacklevel=2)
+        warn(message)
     return Roles(wavelength, spectra, systematic)
 
 
@@ -304,7 +303,7 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
         kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
         why = "the same value in all rows" if (low == high)[constant].all() else "raw numbers beside a reflectance"
-        _warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
+        warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
         table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
         high, deleted = high[kept], deleted[kept]
@@ -312,7 +311,7 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
         if known is None and own is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
             text = f"column {column.label} is below {100 * ERROR_SHARE:g} % of {before.label} before it"
             own_name = quoted(without_unit(before.name) + "_sigma")
-            _warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
+            warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
     return table, deleted
 
 
@@ -320,10 +319,6 @@ def _looks_like_error(values: FloatArray, beside: FloatArray) -> bool:
     with np.errstate(invalid="ignore"):
         both = (values > 0) & (beside > 0)
         return bool(both.any() and np.median(beside[both] / values[both]) <= ERROR_SHARE)
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)
 
 
 def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:

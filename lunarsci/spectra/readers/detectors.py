@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.readers.table import SpectrumTable
 
 LEAST_CHANNELS, LEAST_IN_COMMON = 5, 3
 """Of a detector, as of the splice of VNIS, and of each where they overlap in rows that are sorted; assumed."""
@@ -49,7 +49,7 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
             "them apart"
         )
     chosen = np.concatenate([part[keep[part]] for part in parts])
-    return _taken(table, gain, chosen), wavelength_nm[chosen], said
+    return table.taken(chosen, gain), wavelength_nm[chosen], said
 
 
 def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
@@ -61,7 +61,7 @@ def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[Sp
     if chosen.size == wavelength_nm.size:
         return table, wavelength_nm, []
     said = [f"{wavelength_nm.size - chosen.size} rows that repeat another one are left out"]
-    return _taken(table, np.ones(table.reflectances.shape), chosen), wavelength_nm[chosen], said
+    return table.taken(chosen), wavelength_nm[chosen], said
 
 
 def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
@@ -171,24 +171,3 @@ def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, hi
         return False
     error = float(found.std(ddof=1)) / found.size**0.5
     return bool(abs(float(found.mean())) > max(LEAST, SURE * error))
-
-
-def _taken(table: SpectrumTable, gain: FloatArray, rows: IntArray) -> SpectrumTable:
-    """Some rows of a table, reflectances and their errors scaled."""
-
-    def own(column: Column, factor: FloatArray) -> Column:
-        return replace(column, values=(column.values * factor)[rows])
-
-    spectra = tuple(
-        (own(one, gain[k]), None if sigma is None else own(sigma, gain[k]))
-        for k, (one, sigma) in enumerate(table.spectra)
-    )
-    shifts = {k: tuple((name, own(c, gain[k])) for name, c in each) for k, each in table.systematic.items()}
-    return replace(
-        table,
-        wavelength=replace(table.wavelength, values=table.wavelength.values[rows]),
-        spectra=spectra,
-        systematic=shifts,
-        places=tuple(np.array(table.places)[rows].tolist()),
-        block=(table.reflectances * gain)[:, rows],
-    )

@@ -2,15 +2,15 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, warn
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
@@ -19,9 +19,9 @@ from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
 from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
 from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
 from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
-from lunarsci.spectra.readers.quantities import as_reflectance
+from lunarsci.spectra.readers.quantities import as_reflectance, with_absolute_errors
 from lunarsci.spectra.readers.table import (
-    Column,
+    SCALES,
     ReflectanceChoice,
     ReflectanceUnit,
     SpectrumTable,
@@ -31,15 +31,16 @@ from lunarsci.spectra.readers.table import (
     medians_above_0,
     reflectance_unit,
     uncertainty_scale,
+    unit_by_size,
     wavelength_nm,
 )
-from lunarsci.spectra.readers.text import read_text
+from lunarsci.spectra.readers.text import read_excel, read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds")
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel")
 
-_READERS = {"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib}
+_READERS = {"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib, "excel": read_excel}
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
 _FOREIGN = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
 _FITS = b"SIMPLE  ="
@@ -105,18 +106,11 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
 
 def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
     # astropy takes longer to import than a CSV file to read: only files that need it pay for it.
-    if format == "ecsv":
-        from lunarsci.spectra.readers.astropy_tables import read_ecsv
-
-        return read_ecsv
-    if format == "fits":
-        from lunarsci.spectra.readers.astropy_tables import read_fits
-
-        return read_fits
-    if format == "pds":
+    if format in ("ecsv", "fits", "pds"):
+        from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
         from lunarsci.spectra.readers.pds import read_pds
 
-        return read_pds
+        return {"ecsv": read_ecsv, "fits": read_fits, "pds": read_pds}[format]
     return _READERS[format]
 
 
@@ -128,6 +122,8 @@ def _format_of(source: InputFile) -> str:
         raise DataError(
             f"{source.name}: is named FITS but does not begin with 'SIMPLE  ='; fetch it again or rename it"
         )
+    if source.data.startswith(b"PK\x03\x04") and (b"xl/" in source.data or suffix == ".xlsx"):
+        return "excel"
     _refuse_by_magic(source)
     if looks_like_envi(source):
         return "envi"
@@ -153,8 +149,6 @@ def _format_of(source: InputFile) -> str:
 def _refuse_by_magic(source: InputFile) -> None:
     for magic, kind in _PACKED.items():
         if source.data.startswith(magic):
-            if b"xl/" in source.data or Path(source.name).suffix.lower() == ".xlsx":
-                raise DataError(f"{source.name}: is a workbook of Excel; save its sheet as CSV")
             raise DataError(f"{source.name}: is compressed ({kind}); unpack it first")
     for magic, kind in _FOREIGN.items():
         if source.data.startswith(magic):
@@ -181,12 +175,15 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     kept, deleted, said = without_markers(kept)
     kept, deleted = only_spectra(kept, deleted)
     kept, converted = as_reflectance(kept)
+    kept, relative = with_absolute_errors(kept)
     values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
     kept, values, spliced = joined(kept, values)
     order, order_name = _ascending(values, kept)
-    read_as = [f"{file}: {line}" for line in (*table.metadata.get("read_as", ()), *said, *converted, *spliced)]
+    units, sized = _units(kept, values, stated.reflectance)
+    told = (*table.metadata.get("read_as", ()), *said, *converted, *relative, *spliced, *sized)
+    read_as = [f"{file}: {line}" for line in told]
     for line in read_as:
-        _warn(line)
+        warn(line)
     if record["wavelength_unit_from"] == "values":
         read_as.insert(0, f"{file}: wavelengths read as {record['wavelength_unit']} by their range (`wavelength_unit`)")
     common = {
@@ -199,7 +196,7 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
         **table.metadata,
         **({"read_as": read_as} if read_as else {}),
     }
-    found, counts = _assembled(kept, values[order], order, stated, common, deleted)
+    found, counts = _assembled(kept, values[order], order, units, common, deleted)
     _report(found, counts, file)
     return found
 
@@ -216,17 +213,8 @@ def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
     what = f"rows without a wavelength above 0: {bad.size} of {keep.size}, first {table.places[bad[0]]}"
     if bad.size > keep.size / 2:
         raise DataError(f"{file}: {what}; check that column {table.wavelength.label} is the wavelength")
-    _warn(f"{file}: left out {what}")
-    spectra = tuple((_rows(c, keep), None if s is None else _rows(s, keep)) for c, s in table.spectra)
-    places = tuple(np.array(table.places)[keep].tolist())
-    systematic = {k: tuple((n, _rows(c, keep)) for n, c in shifts) for k, shifts in table.systematic.items()}
-    wavelengths = _rows(table.wavelength, keep)
-    kept = replace(table, wavelength=wavelengths, spectra=spectra, places=places, systematic=systematic, block=None)
-    return kept, bad.size
-
-
-def _rows(column: Column, keep: BoolArray) -> Column:
-    return replace(column, values=column.values[keep])
+    warn(f"{file}: left out {what}")
+    return table.taken(keep), bad.size
 
 
 def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
@@ -243,7 +231,7 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
         return order, "ascending"
     if (steps < 0).all():
         return order, "descending"
-    _warn(f"{file}: wavelengths are in no order; the rows are sorted")
+    warn(f"{file}: wavelengths are in no order; the rows are sorted")
     return order, "unsorted"
 
 
@@ -260,7 +248,7 @@ class _About:
     def __call__(self, row: int) -> dict[str, Any]:
         unit = self.units[self.which[row]]
         said = {
-            "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
+            "reflectance_unit": next(name for name, scale in SCALES.items() if scale == unit.scale),
             "reflectance_unit_from": unit.origin,
         }
         counts = {key: int(count[row]) for key, count in self.counts.items()}
@@ -271,7 +259,7 @@ def _assembled(
     table: SpectrumTable,
     wavelength: FloatArray,
     order: IntArray,
-    stated: StatedUnits,
+    ways: "_Ways",
     record: dict[str, Any],
     deleted: IntArray,
 ) -> tuple[SpectrumRows, dict[str, IntArray]]:
@@ -282,9 +270,7 @@ def _assembled(
     with np.errstate(invalid="ignore"):
         not_positive = (values <= 0).sum(axis=1)
     measured = np.isfinite(values).sum(axis=1)
-    medians = medians_above_0(values)
-    check_alike([column for column, _ in table.spectra], medians.tolist(), stated.reflectance, table.source.name)
-    units, which, factors = _units(table, medians, stated.reflectance)
+    units, which, factors = ways
     scale, remarks = (np.array([getattr(unit, key) for unit in units])[which] for key in ("scale", "remark"))
     values *= scale[:, None]
     sigma, lacking, counts = _uncertainties(table, values > 0, factors)
@@ -319,19 +305,24 @@ def _assembled(
     return found, counts
 
 
-def _units(
-    table: SpectrumTable, medians: FloatArray, stated: ReflectanceUnit | None
-) -> tuple[list[ReflectanceChoice], IntArray, dict[int, float]]:
-    """Ways in which reflectances are read, which of them each is read in, and the factor of each uncertainty."""
+_Ways: TypeAlias = tuple[list[ReflectanceChoice], IntArray, dict[int, float]]
+"""Ways in which reflectances are read, which of them each is read in, and the factor of each uncertainty."""
+
+
+def _units(table: SpectrumTable, wavelength: FloatArray, stated: ReflectanceUnit | None) -> tuple[_Ways, list[str]]:
+    """How reflectances at wavelengths [nm] are read, and what to say of it."""
+    columns, values, file = [column for column, _ in table.spectra], table.reflectances, table.source.name
+    medians = medians_above_0(values)
+    by_size, said = (None, "") if stated else unit_by_size(columns, values, medians, wavelength)
+    check_alike(columns, medians.tolist(), stated or by_size, file)
     units: dict[ReflectanceChoice, int] = {}
-    which = np.empty(len(table.spectra), np.int64)
-    factors = {}
+    which, factors = np.empty(len(columns), np.int64), {}
     for row, ((column, sigma), median) in enumerate(zip(table.spectra, medians.tolist(), strict=True)):
-        unit = reflectance_unit(column, median, stated, table.source.name)
+        unit = reflectance_unit(column, median, stated, file, by_size)
         which[row] = units.setdefault(unit, len(units))
         if sigma is not None:
-            factors[row] = uncertainty_scale(sigma, column, unit.scale, table.source.name)
-    return list(units), which, factors
+            factors[row] = uncertainty_scale(sigma, column, unit.scale, file)
+    return (list(units), which, factors), [said] if said else []
 
 
 def _uncertainties(
@@ -377,14 +368,10 @@ def _report(spectra: SpectrumRows, counts: dict[str, IntArray], file: str) -> No
         if touched.size:
             first = spectra.ids[touched[0]]
             where = f" in {touched.size} of {len(spectra)} spectra, first '{first}'" if len(spectra) > 1 else ""
-            _warn(f"{file}: {what}: {counts[key].sum()}{where}")
+            warn(f"{file}: {what}: {counts[key].sum()}{where}")
     unusable = [spectra.ids[row] for row in np.flatnonzero(spectra.mask.all(axis=1)).tolist()]
     if unusable and len(spectra) == 1:
         raise DataError(f"{file}: no reflectance above 0 in column {spectra.about(0)['column']!r}; check the file")
     if unusable:
         listed = ", ".join(f"'{i}'" for i in unusable[:5]) + (", ..." if len(unusable) > 5 else "")
-        _warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)
+        warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")

@@ -1,4 +1,8 @@
-"""Headers of ENVI files: `key = value` lines that say how the flat file beside them is laid out."""
+"""Headers of ENVI files: `key = value` lines that say how the flat file beside them is laid out.
+
+`spectral` reads them too, but leaves values that the header ignores as they are, scaled, and stops with an error of
+Python at a file of another size; GDAL reads no libraries (`docs/validation/files.md`).
+"""
 
 import re
 from collections.abc import Mapping, Sequence

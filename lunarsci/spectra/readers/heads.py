@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lunarsci.errors import DataError
+from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.table import only_percent
 from lunarsci.spectra.rows import UNITS, number, separator_of, split_fields
 
@@ -60,7 +61,7 @@ def text_table(lines: Lines, file: str) -> TableInText:
     body, below = _without_tail(lines, begin)
     separator = separator or separator_of(body[max(begin - 1, 0) :])
     table = TableInText(body, separator, about=tuple(line for _, line in below))
-    return table if begin < 2 else _with_head(table, begin, file)
+    return table if begin < 2 else _with_head(table, _first_row(body, begin, separator, file), file)
 
 
 def is_numeric(line: str) -> bool:
@@ -95,6 +96,19 @@ def _without_tail(lines: Lines, begin: int) -> tuple[Lines, Lines]:
     spoilt = any(len(line.split(by)) == width or line[:1].isdigit() or
                  not any(map(str.isalpha, line)) for line in words)  # fmt: skip
     return (lines, ()) if spoilt else (lines[:end], tail)
+
+
+def _first_row(lines: Lines, begin: int, separator: str, file: str) -> int:
+    """Place of the first row: `begin`, or above it that of one that is spoilt, a word among numbers below the names."""
+    width, named = len(split_fields(lines[begin][1], separator, file)), False
+    for place, (line, text) in enumerate(lines[:begin]):
+        cells = split_fields(text, separator, f"{file}: line {line}")
+        values = [number(cell.replace(",", ".")) is not None and any(map(str.isdigit, cell)) for cell in cells]
+        decimal = any("." in cell for cell, is_one in zip(cells, values, strict=True) if is_one)
+        if named and len(cells) == width and (values[0] or decimal):
+            return place
+        named = named or (len(cells) == width and is_wavelength(cells[0]))
+    return begin
 
 
 def _with_head(table: TableInText, begin: int, file: str) -> TableInText:

@@ -72,18 +72,6 @@ def unlikely(rows: SpectrumRows, file: str) -> list[str]:
     ]
 
 
-def unlikely_of_many(parts: Sequence[SpectrumRows]) -> list[str]:
-    """The same of arrays: of each kind the first that is so, but for `smooth`, as what is computed scatters by nothing.
-
-    Raises DataError for one that is constant.
-    """
-    first: dict[str, str] = {}
-    for rows in parts:
-        for line in unlikely(rows, rows.ids[0]):
-            first.setdefault(line.split(": ")[1], line)
-    return [line for line in first.values() if SAID["smooth"] not in line]
-
-
 def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dict[str, BoolArray]:
     """By kind, which of n spectra are so. (n,)"""
     count = usable.sum(axis=1)

@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.kept_blocks import spans
+from lunarsci.no_data import far_ends
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 
 DELETED_BELOW = -1e30
 """ENVI and USGS write -1.23e34 for a deleted channel (Kokaly et al. 2017, 10.3133/ds1035); no reflectance is near."""
-FAR = 10.0
-"""Times the largest of the others that a number is at least which is none of them; assumed."""
+FAR = 9.0
+"""Times the largest of the others by which a number that is none of them lies beyond it; assumed."""
 FEWEST_OTHERS = 10
 """Numbers beside one that repeats, and that could be a reflectance by its size, before it is a marker; assumed."""
 MOST_MARKERS = 3
 """Different markers of a file; assumed."""
+_AT_ONCE = 256
 
 
 def without_deleted(values: FloatArray) -> IntArray:
@@ -34,31 +37,21 @@ def without_deleted(values: FloatArray) -> IntArray:
 def markers_of(values: FloatArray) -> list[float]:
     """Numbers of rows (n, c) that mark channels without data, e.g. 65535, -999 or 1e30; NaN is none.
 
-    The number farthest from 0 is one where all that is larger than a tenth of it is that same number, and where it
-    repeats beside ten others or could be no reflectance in percent. Then the next, with the first left out.
+    An end of a row is one where it is far from all others, and repeats beside ten of them or could be no reflectance in
+    percent. Then the next, with the first left out.
     """
-    size = np.abs(values)
-    found = list[float]()
+    found, left = list[float](), values
     for _ in range(MOST_MARKERS):
-        top = np.fmax.reduce(size, axis=1)
-        with np.errstate(invalid="ignore"):
-            rows = np.flatnonzero(_far(size, top))
-            new = {float(one) for row in rows.tolist() for one in np.unique(values[row][size[row] == top[row]])}
-        new = {one for one in new if -one not in new}
+        parts = (left[block.start : block.stop] for block in spans(len(left), _AT_ONCE))
+        new = {
+            one.value for part in parts for one in far_ends(part, FAR, from_zero=True)
+            if abs(one.value) > MAX_PERCENT or (one.repeats > 1 and one.others >= FEWEST_OTHERS)
+        }  # fmt: skip
         if not new:
             break
         found += sorted(new)
-        size = np.where(np.isin(values, found), np.nan, size)
+        left = np.where(np.isin(left, found), np.nan, left)
     return found
-
-
-def _far(size: FloatArray, top: FloatArray) -> BoolArray:
-    """Rows whose largest number is far from all others. (n,)"""
-    same = (size == top[:, None]).sum(axis=1)
-    near = (size > top[:, None] / FAR).sum(axis=1)
-    others = ((size > 0) & (size <= top[:, None] / FAR)).sum(axis=1)
-    impossible = (top > MAX_PERCENT) & (others > 0)
-    return np.asarray((near == same) & (impossible | ((same > 1) & (others >= FEWEST_OTHERS))))
 
 
 def unnamed_markers(parts: Sequence[npt.NDArray[Any]], known: Sequence[float]) -> list[float]:

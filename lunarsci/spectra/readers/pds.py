@@ -1,4 +1,7 @@
-"""Spectra in tables that a label of the Planetary Data System describes, as those of RELAB and CRISM."""
+"""Spectra in tables that a label of the Planetary Data System describes, as those of RELAB and CRISM.
+
+Why no library does it is said in `pds_label`; numpy reads tables of bytes, and text is split at the label's places.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -14,13 +17,8 @@ from lunarsci.spectra.readers.table import SpectrumTable, length_unit
 from lunarsci.spectra.rows import number
 
 _RADIANCE = ("W/", "W /", "RADIANCE", "MICROWATT", "WATT", "uW", "µW", "DN")
-_UNITS = {
-    **dict.fromkeys(("N/A", "NONE", "UNITLESS", "I/F", "I_OVER_F", "DIMENSIONLESS", "UNK"), ""),
-    **dict.fromkeys(("MICROMETERS", "MICROMETER", "MICRONS", "MICRON"), "um"),
-    **dict.fromkeys(("NANOMETERS", "NANOMETER"), "nm"),
-    "PERCENT": "%",
-}
-"""Units of labels, as astropy has them."""
+_NO_UNIT = ("N/A", "NONE", "UNITLESS", "I/F", "I_OVER_F", "DIMENSIONLESS", "UNK", "")
+"""What labels have where no unit is named."""
 
 
 def read_pds(source: InputFile) -> SpectrumTable:
@@ -46,8 +44,12 @@ def read_pds(source: InputFile) -> SpectrumTable:
 
 
 def _is_spectral(column: LabelField) -> bool:
-    unit = column.unit.split("<")[0].strip()
-    return is_wavelength(column.name) or length_unit(_UNITS.get(unit.upper(), unit)) is not None
+    return is_wavelength(column.name) or length_unit(_unit(column)) is not None
+
+
+def _unit(column: LabelField) -> str:
+    """As PDS3 writes it: NANOMETER <nm>."""
+    return column.unit.split("<")[0].strip()
 
 
 def radiance(unit: str) -> bool:
@@ -116,7 +118,6 @@ def _as_table(columns: dict[str, Any], table: TableObject) -> Any:
 
     found = Table(columns)
     for name, one in zip(found.colnames, table.fields, strict=True):
-        unit = one.unit.split("<")[0].strip()
-        if np.asarray(found[name]).dtype.kind == "f":
-            found[name].unit = _UNITS.get(unit.upper(), unit) or None
+        if np.asarray(found[name]).dtype.kind == "f" and _unit(one).upper() not in _NO_UNIT:
+            found[name].unit = _unit(one)
     return found

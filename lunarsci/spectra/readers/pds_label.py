@@ -1,8 +1,9 @@
 """Labels of the Planetary Data System: which tables and images are in which file, and how they are laid out.
 
 PDS3 labels are `KEY = value` lines in nested objects (PDS Standards Reference 3.8, chapter 12), PDS4 labels XML (PDS4
-Standards Reference, 1.22). Few keys of them are needed; astropy and numpy read the numbers. Why not `pdr` for labels of
-VNIS is said in `lunarsci.spectra.vnis.label`; for others neither it nor `pds4_tools` has been tried.
+Standards Reference, 1.22). No library reads both with their marks of no data and wavelengths of bands, and refuses what
+is cut: `pdr` takes half a table and loads no image of real labels of M3, `pds4_tools` reads PDS4 alone
+(`docs/validation/files.md`).
 """
 
 import re

@@ -6,6 +6,7 @@ Absorbance of a reflectance spectrum is log10(1/R); F = (1 - R)^2 / (2 R) is Kub
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,7 +14,8 @@ from functools import lru_cache
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.readers.likely import LARGE_ERROR
+from lunarsci.spectra.readers.table import PERCENT_SIGN, Column, SpectrumTable, name_tokens
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,3 +91,25 @@ def _error(sigma: Column, values: FloatArray, quantity: ColumnQuantity) -> Colum
     """Half the way between the reflectances one standard deviation to either side."""
     up, down = quantity.reflectance(values - sigma.values), quantity.reflectance(values + sigma.values)
     return replace(sigma, values=np.abs(up - down) / 2, unit="fraction")
+
+
+def with_absolute_errors(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
+    """A table whose relative errors are made errors of their reflectances; and what to say where no unit is named."""
+    spectra, said = list(table.spectra), list[str]()
+    for row, (column, sigma) in enumerate(table.spectra):
+        if sigma is None or not _is_relative(sigma.name, column.name):
+            continue
+        share, named = sigma.values, PERCENT_SIGN.search(sigma.name) is not None
+        in_percent = named or bool(np.nanmedian(share) > LARGE_ERROR)
+        if not named:
+            unit = "percent" if in_percent else "shares of 1"
+            said.append(f"column {sigma.label} read as relative errors in {unit}; name its unit to decide otherwise")
+        absolute = np.abs(table.reflectances[row]) * (share / 100 if in_percent else share)
+        spectra[row] = column, replace(sigma, name="", values=absolute, unit=column.unit)
+    return replace(table, spectra=tuple(spectra), block=table.reflectances), said
+
+
+def _is_relative(name: str, of: str) -> bool:
+    """Whether the name of errors says that they are relative, apart from what they are the errors of."""
+    own = Counter(name_tokens(name)) - Counter(name_tokens(of))
+    return any(re.fullmatch(r"rel|relativ\w*|rel(err|sd|std|unc)\w*|rsd", word) for word in own)

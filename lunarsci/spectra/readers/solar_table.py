@@ -1,7 +1,6 @@
 """A user's solar spectrum: a text or ECSV table whose units its header states, or its integral tells."""
 
 import re
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,19 +8,19 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
+from lunarsci.spectra.readers.heads import text_table
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
+from lunarsci.spectra.readers.text import header_and_body
 from lunarsci.spectra.rows import (
     DECIMAL_COMMA,
     Row,
     check_widths,
     is_missing,
-    number,
     numbers,
     quoted,
-    separator_of,
     split_fields,
     split_lines,
 )
@@ -32,6 +31,7 @@ _REFUSED_OFF, _REMARKED_OFF = 0.2, 0.03  # assumed: the standards differ by 0.2 
 _NM = {"nm": 1.0, "um": 1000.0}
 _IRRADIANCE = {"W m-2 nm-1": 1.0, "W m-2 um-1": 1e-3}
 _IRRADIANCE_WORDS = {"irradiance", "extraterrestrial", "etr", "e0", "am0", "ssi", "flux"}
+_BEGINS = re.compile(r"[-+.,;\d]")
 _OTHER_WORDS = {"sigma", "std", "stdev", "error", "err", "unc", "uncertainty", "fwhm", "bandwidth", "flag", "quality"}
 
 
@@ -62,22 +62,18 @@ def read_solar_spectrum(source: InputFile) -> SolarSpectrum:
     _check_values(table, source.name)
     length, per, integral = _units(table, source.name)
     if table.length is None or table.per is None:
-        _warn(
+        warn(
             f"{source.name}: read as {length} and {per}, under which it integrates to {integral:.0f} W m-2 over "
             "430-2430 nm; the header does not say, name the columns wavelength_nm,irradiance_w_m-2_nm-1"
         )
     off = integral / _INTEGRAL_W_M2 - 1
     if abs(off) > _REMARKED_OFF:
-        _warn(
+        warn(
             f"{source.name}: its integral over 430-2430 nm, {integral:.0f} W m-2, is {off:+.1%} off that of ASTM G173, "
             "and reflectance changes by as much; check that it is at 1 AU"
         )
     wavelength, irradiance = _ascending(table, source.name)
     return SolarSpectrum(source.stem, wavelength * _NM[length], irradiance * _IRRADIANCE[per], source.name)
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)
 
 
 def _check_values(table: _Table, file: str) -> None:
@@ -97,7 +93,7 @@ def _check_values(table: _Table, file: str) -> None:
 
 def _ascending(table: _Table, file: str) -> tuple[FloatArray, FloatArray]:
     if not (np.diff(table.wavelength) > 0).all():
-        warnings.warn(f"{file}: rows were sorted by wavelength", LunarSciWarning, stacklevel=3)
+        warn(f"{file}: rows were sorted by wavelength")
     order = np.argsort(table.wavelength)
     return table.wavelength[order], table.irradiance[order]
 
@@ -136,49 +132,26 @@ def _integral(table: _Table, length: str) -> float:
 
 def _from_text(content: str, file: str) -> _Table:
     lines, comments = split_lines(content)
-    separator = separator_of(lines) if lines else " "
-    decimal_comma = separator in DECIMAL_COMMA
-    rows = [Row(n, split_fields(line, separator, f"{file}: line {n}")) for n, line in lines]
-    start = next((k for k, row in enumerate(rows) if not _is_heading(row, decimal_comma)), len(rows))
-    body = rows[start:]
-    if not body:
+    if not any(map(_BEGINS.match, (line for _, line in lines))):
         raise DataError(f"{file}: no line begins with a number; a solar spectrum has a wavelength and an irradiance")
+    table = text_table(lines, file)
+    separator, names, numbered = table.separator, table.names, table.lines
+    if not names:
+        names, numbered = header_and_body(numbered, comments, separator, file)
+    body = [Row(n, split_fields(line, separator, f"{file}: line {n}")) for n, line in numbered]
     width = check_widths(body, file)
-    # A comment may hold the names too; any other remark of as many words must not pass for them.
-    above = [line for n, line in comments if n < body[0].line and '"' not in line]
-    headings = [line for line in above if is_wavelength((line.split() or [""])[0].split(separator)[0])]
-    names = _names([*headings, *(line for _, line in lines[:start])], separator, width, file)
+    names = names if names and len(names) == width else None
     filled = [k for k in range(width) if not all(is_missing(row.fields[k]) for row in body)]
     wavelength, irradiance = _places(names or [""] * width, filled, file)
 
     def column(k: int) -> FloatArray:
         label = quoted(names[k]) if names else str(k + 1)
-        return numbers(body, k, label, file, decimal_comma)
+        return numbers(body, k, label, file, separator in DECIMAL_COMMA)
 
     length = wavelength_unit_in(names[wavelength], file) if names else None
     per = _irradiance_unit(names[irradiance]) if names else None
     places = [f"line {row.line}" for row in body]
     return _Table(column(wavelength), column(irradiance), length, per, places)
-
-
-def _is_heading(row: Row, decimal_comma: bool) -> bool:
-    """A row above the data: it begins with a word or a blank, and does not go on in numbers as spoilt data would."""
-    first, *others = (number(cell, decimal_comma) for cell in row.fields)
-    if first is not None:
-        return bool(np.isnan(first)) and None in others
-    return not others or any(value is None or np.isnan(value) for value in others)
-
-
-def _names(headings: Sequence[str], separator: str, width: int, file: str) -> list[str] | None:
-    """Names from the lowest heading that has one for each column; where blanks part columns, two may part names."""
-    for line in reversed(headings):
-        splits = [split_fields(line, separator, f"{file}: heading")]
-        if separator == " ":
-            splits.append(tuple(re.split(r"\s{2,}|\t", line)))
-        for fields in splits:
-            if len(fields) == width:
-                return list(fields)
-    return None
 
 
 def _places(names: Sequence[str], filled: Sequence[int], file: str) -> tuple[int, int]:

@@ -7,9 +7,8 @@ says so.
 
 import re
 import unicodedata
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from operator import itemgetter
 from typing import Any, Literal
@@ -17,12 +16,12 @@ from typing import Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.kept_blocks import spans
 from lunarsci.spectra.rows import quoted
 
-WavelengthUnit = Literal["nm", "um"]
+WavelengthUnit = Literal["nm", "um", "angstrom", "1/cm"]
 ReflectanceUnit = Literal["fraction", "percent"]
 
 
@@ -90,6 +89,22 @@ class SpectrumTable:
         """(n, rows) values of all spectra; `block` where there is one."""
         return np.array([column.values for column, _ in self.spectra]) if self.block is None else self.block
 
+    def taken(self, rows: Any, gain: FloatArray | float = 1.0) -> "SpectrumTable":
+        """Some rows, by places or a mask, of the table with reflectances and their errors times `gain`, (n, rows)."""
+        gains = np.broadcast_to(gain, self.reflectances.shape)
+
+        def own(column: Column, k: int) -> Column:
+            return replace(column, values=(column.values * gains[k])[rows])
+
+        return replace(
+            self,
+            wavelength=replace(self.wavelength, values=self.wavelength.values[rows]),
+            spectra=tuple((own(r, k), None if s is None else own(s, k)) for k, (r, s) in enumerate(self.spectra)),
+            places=tuple(np.array(self.places)[rows].tolist()),
+            systematic={k: tuple((name, own(c, k)) for name, c in each) for k, each in self.systematic.items()},
+            block=(self.reflectances * gains)[:, rows],
+        )
+
 
 _NM = {"nm", "nanometer", "nanometers", "nanometre", "nanometres"}
 _UM = {"um", "μm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres"}
@@ -104,7 +119,7 @@ _PERCENT = re.compile(
     re.IGNORECASE,
 )
 """How names end that state percent; '50 %' is a share of something."""
-_PERCENT_SIGN = re.compile(r"%|(?<![a-z])(?:percent|per cent|pct|prozent)(?![a-z])", re.IGNORECASE)
+PERCENT_SIGN = re.compile(r"%|(?<![a-z])(?:percent|per cent|pct|prozent)(?![a-z])", re.IGNORECASE)
 _OF_REFLECTANCE = re.compile(
     r"r\d*|rf|ref|refl\w*|reflex\w*|reflek\w*|r[ée]flect\w*|remission|brf|hdrf|total|diffuse|abs|absolute|rel|relative|"
     r"bidirectional|hemispherical|directional|factor|tgt|target|sample|values?|signal|mean|avg|average|y|in|of|as|the"
@@ -119,15 +134,27 @@ _MEDIANS_AT_ONCE = 4096
 
 _FACTOR_NM = {"nm": 1.0, "um": 1000.0, "angstrom": 0.1}
 _SYMBOL = {"nm": "nm", "um": "µm", "angstrom": "Å", "cm-1": "cm⁻¹"}
+_OF_OPTIONS = {"1/cm": "cm-1"}
+"""Units that a file and an option write in two ways."""
 _PLAUSIBLE_NM = (50.0, 200_000.0)
 """Wavelengths of a reflectance spectrum, from the ultraviolet to the far infrared; assumed."""
 SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
 """Values that can only be meant in that unit; assumed."""
-_SCALE = {"fraction": 1.0, "percent": 0.01}
+USUAL_SCALE = 10_000.0
+"""What reflectances in whole numbers are multiplied by where a file is silent, as ATCOR, FLAASH and HyMap products do;
+assumed."""
+SCALES = {"fraction": 1.0, "percent": 0.01, "ten-thousandths": 1.0 / USUAL_SCALE}
+_REFLECTANCE = re.compile(r"r|rf|ref|refl\w*|reflex\w*|reflek\w*|r[ée]flect\w*|reff|remission|brf|hdrf|albedo")
+"""Words that say reflectance."""
 MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
+SUN_VARIES = 0.7
+"""Scatter of ln of the Sun's irradiance over the channels from which it tells radiance from reflectance: 450-1700 nm.
+Assumed; beyond it all of 508 spectra of laboratories and VNIS in percent are read, and 1 to 13 of their radiances."""
 _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
+MOST_LIKELY_PERCENT = 100.0
+"""What a perfect diffuser has, by definition."""
 MAX_PERCENT = 200.0
 """A median above this is no reflectance in percent; assumed."""
 
@@ -194,12 +221,11 @@ def wavelength_nm(column: Column, stated: WavelengthUnit | None, file: str) -> t
     Raises DataError when the unit cannot be told, or the file's word contradicts the values and nothing is stated.
     """
     low, high = float(column.values.min()), float(column.values.max())
-    found = column.unit or wavelength_unit_in(column.name, file)
-    unit, origin = _wavelength_choice(
-        found, stated, low, high, f"{file}: wavelengths {low:g}-{high:g} (column {column.label})"
-    )
-    if origin == "file" and stated not in (None, unit):
-        _warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
+    found, word = column.unit or wavelength_unit_in(column.name, file), stated and _OF_OPTIONS.get(stated, stated)
+    what = f"{file}: wavelengths {low:g}-{high:g} (column {column.label})"
+    unit, origin = _wavelength_choice(found, word, low, high, what)
+    if origin == "file" and word not in (None, unit):
+        warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
     record = {"wavelength_unit": column.unit_text or unit, "wavelength_unit_from": origin}
     return to_nm(column.values, unit), record
 
@@ -209,24 +235,23 @@ def to_nm(values: FloatArray, unit: str) -> FloatArray:
     return np.asarray(1e7 / values if unit == "cm-1" else values * _FACTOR_NM[unit])
 
 
-def _wavelength_choice(
-    found: str | None, stated: WavelengthUnit | None, low: float, high: float, what: str
-) -> tuple[str, str]:
+def _wavelength_choice(found: str | None, stated: str | None, low: float, high: float, what: str) -> tuple[str, str]:
     if found is not None and _plausible(found, low, high):
         return found, "file"
     if stated is not None:
         if not _plausible(stated, low, high):
-            _warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
+            warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
         return stated, "caller"
     if found is not None:
-        raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; give `wavelength_unit` nm or um")
+        raise DataError(
+            f"{what} cannot be {_SYMBOL[found]} as the file says; give `wavelength_unit` nm or um, angstrom or 1/cm"
+        )
     for unit, (least, most) in SURELY.items():
         if least <= low and high <= most:
-            _warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
+            warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
             return unit, "values"
     raise DataError(
-        f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um, or name the column "
-        "wavenumber_cm-1 or wavelength_angstrom"
+        f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um, angstrom or 1/cm"
     )
 
 
@@ -240,14 +265,14 @@ def without_unit(name: str) -> str:
     if not _MAY_SAY_UNIT.search(name):
         return name.strip() or name
     if only_percent(name):
-        return " ".join(re.sub(r"[()\[\]{}]", " ", _PERCENT_SIGN.sub(" ", name)).split()).strip("_ ,;/") or name
+        return " ".join(re.sub(r"[()\[\]{}]", " ", PERCENT_SIGN.sub(" ", name)).split()).strip("_ ,;/") or name
     return _FRACTION.sub("", _PERCENT.sub("", name)).strip() or name
 
 
 @lru_cache(maxsize=_NAMES_KEPT)
 def only_percent(name: str) -> bool:
     """Whether a name says reflectance in percent and nothing else: 'Reflect. %', '%R', 'Tgt./Ref. %'."""
-    rest, count = _PERCENT_SIGN.subn(" ", name)
+    rest, count = PERCENT_SIGN.subn(" ", name)
     return count > 0 and all(_OF_REFLECTANCE.fullmatch(word) for word in name_tokens(rest))
 
 
@@ -263,27 +288,67 @@ def medians_above_0(values: FloatArray) -> FloatArray:
     return found
 
 
-def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | None, file: str) -> ReflectanceChoice:
-    """Decide the unit of a reflectance column from the file's word, the caller's, and the median above 0.
+def reflectance_unit(
+    column: Column, median: float, stated: ReflectanceUnit | None, file: str, by_size: str | None = None
+) -> ReflectanceChoice:
+    """Decide the unit of a reflectance column from the file's word, the caller's, and its size, as `unit_by_size` does.
 
     Raises DataError when the file's word contradicts the values and nothing is stated, or when without any word the
-    median is above 2.
+    median is above 2 and its size tells nothing.
     """
     found = _unit_of(column)
     if found is not None and not _contradicts(found, median):
-        return ReflectanceChoice(_SCALE[found], "file", "overruled" if stated not in (None, found) else None)
+        return ReflectanceChoice(SCALES[found], "file", "overruled" if stated not in (None, found) else None)
     if stated is not None:
-        return ReflectanceChoice(_SCALE[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
+        return ReflectanceChoice(SCALES[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
     what = f"{file}: column {column.label} has a median of {median:.4g}"
+    if found is not None and median <= MAX_PERCENT:
+        raise DataError(f"{what}, which is no {found} as the file says; give `reflectance_unit` fraction or percent")
+    if found is None and by_size is not None:
+        return ReflectanceChoice(SCALES[by_size], "values", None)
     if median > MAX_PERCENT:
         raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
-    if found is not None:
-        raise DataError(f"{what}, which is no {found} as the file says; give `reflectance_unit` fraction or percent")
     if _contradicts("fraction", median):
         raise DataError(
             f"{what}, no fraction; give `reflectance_unit` percent, or calibrate it if it is radiance or DN"
         )
     return ReflectanceChoice(1.0, "values", None)
+
+
+def unit_by_size(
+    columns: Sequence[Column], values: FloatArray, medians: FloatArray, wavelength: FloatArray
+) -> tuple[str | None, str]:
+    """Unit of reflectances (n, c) whose file and caller name none, by the largest median of them, and what to say.
+
+    Percent up to 100, ten-thousandths of whole numbers up to 10,000; None where these are fractions, or could as well
+    be radiance: where the name does not say reflectance they vary more than sunlight reflected by them would. [nm]
+    """
+    known = [k for k, column in enumerate(columns) if medians[k] > MAX_FRACTION and not states_unit(column)]
+    if not known:
+        return None, ""
+    row = max(known, key=lambda k: float(medians[k]))
+    top, own = columns[row], values[row][np.isfinite(values[row])]
+    whole = bool((own == np.round(own)).all() and own.max() <= USUAL_SCALE)
+    unit = "percent" if medians[row] <= MOST_LIKELY_PERCENT else "ten-thousandths" if whole else None
+    if unit is None or not (_says_reflectance(top.name) or _is_no_radiance(values[row], wavelength)):
+        return None, ""
+    what = {"percent": "percent", "ten-thousandths": f"reflectance times {USUAL_SCALE:g}"}[unit]
+    return unit, f"column {top.label}, median {medians[row]:.4g}, read as {what}; `reflectance_unit` decides otherwise"
+
+
+def _says_reflectance(name: str) -> bool:
+    return any(_REFLECTANCE.fullmatch(word) for word in name_tokens(name))
+
+
+def _is_no_radiance(values: FloatArray, wavelength: FloatArray) -> bool:
+    """Whether values vary less as they are than divided by the Sun's irradiance, as radiance does not."""
+    from lunarsci.spectra.solar import solar_spectrum
+
+    sun = solar_spectrum("e490")
+    with np.errstate(invalid="ignore"):
+        lit = (values > 0) & (wavelength >= sun.wavelength_nm[0]) & (wavelength <= sun.wavelength_nm[-1])
+    level, of_sun = np.log(values[lit]), np.log(np.interp(wavelength[lit], sun.wavelength_nm, sun.irradiance))
+    return bool(lit.any() and of_sun.std() > SUN_VARIES and level.std() < (level - of_sun).std())
 
 
 def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: str) -> float:
@@ -292,21 +357,21 @@ def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: st
     Raises DataError when only the column's name says otherwise: it might then mean per cent of the value.
     """
     found = _unit_of(sigma)
-    if found is None or found == _unit_of(reflectance) or _SCALE[found] == scale:
+    if found is None or found == _unit_of(reflectance) or SCALES[found] == scale:
         return scale
     if sigma.unit is None:
         raise DataError(f"{file}: column {sigma.label} is in {found} and its reflectance is not; give both in one unit")
-    return _SCALE[found]
+    return SCALES[found]
 
 
-def check_alike(columns: Sequence[Column], medians: Sequence[float], stated: ReflectanceUnit | None, file: str) -> None:
+def check_alike(columns: Sequence[Column], medians: Sequence[float], unit: str | None, file: str) -> None:
     """Reflectances without a unit of their own must be possible in one and the same.
 
     Raises DataError, which names two that are not: one of them is no reflectance, or has another unit.
     """
-    least = MAX_FRACTION if stated is None else _MIN_PERCENT
+    least = _MIN_PERCENT if unit == "percent" else MAX_FRACTION
     known = [(m, c) for c, m in zip(columns, medians, strict=True) if m > 0 and not states_unit(c)]
-    if stated == "fraction" or not known:
+    if unit == "fraction" or not known:
         return
     (low, one), (high, other) = min(known, key=itemgetter(0)), max(known, key=itemgetter(0))
     if low < least < high:
@@ -333,7 +398,3 @@ def _unit_of(column: Column) -> str | None:
 
 def _contradicts(unit: str, median: float) -> bool:
     return median > MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > MAX_PERCENT
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, LunarSciWarning, stacklevel=3)

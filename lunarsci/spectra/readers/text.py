@@ -5,16 +5,18 @@ keys, names and units above, text below. pandas reads the numbers where there ar
 table are what, it does not tell.
 """
 
+import io
 import re
-import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, warn
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import (
     on_one_grid,
@@ -43,6 +45,38 @@ _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
+MOST_UNPACKED = 1 << 28
+"""Bytes of an Excel workbook when it is unpacked; assumed."""
+
+
+def read_excel(source: InputFile) -> SpectrumTable:
+    """Read the first sheet of an Excel workbook that has more than one row and column, as a table of text.
+
+    Raises DataError without openpyxl, for a workbook that cannot be read or has no such sheet, and as `read_text` does.
+    """
+    import pandas as pd
+
+    try:
+        with ZipFile(io.BytesIO(source.data)) as packed:
+            size = sum(one.file_size for one in packed.infolist())
+        if size > MOST_UNPACKED:
+            raise ValueError(f"{size} bytes when unpacked")
+        sheets = pd.read_excel(io.BytesIO(source.data), sheet_name=None, header=None, dtype=object, engine="openpyxl")
+    except ImportError as error:
+        raise DataError(
+            f"{source.name}: Excel needs openpyxl; pip install 'lunarsci[excel]', or save the sheet as CSV"
+        ) from error
+    except Exception as error:  # whatever openpyxl and zipfile raise of a damaged file
+        raise DataError(f"{source.name}: not an Excel workbook that can be read; save its sheet as CSV") from error
+    filled = {name: sheet.dropna(how="all").dropna(how="all", axis=1) for name, sheet in sheets.items()}
+    chosen = next((str(name) for name, sheet in filled.items() if min(sheet.shape) > 1), None)
+    if chosen is None:
+        raise DataError(f"{source.name}: no sheet with more than one row and column; save the spectra as CSV")
+    content = filled[chosen].to_csv(index=False, header=False).encode()
+    found = read_text(InputFile(source.name, content))
+    said = [f"sheet '{chosen}' of {len(sheets)}; save another as CSV"] if len(sheets) > 1 else []
+    about = {**found.metadata, "read_as": [*said, *found.metadata.get("read_as", ())]}
+    return replace(found, source=source, format="excel", metadata=about if about["read_as"] else found.metadata)
 
 
 def read_text(source: InputFile) -> SpectrumTable:
@@ -66,7 +100,7 @@ def read_text(source: InputFile) -> SpectrumTable:
     if table.names:
         names, body = table.names, table.lines
     else:
-        names, body = _header_and_body(table.lines, comments, separator, source.name)
+        names, body = header_and_body(table.lines, comments, separator, source.name)
     values = numbers_at_once(body, separator)
     rows: list[Row] = []
     if values is None or len(values) < 2 or np.isnan(values[-1]).all() or len(names or values) != len(values):
@@ -119,10 +153,8 @@ def _warn_of_commented_rows(
     fields = body[0][1].count(separator) if separator != " " else 0
     lost = [n for n, text in comments if body[0][0] < n < body[-1][0] and fields and text.count(separator) == fields]
     if lost:
-        warnings.warn(
+        warn(
             f"{file}: left out {len(lost)} lines among the data that begin as comments do, the first is line {lost[0]}",
-            LunarSciWarning,
-            stacklevel=3,
         )
 
 
@@ -132,7 +164,7 @@ def _block(values: FloatArray, places: Sequence[int]) -> FloatArray:
     return values[places[0] : places[-1] + 1] if side_by_side else values[places]
 
 
-def _header_and_body(
+def header_and_body(
     lines: Sequence[tuple[int, str]], comments: Sequence[tuple[int, str]], separator: str, file: str
 ) -> tuple[list[str] | None, Sequence[tuple[int, str]]]:
     """Names of the columns, if there are any, and the lines of numbers."""

@@ -136,9 +136,11 @@ def test_an_uncertainty_in_percent_of_a_fraction_is_ambiguous(refuse: Refuse) ->
     assert "give both in one unit" in refuse("wavelength_nm,reflectance,error (%)\n400,.1,1\n500,.2,2\n")
 
 
-def test_values_above_two_need_a_word(read: Read, refuse: Refuse) -> None:
+def test_values_above_two_are_percent(read: Read) -> None:
     content = table("wavelength_nm", [400, 500, 600], scale=10.0)
-    assert "give `reflectance_unit` percent" in refuse(content)
+    with pytest.warns(LunarSciWarning, match="read as percent; `reflectance_unit` decides otherwise"):
+        (spectrum,) = read(content)
+    np.testing.assert_allclose(spectrum.reflectance, [0.1, 0.2, 0.3])
     (spectrum,) = read(content, reflectance_unit="percent")
     np.testing.assert_allclose(spectrum.reflectance, [0.1, 0.2, 0.3])
     with pytest.warns(LunarSciWarning, match="unlikely"):
@@ -147,7 +149,7 @@ def test_values_above_two_need_a_word(read: Read, refuse: Refuse) -> None:
 
 
 def test_values_far_above_a_hundred_look_like_radiance(refuse: Refuse) -> None:
-    assert "radiance or DN" in refuse(table("wavelength_nm", [400, 500], scale=500.0))
+    assert "radiance or DN" in refuse(table("wavelength_nm", [400, 500], scale=500.5))
 
 
 def test_percent_that_the_values_contradict_needs_a_word(read: Read, refuse: Refuse) -> None:
