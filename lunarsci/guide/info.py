@@ -267,7 +267,7 @@ def kind_of(file: InputFile) -> str:
         text = beginning(file)
     if suffix == ".toml":
         return _kind_of_toml(file)
-    of_json = text.lstrip().startswith("{")
+    of_json = text.lstrip().startswith(("{", "[{"))
     if not (of_json and b'"lunarsci/' in file.data) and (kind := kind_of_rover_file(file, text)):
         return kind
     if of_json:
@@ -278,7 +278,7 @@ def kind_of(file: InputFile) -> str:
 
 
 def _kind_of_json(file: InputFile) -> str:
-    found = read_json(file, "a file of lunarsci", lambda value: value)
+    found = read_json(file, "a file of lunarsci", lambda value: value[0] if isinstance(value, list) else value)
     schema = str(found.get("schema", ""))
     for kind, start in (
         ("belief", "lunarsci/soil-belief/"),
@@ -289,6 +289,8 @@ def _kind_of_json(file: InputFile) -> str:
             return kind
     if found.get("type") in ("FeatureCollection", "Feature", "Polygon", "LineString"):
         return "zones"
+    if any(map(is_wavelength, found)):
+        return "spectra"
     raise DataError(f"{file.name}: JSON without a schema of lunarsci; nothing is known of it")
 
 

@@ -23,7 +23,11 @@ _LONGEST_SHOWN = 40
 
 
 _COMMENT = ("#", "%", "!")
+_ORDINATES = ("%R", "%T", "%r", "%t")
+"""Lines of heads of spectrometers that name what is measured."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*)")
+"""A number with signs between its thousands and a decimal sign, so that which is which is sure."""
 _MISSING = {
     *("", "-", "--", "na", "nan", "n/a", "null", "none", "missing", "."),
     *("#n/a", "#na", "#div/0!", "#value!", "#num!", "1.#qnan", "-1.#ind", "1.#inf", "-nan", "-nan(ind)"),
@@ -50,8 +54,10 @@ def split_lines(text: str) -> tuple[list[tuple[int, str]], list[tuple[int, str]]
     # str.splitlines also breaks at form feeds and the like, and the line numbers would not be those of an editor.
     stripped = (line.strip().strip("\x1a") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
     numbered = [(n, line) for n, line in enumerate(stripped, 1) if line]
-    data = [(n, line) for n, line in numbered if not line.startswith(_COMMENT)]
-    comments = [(n, line.lstrip("#%! \t")) for n, line in numbered if line.startswith(_COMMENT)]
+    data = [(n, line) for n, line in numbered if not line.startswith(_COMMENT) or line in _ORDINATES]
+    comments = [
+        (n, line.lstrip("#%! \t")) for n, line in numbered if line.startswith(_COMMENT) and line not in _ORDINATES
+    ]
     return data, comments
 
 
@@ -100,6 +106,8 @@ def number(cell: str, decimal_comma: bool = False) -> float | None:
     """Value of a cell, NaN for a missing one, None for anything that is no number."""
     if decimal_comma and "." not in cell:
         cell = cell.replace(",", ".", 1)
+    elif "," in cell and _GROUPED.fullmatch(cell):
+        cell = cell.replace(",", "") if cell.rindex(".") > cell.index(",") else cell.replace(".", "").replace(",", ".")
     if _NUMBER.fullmatch(cell):
         return float(cell.replace("d", "e").replace("D", "e"))
     return float("nan") if is_missing(cell) else None

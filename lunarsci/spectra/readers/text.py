@@ -8,6 +8,8 @@ table are what, it does not tell.
 import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,6 +42,8 @@ from lunarsci.spectra.rows import (
 )
 
 _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
+OPUS = ".dpt"
+"""Data point tables of Bruker's OPUS: wavenumbers and ordinates without a head."""
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
@@ -84,7 +88,8 @@ def read_text(source: InputFile) -> SpectrumTable:
 
     places = tuple(f"line {line}" for line, _ in body)
     if names is None:
-        return unnamed([column(k) for k in range(width)], source, places, about)
+        first = replace(column(0), unit="cm-1" if Path(source.name).suffix.lower() == OPUS else None)
+        return unnamed([first, *(column(k) for k in range(1, width))], source, places, about)
     if groups := own_wavelengths(names):
         return on_one_grid([[column(k) for k in group] for group in groups], source, about)
     if stacked := one_below_another(names, rows, separator, source.name):
