@@ -16,7 +16,13 @@ from typing import Any, ClassVar, TypeAlias
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
-from lunarsci.guide.rover_files import is_image_of_heights, kind_of_rover_file, states_named_otherwise
+from lunarsci.guide.rover_files import (
+    is_envi_of_heights,
+    is_image_of_heights,
+    kind_of_rover_file,
+    states_named_otherwise,
+)
+from lunarsci.height_netcdf import NETCDF, holds_heights
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -105,6 +111,7 @@ MAGIC = {
     b"EHFA_HEADER_TAG": "terrain",
     b"DSAA": "terrain",
     b"DSBB": "terrain",
+    b"DSRB": "terrain",
 }
 WAVELENGTH = re.compile(
     r"wave|wellenl|longueur|longitud|lunghezza|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel",
@@ -121,7 +128,7 @@ _Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]
 """Kind, SHA-256, contents and trouble."""
 SUFFIXES = {
     ".tif": "terrain", ".tiff": "terrain", ".asc": "terrain", ".2b": "vnis", ".2bl": "vnis", ".img": "cube",
-    ".geojson": "zones",
+    ".geojson": "zones", ".flt": "terrain", ".bil": "terrain", ".vrt": "terrain",
 }  # fmt: skip
 
 
@@ -248,11 +255,13 @@ def _contents(kind: str, file: InputFile | InputStream) -> tuple[Mapping[str, An
 def kind_of(file: InputFile) -> str:
     """The kind of a file, one of `KINDS`. Raises DataError for content that is none of them."""
     suffix = Path(file.name).suffix.lower()
+    if file.data.startswith(NETCDF) and holds_heights(Path(file.name)):
+        return "terrain"
     if magic := next((kind for start, kind in MAGIC.items() if file.data.startswith(start)), None):
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
-    if suffix == ".img" and is_image_of_heights(file.name):
+    if suffix == ".img" and (is_image_of_heights(file.name) or is_envi_of_heights(file.name)):
         return "terrain"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
         return SUFFIXES[suffix]

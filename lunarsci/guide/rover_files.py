@@ -43,6 +43,15 @@ def is_image_of_heights(name: str) -> bool:
         return is_map_of_heights(stream.read(LABEL_BYTES).decode("latin-1"))
 
 
+def is_envi_of_heights(name: str) -> bool:
+    """Whether an image has a header of ENVI beside it with one band on a map."""
+    header = Path(name).with_suffix(".hdr")
+    content = header.read_text("latin-1") if header.is_file() else ""
+    return bool(
+        content.startswith("ENVI") and re.search(r"^bands\s*=\s*1\s*$", content, re.M) and "map info" in content
+    )
+
+
 def is_table_of_heights(file: InputFile, start: str) -> bool:
     """Whether a text is a grid of heights, or has a row for each node."""
     from lunarsci.height_texts import node_columns
