@@ -316,9 +316,10 @@ def _kind_of_toml(file: InputFile) -> str:
 def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if suffix == ".fit":
         return "mgm"
-    lines = _from_names([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
+    whole = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    lines = _from_names(whole)
     columns = _cells(name, lines[:1])
-    columns += states_named_otherwise(columns)
+    columns += states_named_otherwise(columns) or states_named_otherwise(_cells(name, whole[:1]))
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):

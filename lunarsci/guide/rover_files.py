@@ -64,11 +64,12 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
 
 
 def states_named_otherwise(columns: Sequence[str]) -> list[str]:
-    """Columns of wheel states that are there by other names, or in other units, where two or more of them are."""
-    from lunarsci.regolith.written_columns import of_name
+    """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
+    from lunarsci.regolith.written_columns import QUANTITIES, of_name
 
     found = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
-    return found if len(found) > 1 else []
+    own = [one.column for one in QUANTITIES if one.column in columns]
+    return found if len(found) + len(own) > 1 else []
 
 
 def camera_contents(file: InputFile) -> Mapping[str, Any]:

@@ -324,7 +324,7 @@ def _with_sinkage(found: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Qu
 def _with_slip(found: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
     """A table with slips as ratios from -1 to 1, and what to ask where they were none."""
     slip = found.values[:, 1]
-    if not (unit := likely_slip(slip[found.valid])):
+    if "slip_ratio" in found.named.answered or not (unit := likely_slip(slip[found.valid])):
         return found, ()
     values = found.values.copy()
     values[:, 1] = converted_slip(slip, unit)
