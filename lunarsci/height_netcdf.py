@@ -57,7 +57,7 @@ def _opened(path: Path) -> Any:
         raise DataError(f"{path}: {NO_XARRAY}") from error
     engine = "scipy" if path.open("rb").read(3) == NETCDF[0] else "h5netcdf"
     try:
-        return xarray.open_dataset(path, engine=engine)  # type: ignore[arg-type]
+        return xarray.open_dataset(path, engine=engine)
     # Whatever xarray and its engines raise of a damaged file: each has its own.
     except Exception as error:
         raise DataError(f"{path}: not a netCDF file that can be read ({str(error)[:80]}); fetch it again") from error
