@@ -21,6 +21,7 @@ from lunarsci.guide.rover_files import (
     is_image_of_heights,
     kind_of_rover_file,
     states_named_otherwise,
+    telemetry_named_otherwise,
 )
 from lunarsci.height_netcdf import NETCDF, holds_heights
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
@@ -319,6 +320,7 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     whole = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     lines = _from_names(whole)
     columns = _cells(name, lines[:1])
+    columns += telemetry_named_otherwise(columns)
     columns += states_named_otherwise(columns) or states_named_otherwise(_cells(name, whole[:1]))
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"

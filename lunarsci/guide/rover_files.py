@@ -72,6 +72,17 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
     return found if len(found) + len(own) > 1 else []
 
 
+def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
+    """Columns of telemetry and positions that are there by names of ROS, or in other units."""
+    from lunarsci.twin.telemetry.columns import named_columns
+    from lunarsci.twin.telemetry.ros_columns import own_names
+
+    ros = own_names(list(columns))
+    if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
+        ros = [name for name in ros if name != "yaw_deg"]
+    return ros + [name for name in named_columns(list(columns)) if name not in columns]
+
+
 def camera_contents(file: InputFile) -> Mapping[str, Any]:
     """What `images cameras` finds of one camera."""
     from lunarsci.images.jobs.cameras import cameras
