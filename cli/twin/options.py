@@ -22,6 +22,11 @@ HEIGHT_UNIT = option(
     panel=GROUND,
 )
 GRAVITY = option("Gravity: moon, mars, earth, or a number in m/s².", show_default="moon", panel=GROUND)
+AS_WRITTEN = option(
+    "Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be likely "
+    "in another unit is asked about, and the result is not to be trusted.",
+    panel=GROUND,
+)
 INTERPOLATION = option(
     "Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).", panel=GROUND
 )

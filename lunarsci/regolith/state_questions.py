@@ -104,6 +104,24 @@ def force_questions(
     return tuple(one for one in (asked, pulls) if one is not None)
 
 
+def questions_by_name(values: FloatArray, wheel: Wheel, unitless: Collection[str] = ()) -> tuple[Question, ...]:
+    """The same where no option has units, so that names of columns answer."""
+    return tuple(
+        replace(one, option=f"name columns {', '.join(map(_name_of, one.option.removeprefix(OPTION).split(',')))}")
+        for one in force_questions(values, wheel, unitless)
+    )
+
+
+def _name_of(answer: str) -> str:
+    """The name of a column that says the unit of an answer of the option.
+
+    >>> _name_of("normal_force_n=kN"), _name_of(" drawbar_pull_n=load")
+    ('normal_force_kN', 'drawbar_pull_over_load')
+    """
+    column, _, unit = answer.strip().partition("=")
+    return f"{column.rpartition('_')[0]}_{'over_load' if unit == OVER_LOAD else unit}"
+
+
 def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None:
     most, share = float(np.nanmax(np.abs(pull), initial=0.0)), "a share of the load"
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:

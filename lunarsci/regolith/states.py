@@ -22,6 +22,7 @@ from lunarsci.regolith.state_questions import (
     force_questions,
     likely_sinkage_unit,
     likely_slip,
+    questions_by_name,
     slip_question,
 )
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
@@ -131,6 +132,10 @@ class StateTable:
     def numbers(self, name: str) -> FloatArray:
         """A column as numbers, NaN where blank or missing. (n,) Raises DataError for text."""
         return _numbers(self.file, self.table, name)
+
+    def questions(self, wheel: Wheel) -> tuple[Question, ...]:
+        """What to ask of its forces: loads and pulls that would be likely in another unit."""
+        return questions_by_name(self.values[self.valid], wheel, self.named.unitless)
 
     @property
     def wheels(self) -> tuple[str, ...]:

@@ -13,7 +13,8 @@ from lunarsci.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
 from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
+from lunarsci.regolith.questions import Question
+from lunarsci.regolith.soil import known_soils, read_soil, soil_hash, unusual
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
@@ -21,10 +22,12 @@ from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, PRIORS, GivenSoil, caution_of, doubt_of
 from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover, with_gravity
+from lunarsci.twin.rover_limits import rover_questions
 
 SYNTHETIC = "synthetic-longji"
 SOURCES = [
@@ -111,6 +114,15 @@ class DriveInputs:
         if self.given.soil_map is not None:
             return self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
         return self.given.belief
+
+    def questions(self, *, heights: bool) -> tuple[Question, ...]:
+        """What to ask of the rover's numbers, of an own soil, and of `heights` that were given without a unit."""
+        found, soil = rover_questions(self.rover), self.given.named
+        if heights:
+            found += terrain_questions(self.terrain)
+        if soil is not None and soil not in known_soils():
+            found += unusual(read_soil(soil), soil)
+        return tuple(found)
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""

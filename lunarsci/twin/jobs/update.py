@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.questions import Question
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.assimilation.segments import Segment, SoilChange
     from lunarsci.twin.assimilation.slip_lean import SlipLean
@@ -42,6 +43,7 @@ class UpdateRequest(RoverOnGround):
     particles : soils that carry the belief, 32 or more.
     ruts : whether wheels met the ruts of others; None takes what explains the drive better.
     seed : of everything random.
+    as_written : numbers of rover, terrain and states are meant as they are; nothing is asked about them.
     """
 
     plan: str | Any | None = None
@@ -53,6 +55,7 @@ class UpdateRequest(RoverOnGround):
     particles: int = 128
     ruts: bool | None = None
     seed: int = 0
+    as_written: bool = False
 
     def __post_init__(self) -> None:
         if self.forget and self.soil is None:
@@ -130,6 +133,7 @@ class LearnedSoil(Result):
     pace : how fast the wheels turned beside the plan; None where the states do not say.
     slip : median slip as measured, and on the soil found; None where it was not measured, or nothing was learned.
     seed : of everything random.
+    questions : numbers that no Moon, rover or wheel has as they are written.
     """
 
     schema = "twin-update/1"
@@ -144,6 +148,7 @@ class LearnedSoil(Result):
     seed: int
     pace: "WheelPace | None" = None
     slip: "SlipLean | None" = None
+    questions: "tuple[Question, ...]" = ()
 
     @property
     def belief(self) -> "SoilBelief":
@@ -165,8 +170,11 @@ class LearnedSoil(Result):
             if not any(segment.learned for segment in self.segments):
                 return f"nothing was learned: {self.segments[0].why_not}"
         elif self.found.refused:
-            return "; ".join([f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)])
-        return "; ".join(part for part in (*self.doubts, self.before.doubt) if part)
+            asked = map(str, self.questions)
+            return "; ".join(
+                [*asked, f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)]
+            )
+        return "; ".join(part for part in (*map(str, self.questions), *self.doubts, self.before.doubt) if part)
 
     @property
     def forces_told(self) -> bool:
@@ -184,6 +192,7 @@ class LearnedSoil(Result):
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.regolith.belief_history import contact_rows, parameter_rows
+        from lunarsci.regolith.questions import asked_in
 
         found, soil_map = self.found, self.soil_map
         return {
@@ -214,7 +223,7 @@ class LearnedSoil(Result):
             "map": None
             if soil_map is None
             else {"zones": len(soil_map.zones), "correlation_m": soil_map.correlation_m},
-        }
+        } | asked_in(self.questions)
 
     def _soil_record(self) -> dict[str, Any]:
         """Where the soils come from that the drive was tried on."""
@@ -328,6 +337,9 @@ def update(
         seed=asked.seed,
         pace=pace,
         slip=slip,
+        questions=()
+        if asked.as_written
+        else known.questions(heights=asked.heights_without_unit) + table.questions(known.rover.wheel),
     )
 
 
