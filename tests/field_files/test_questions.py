@@ -63,32 +63,26 @@ Asked = Callable[..., tuple[int, list[dict[str, Any]], str]]
 
 
 def test_loads_in_kilonewtons_are_asked_about_by_update_and_compare(asked: Asked, drive: Path) -> None:
-    plan, predicted = drive / "plan.toml", drive / "predicted"
-    for command in (("update", drive / "small.csv", "--plan", plan, "--particles", 32),
-                    ("compare", predicted, drive / "small.csv")):  # fmt: skip
-        code, questions, err = asked(*command)
+    update = ("update", "--plan", drive / "plan.toml", "--particles", 32)
+    compare = ("compare", drive / "predicted")
+    for command in (update, compare):
+        code, questions, err = asked(*command, drive / "small.csv")
         assert code == 3 and "is it in kN?" in err
         (question,) = questions
         assert question["likely_unit"] == "kN"
         assert question["option"].startswith("name columns normal_force_kN")
-        _, none, _ = asked(*command, "--as-written")
-        assert none == []
-    for command in (("update", drive / "named.csv", "--plan", plan, "--particles", 32),
-                    ("compare", predicted, drive / "named.csv"),
-                    ("compare", predicted, drive / "states.csv")):  # fmt: skip
-        assert asked(*command)[1] == []
+    assert asked(*compare, drive / "small.csv", "--as-written")[1] == []
+    assert asked(*compare, drive / "named.csv")[1] == [] == asked(*compare, drive / "states.csv")[1]
 
 
 def test_heights_in_kilometres_are_asked_about_by_update_and_loads(asked: Asked, drive: Path) -> None:
-    plan = drive / "plan.toml"
-    states = drive / "free.csv"
+    plan, states = drive / "plan.toml", drive / "free.csv"
     pd.read_csv(drive / "states.csv").drop(columns="ground", errors="ignore").to_csv(states, index=False)
-    for command in (
-        ("update", states, "--plan", plan, "--particles", 32),
-        ("loads", plan, "--motion", drive / "motion.csv"),
-    ):
-        code, questions, err = asked(*command, "--terrain", drive / "km.asc")
+    loads = ("loads", plan, "--motion", drive / "motion.csv", "--terrain", drive / "km.asc")
+    update = ("update", states, "--plan", plan, "--particles", 32, "--terrain", drive / "km.asc")
+    for command in (update, loads):
+        code, questions, err = asked(*command)
         assert code == 3 and "is it in km?" in err
         (question,) = questions
         assert question["option"] == "--height-unit m" and question["likely_unit"] == "km"
-        assert asked(*command, "--terrain", drive / "km.asc", "--height-unit", "km")[1] == []
+    assert asked(*loads, "--height-unit", "km")[1] == [] == asked(*loads, "--as-written")[1]
