@@ -42,6 +42,8 @@ BESIDE = {
 }
 """Columns beside nodes that leave a table one of them: numbers of points, colours and normals of point clouds."""
 REMARKS = ("#", "//", "%", "!")
+MOST_PERCENT = 200.0
+"""No reflectance is larger; that of `lunarsci.spectra`, assumed. [%]"""
 SPARSE = 4.0
 """Nodes of a grid for each row of a table without names, that may be holes; assumed."""
 ROUNDED = 0.04
@@ -241,6 +243,8 @@ def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple
     rows = _cells(content)
     first = rows[0] if rows else []
     bare = all(_is_number(cell) for cell in first)
+    if pivot := _pivot(rows, alone=alone):
+        return pivot
     if len(first) < 3 or (not bare and (len(rows) < 2 or len(rows[1]) != len(first))):
         return None
     axes = [AXES.get(plain_name(cell), "") for cell in first]
@@ -258,6 +262,27 @@ def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple
     except DataError:
         return None
     return (names, values) if not bare or _is_grid(values) else None
+
+
+def _pivot(rows: list[list[str]], *, alone: bool) -> tuple[list[str], FloatArray] | None:
+    """Nodes of a table with x in the names of its columns and y in its first one; None for any other table.
+
+    `alone`, cells that could be reflectances in percent are none of heights: such tables have spectra in rows, too.
+    """
+    if len(rows) < 4 or len({*map(len, rows)}) != 1 or len(rows[0]) < 4 or _is_number(rows[0][0] or "x"):
+        return None
+    try:
+        x, y = np.array(rows[0][1:], dtype=float), np.array([row[0] for row in rows[1:]], dtype=float)
+        heights = np.array([[cell or "nan" for cell in row[1:]] for row in rows[1:]], dtype=float)
+    except ValueError:
+        return None
+    if alone and np.nanmin(heights) >= 0 and np.nanmax(heights) <= MOST_PERCENT:
+        return None
+    steps = [np.diff(axis) / (axis[1] - axis[0] or np.nan) for axis in (x, y)]
+    if not all(np.allclose(step, 1.0, atol=ROUNDED) for step in steps):
+        return None
+    names = ["the names of columns", "the first column", "the cells"]
+    return names, np.array([np.tile(x, y.size), np.repeat(y, x.size), heights.ravel()])
 
 
 def _cells(content: str) -> list[list[str]]:

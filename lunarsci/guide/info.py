@@ -330,7 +330,7 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
         return "library" if "mineral" in text and "end_member" in text else "spectra"
     if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns):
         return "table"
-    if header_channels(columns):
+    if header_channels(columns) or (lines and header_channels(lines[0].split(";"))):
         return "spectra"
     if columns[0][:1].isdigit() and any(any(map(str.isalpha, cell)) and ":" in cell for cell in lines[0].split()):
         return "table"

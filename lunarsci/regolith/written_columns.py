@@ -42,6 +42,8 @@ TORQUES: Mapping[str, float] = {
 """Newton metres of a unit, its words put together, exact by definition (as above)."""
 OF_RUNS = ("meas", "measured", "avg", "average", "mean")
 """Words that say how a number came about, not what it is of."""
+OF_ERRORS = ("sigma", "std", "sd", "stdev", "stddev", "err", "error", "uncertainty")
+"""Words that say that a column has the errors of a quantity."""
 RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
 OPTION = "--units"
 
@@ -66,8 +68,8 @@ QUANTITIES = (
     StateColumn(
         "drawbar_pull_n",
         FORCES,
-        ("drawbar_pull", "drawbar", "dp", "pull", "fx", "f_x", "f_dp", "fdp", "drawbar_force", "net_traction",
-         "net_pull"),
+        ("drawbar_pull", "drawbar", "dp", "pull", "fx", "f_x", "f_dp", "fdp", "drawbar_force", "drawbar_pull_force",
+         "dbp", "net_traction", "net_pull"),
     ),
     StateColumn("lateral_force_n", FORCES, ("lateral_force", "side_force", "fy", "f_y", "fl", "f_l")),
     StateColumn("sinkage_m", LENGTHS, ("sinkage", "wheel_sinkage", "sink", "sinkage_depth", "z", "h")),
@@ -114,8 +116,10 @@ def of_name(name: str) -> ColumnMeaning | None:
     (ColumnMeaning(column='normal_force_n', unit='kn', sigma=False), 'load', 'travel', None)
     """
     words = [word.lower() for word in re.findall(r"[A-Za-z]+|%", name)]
-    sigma = "sigma" in words
-    words = [word for word in words if word != "sigma" and word not in OF_RUNS]
+    sigma = not {*words}.isdisjoint(OF_ERRORS)
+    words = [word for word in words if word not in (*OF_ERRORS, *OF_RUNS)]
+    if len(words) > 2 and words[-2] == "in":
+        words = [*words[:-2], words[-1]]
     whole, scale = "_".join(words), 1.0
     if words[-1:] and words[-1] in ("%", "percent") and "_".join(words[:-1]) in (*BY_TRAVEL, *SHARE_OF_LOAD):
         whole, scale = "_".join(words[:-1]), 0.01
@@ -125,9 +129,12 @@ def of_name(name: str) -> ColumnMeaning | None:
         if whole in quantity.names:
             return ColumnMeaning(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma, scale)
     for quantity in QUANTITIES:
-        for count in (1, 2):
-            unit = "".join(words[-count:])
-            if unit in quantity.units and "_".join(words[:-count]) in quantity.names:
+        for count in (1, 2, 0):
+            own, unit = words[: len(words) - count], "".join(words[len(words) - count :])
+            # A name may have its symbol behind it: 'Normal load W [N]'.
+            named = any("_".join(own[:k]) in quantity.names and (k == len(own) or "_".join(own[k:]) in quantity.names)
+                        for k in range(1, len(own) + 1))  # fmt: skip
+            if named and (unit in quantity.units or not count):
                 return ColumnMeaning(quantity.column, unit, sigma)
     return None
 

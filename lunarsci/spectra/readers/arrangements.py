@@ -28,7 +28,12 @@ MOST_COMPARED, SAME = 6, 2e-4
 """Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
 _BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
 _NUMBERED = re.compile(r"[ _.-]?\d+$")
-_CHANNEL = re.compile(r"[A-Za-z_. ]{0,12}?(\d+(?:[.,]\d+)?)\s*(nm|um|µm|μm|micron\w*)?", re.IGNORECASE)
+_UNIT = r"nm|um|µm|μm|micron\w*|nanomet\w+|micromet\w+"
+_CHANNEL = re.compile(
+    rf"[A-Za-z_. ]{{0,12}}?(\d+(?:[.,]\d+)?)\s*({_UNIT})?|.*[\s(\[](\d+(?:[.,]\d+)?)\s*({_UNIT})\s*[)\]]?",
+    re.IGNORECASE,
+)
+"""A number alone or after a short word; or after any words, as those of a band, where a unit follows."""
 
 
 def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]) -> SpectrumTable | None:
@@ -72,12 +77,12 @@ def _is_text(row: Row, place: int, decimal: bool) -> bool:
 def header_channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | None] | None:
     """Places of names that are wavelengths, these and their unit; None where they are few or in no order."""
     found = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
-    values = np.array([float(match[1].replace(",", ".")) for _, match in found])
+    values = np.array([float((match[1] or match[3]).replace(",", ".")) for _, match in found])
     if values.size < FEWEST_CHANNELS or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
         return None
     if not any(low <= values.min() and values.max() <= high for low, high in SURELY.values()):
         return None
-    units = {length_unit(match[2]) for _, match in found if match[2]}
+    units = {length_unit(match[2] or match[4]) for _, match in found if match[2] or match[4]}
     return [k for k, _ in found], values, units.pop() if len(units) == 1 else None
 
 

@@ -74,6 +74,7 @@ _UNIT_WORDS = {
     *("å", "angstrom", "angstroms", "cm", "1", "axis"),
 }
 _POSITION_WORDS = {"band", "channel", "center", "centre", "central", "mean"}
+_ANGSTROM = re.compile(r"[(\[]\s*A\s*[)\]]$")
 _NOT_A_SPECTRUM = {
     *("fwhm", "bandwidth", "resolution", "band", "bands", "channel", "channels", "index", "pixel"),
     *("flag", "flags", "quality", "mask", "weight", "weights", "kanal", "nr", "chan", "count", "counts", "n"),
@@ -131,7 +132,7 @@ class Roles:
 
 def is_wavelength(name: str) -> bool:
     """Whether a name says wavelength: 'wavelength_nm', 'Channel wavelength', 'wl [µm]', 'nm'."""
-    tokens = name_tokens(name)
+    tokens = name_tokens(_ANGSTROM.sub(" angstrom", name))
     while tokens and tokens[0] in _POSITION_WORDS:
         tokens = tokens[1:]
     if not tokens:

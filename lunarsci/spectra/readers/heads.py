@@ -66,6 +66,17 @@ def text_table(lines: Lines, file: str) -> TableInText:
     return table if begin < 2 else _with_head(table, begin, file)
 
 
+def tables_in(lines: Lines) -> list[Lines]:
+    """Tables one after another that have one and the same line above their numbers; the lines as they are, if not."""
+    numeric = [is_numeric(line) for _, line in lines]
+    heads = [k for k in range(1, len(lines) - FEWEST_ROWS) if not numeric[k - 1] and all(numeric[k : k + FEWEST_ROWS])]
+    names = {lines[k - 1][1] for k in heads}
+    if len(heads) < 2 or len(names) > 1:
+        return [lines]
+    ends = [max(k for k in range(head) if numeric[k]) + 1 for head in heads[1:]]
+    return [lines[low:high] for low, high in pairwise([0, *ends, len(lines)])]
+
+
 def is_numeric(line: str) -> bool:
     """Whether a line begins with two numbers, or a number and nothing after a separator."""
     cells = _CELLS.split(line.strip())

@@ -15,6 +15,7 @@ from lunarsci.regolith.belief import SoilBelief, other_law
 from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.questions import Question
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash, unusual
+from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
@@ -115,14 +116,19 @@ class DriveInputs:
             return self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
         return self.given.belief
 
-    def questions(self, *, heights: bool) -> tuple[Question, ...]:
-        """What to ask of the rover's numbers, of an own soil, and of `heights` that were given without a unit."""
+    def questions(self, *, heights: bool, as_written: bool, states: StateTable | None = None) -> tuple[Question, ...]:
+        """What to ask of the rover's numbers, of an own soil, of `heights` that were given without a unit, and of loads.
+
+        Nothing where all is meant `as_written`.
+        """
+        if as_written:
+            return ()
         found, soil = rover_questions(self.rover), self.given.named
         if heights:
             found += terrain_questions(self.terrain)
         if soil is not None and soil not in known_soils():
             found += unusual(read_soil(soil), soil)
-        return tuple(found)
+        return (*found, *(() if states is None else states.questions(self.rover.wheel)))
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""

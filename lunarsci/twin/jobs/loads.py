@@ -286,7 +286,7 @@ def loads(
     known.inputs.update({file.name: file.sha256 for file in files.values()})
     known.check.tables(file for name, file in files.items() if name != "belief")
     poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
-    questions = () if asked.as_written else known.questions(heights=asked.heights_without_unit)
+    questions = known.questions(heights=asked.heights_without_unit, as_written=asked.as_written)
     if asked.uncertain:
         return replace(_uncertain(known, files, poses, asked, progress), questions=questions)
     found = prescribed_loads(known.rover, known.terrain, poses)

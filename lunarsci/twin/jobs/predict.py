@@ -273,7 +273,7 @@ def predict(
         keep_out=asked.keep_out,
         priors=not asked.sweep,
     )
-    questions = () if asked.as_written else inputs.questions(heights=asked.heights_without_unit)
+    questions = inputs.questions(heights=asked.heights_without_unit, as_written=asked.as_written)
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
         inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
