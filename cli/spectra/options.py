@@ -11,7 +11,8 @@ Files = Annotated[
     typer.Argument(
         metavar="FILE",
         help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
-        "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
+        "table, ENVI library (.sli, .hdr), USGS splib07 text, JCAMP-DX, JSON, VOTable, VNIS products (.2BL, .2B); "
+        "several files, folders or "
         "patterns; - is stdin.",
     ),
 ]

@@ -12,7 +12,7 @@ PlanFile = Annotated[
 GROUND, SOIL, LIGHT, STEPS = "Rover and ground", "Soil and drives", "Sun and battery", "Steps and draws"
 ROVER = option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2", panel=GROUND)
 TERRAIN = option(
-    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, ESRI ASCII .asc, CSV of nodes).",
+    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, netCDF, ESRI ASCII .asc, CSV of nodes).",
     show_default="synthetic-longji",
     panel=GROUND,
 )

@@ -13,7 +13,7 @@ from lunarsci.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
 from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.questions import Question
+from lunarsci.regolith.questions import Question, asked_in
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash, unusual
 from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
@@ -43,7 +43,8 @@ class DriveInputs:
 
     `driven` says where the soil of the terrain comes from, `given` which soils were asked for, `options` what was taken
     for options that were left out, and `check` what was found of files that were made for another rover or ground.
-    `rough` says that the terrain has roughness that its file does not show.
+    `rough` says that the terrain has roughness that its file does not show, `questions` are numbers that no Moon, soil
+    or rover has as they are written.
     """
 
     rover: Rover
@@ -59,6 +60,7 @@ class DriveInputs:
     ruts: bool = False
     before: Plan | None = None
     rough: bool = False
+    questions: tuple[Question, ...] = ()
 
     @property
     def made_for(self) -> dict[str, Any]:
@@ -116,19 +118,19 @@ class DriveInputs:
             return self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
         return self.given.belief
 
-    def questions(self, *, heights: bool, as_written: bool, states: StateTable | None = None) -> tuple[Question, ...]:
-        """What to ask of the rover's numbers, of an own soil, of `heights` that were given without a unit, and of loads.
+    def asked(self, *, heights: bool, as_written: bool, states: StateTable | None = None) -> "DriveInputs":
+        """With what to ask of the rover's numbers, of an own soil, of loads, and of `heights` given without a unit.
 
         Nothing where all is meant `as_written`.
         """
         if as_written:
-            return ()
+            return self
         found, soil = rover_questions(self.rover), self.given.named
         if heights:
             found += terrain_questions(self.terrain)
         if soil is not None and soil not in known_soils():
             found += unusual(read_soil(soil), soil)
-        return (*found, *(() if states is None else states.questions(self.rover.wheel)))
+        return replace(self, questions=(*found, *(() if states is None else states.questions(self.rover.wheel))))
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""
@@ -139,6 +141,7 @@ class DriveInputs:
             "gravity_m_s2": self.rover.gravity_m_s2,
             "made_for": self.made_for,
             "assumed_of_rover": list(self.description.assumed),
+            **asked_in(self.questions),
         }
 
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.regolith.questions import Question
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
     from lunarsci.twin.judgement.load_check import WheelLoads
     from lunarsci.twin.loads.alternating import AlternatingEstimate
@@ -80,7 +79,6 @@ class MotionLoads(Result):
     known, motion : what moved where, and the motion's file.
     found : poses, wheel states and the residual wrench.
     wheels : summary of each wheel.
-    questions : numbers that no Moon, soil or rover has as they are written.
     """
 
     schema = "twin-forces/1"
@@ -88,7 +86,6 @@ class MotionLoads(Result):
     motion: InputFile
     found: "PrescribedLoads"
     wheels: "Sequence[WheelLoads]"
-    questions: "tuple[Question, ...]" = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -99,7 +96,7 @@ class MotionLoads(Result):
 
     @property
     def untrusted(self) -> str:
-        return "; ".join(filter(None, (*map(str, self.questions), self.found.doubt)))
+        return "; ".join(filter(None, (*map(str, self.known.questions), self.found.doubt)))
 
     @property
     def title(self) -> str:
@@ -113,11 +110,10 @@ class MotionLoads(Result):
         return _missing(self.found) if self.wheels else None
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.questions import asked_in
         from lunarsci.twin.jobs.forces import load_record
 
         found = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.known.soil_record()}
-        return load_record(self.known, self.wheels) | found | asked_in(self.questions)
+        return load_record(self.known, self.wheels) | found
 
     def rows(self) -> list[dict[str, Any]]:
         """One a pose and wheel."""
@@ -159,7 +155,6 @@ class UncertainLoads(Result):
     found, turned : forces of all wheels before and after the balance; forces and soil in turn, None where not asked.
     draws, correlation_m, basis, balance_error, seed : what was drawn; what the correlation length rests on.
     doubt_of_belief : why that is doubtful; empty where it is not.
-    questions : numbers that no Moon or rover has as they are written.
     """
 
     schema = "twin-forces/1"
@@ -174,7 +169,6 @@ class UncertainLoads(Result):
     balance_error: float
     seed: int
     doubt_of_belief: str = ""
-    questions: "tuple[Question, ...]" = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -189,7 +183,7 @@ class UncertainLoads(Result):
     @property
     def untrusted(self) -> str:
         own = self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
-        return "; ".join(part for part in (*map(str, self.questions), own, self.doubt_of_belief) if part)
+        return "; ".join(part for part in (*map(str, self.known.questions), own, self.doubt_of_belief) if part)
 
     @property
     def title(self) -> str:
@@ -215,29 +209,24 @@ class UncertainLoads(Result):
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.regolith.prior import PARAMETERS
-        from lunarsci.regolith.questions import asked_in
         from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 
         known, found, belief = self.known, self.found, self.given.get("belief")
         driven = DrivenSoil("priors", "priors") if belief is None else DrivenSoil(belief.name, "belief")
         uncertain = found.held.motion.sigmas is not None
-        return (
-            known.about()
-            | {
-                "of": "uncertain motion",
-                "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
-                "draws": self.draws,
-                "poses": {"known": int(found.known.sum()), "all": len(found.known)},
-                "motion_errors": {"correlation_m": self.correlation_m, "basis": self.basis} if uncertain else None,
-                "balance_error": self.balance_error,
-                "wheels": _wheels(found),
-                "shares": _shares(found) if found.known.any() else None,
-                "totals": _totals(found) if found.known.any() else None,
-                "iteration": None if self.turned is None else _iteration(self.turned),
-                "soil": soil_record(driven, known.terrain, PARAMETERS),
-            }
-            | asked_in(self.questions)
-        )
+        return known.about() | {
+            "of": "uncertain motion",
+            "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
+            "draws": self.draws,
+            "poses": {"known": int(found.known.sum()), "all": len(found.known)},
+            "motion_errors": {"correlation_m": self.correlation_m, "basis": self.basis} if uncertain else None,
+            "balance_error": self.balance_error,
+            "wheels": _wheels(found),
+            "shares": _shares(found) if found.known.any() else None,
+            "totals": _totals(found) if found.known.any() else None,
+            "iteration": None if self.turned is None else _iteration(self.turned),
+            "soil": soil_record(driven, known.terrain, PARAMETERS),
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """One a measured state, or a pose and wheel."""
@@ -286,12 +275,12 @@ def loads(
     known.inputs.update({file.name: file.sha256 for file in files.values()})
     known.check.tables(file for name, file in files.items() if name != "belief")
     poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
-    questions = known.questions(heights=asked.heights_without_unit, as_written=asked.as_written)
+    known = known.asked(heights=asked.heights_without_unit, as_written=asked.as_written)
     if asked.uncertain:
-        return replace(_uncertain(known, files, poses, asked, progress), questions=questions)
+        return _uncertain(known, files, poses, asked, progress)
     found = prescribed_loads(known.rover, known.terrain, poses)
     loads, moved = wheel_loads(known.rover.wheels, found.states), files["motion"]
-    return MotionLoads(known=known, motion=moved, found=found, wheels=loads, questions=questions)
+    return MotionLoads(known=known, motion=moved, found=found, wheels=loads)
 
 
 def _uncertain(

@@ -273,7 +273,7 @@ def predict(
         keep_out=asked.keep_out,
         priors=not asked.sweep,
     )
-    questions = inputs.questions(heights=asked.heights_without_unit, as_written=asked.as_written)
+    questions = inputs.asked(heights=asked.heights_without_unit, as_written=asked.as_written).questions
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
         inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))

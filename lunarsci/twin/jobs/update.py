@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.regolith.questions import Question
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.assimilation.segments import Segment, SoilChange
     from lunarsci.twin.assimilation.slip_lean import SlipLean
@@ -133,7 +132,6 @@ class LearnedSoil(Result):
     pace : how fast the wheels turned beside the plan; None where the states do not say.
     slip : median slip as measured, and on the soil found; None where it was not measured, or nothing was learned.
     seed : of everything random.
-    questions : numbers that no Moon, rover or wheel has as they are written.
     """
 
     schema = "twin-update/1"
@@ -148,7 +146,6 @@ class LearnedSoil(Result):
     seed: int
     pace: "WheelPace | None" = None
     slip: "SlipLean | None" = None
-    questions: "tuple[Question, ...]" = ()
 
     @property
     def belief(self) -> "SoilBelief":
@@ -166,15 +163,15 @@ class LearnedSoil(Result):
 
     @property
     def untrusted(self) -> str:
+        asked = [*map(str, self.known.questions)]
         if self.segments is not None:
             if not any(segment.learned for segment in self.segments):
                 return f"nothing was learned: {self.segments[0].why_not}"
         elif self.found.refused:
-            asked = map(str, self.questions)
             return "; ".join(
                 [*asked, f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)]
             )
-        return "; ".join(part for part in (*map(str, self.questions), *self.doubts, self.before.doubt) if part)
+        return "; ".join(part for part in (*asked, *self.doubts, self.before.doubt) if part)
 
     @property
     def forces_told(self) -> bool:
@@ -223,7 +220,7 @@ class LearnedSoil(Result):
             "map": None
             if soil_map is None
             else {"zones": len(soil_map.zones), "correlation_m": soil_map.correlation_m},
-        } | asked_in(self.questions)
+        } | asked_in(self.known.questions)
 
     def _soil_record(self) -> dict[str, Any]:
         """Where the soils come from that the drive was tried on."""
@@ -297,6 +294,7 @@ def update(
     known = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     table = read_drive_states(source, known.rover)
+    known = known.asked(heights=asked.heights_without_unit, as_written=asked.as_written, states=table)
     record = read_record(table, known.rover, positions=fixes)
     before = Before.read(asked, known)
     known.check.belief(before.file.name if before.file else "", before.belief)
@@ -306,18 +304,17 @@ def update(
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
     along = record if fixes is None else read_record(table, known.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
-    of_map = before.soil_map is not None
-    teach = not before.belief.discrepancy.has_scored(source.sha256)
+    of_map, teach = before.soil_map is not None, not before.belief.discrepancy.has_scored(source.sha256)
     drive = (known.rover, known.terrain, known.plan)
     found = assimilate(*drive, record, before.belief, ruts=asked.ruts, wheel=not of_map, teach=teach, **drawing)
     pace = pace_of(along, known.rover, known.plan)
-    line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     slip = SlipLean.of(along, found)
+    line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     whole = replace(line, doubts=(*line.doubts, slip.doubt if slip else ""))
     found = _with_history(found, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
     for text in before.cautions(found):
         warnings.warn(f"{source.name}: {text}", LunarSciWarning, stacklevel=2)
-    segments, soil_map = None, None
+    segments = soil_map = None
     if before.soil_map is None:
         change = find_change(along, found, seed=asked.seed)
         changes = [] if change is None else [change]
@@ -326,21 +323,9 @@ def update(
         kept = [_zone(segment, line) for segment in segments if segment.learned]
         soil_map = before.soil_map.with_zones(kept)
     return LearnedSoil(
-        known=known,
-        record=along,
-        states=source,
-        before=before,
-        found=found,
-        changes=changes,
-        segments=segments,
-        soil_map=soil_map,
-        seed=asked.seed,
-        pace=pace,
-        slip=slip,
-        questions=()
-        if asked.as_written
-        else known.questions(heights=asked.heights_without_unit) + table.questions(known.rover.wheel),
-    )
+        known=known, record=along, states=source, before=before, found=found, changes=changes, segments=segments,
+        soil_map=soil_map, seed=asked.seed, pace=pace, slip=slip,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
