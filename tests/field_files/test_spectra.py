@@ -19,6 +19,7 @@ import lunarsci
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning
 from lunarsci.guide.info import info
+from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -417,7 +418,83 @@ KINDS: dict[str, Written] = {
             + rows(NM, np.where(NM > 2450, -999, R), np.where(NM > 2450, -999, 0.001), gap=",")),
         missing=5, sigma=0.001,
     ),
+    "tables below each other": Written(
+        "LabSolutions and Origin, several curves of one text file",
+        one("a.txt", "".join(f"Sample {id}\nWavelength (nm)\tReflectance\n{rows(NM, R)}\n" for id in "AB")), count=2,
+    ),
+    "R table": Written(
+        "R, utils::write.table: no name above the row names",
+        one("a.txt", '"wavelength" "rock"\n' + "".join(
+            f'"{k}" {nm:g} {r:.8g}\n' for k, (nm, r) in enumerate(zip(NM, R, strict=True), 1))),
+    ),
+    "names of bands": Written(
+        "EnMAP-Box and QGIS, band names with wavelengths",
+        one("a.csv", ",".join(["name", *(f"Band {k} ({nm:g} Nanometers)" for k, nm in enumerate(NM, 1))]) + "\nrock,"
+            + ",".join(f"{r:.8g}" for r in R) + "\n"),
+    ),
+    "wide with semicolons": Written(
+        "locale fr_FR, samples by rows",
+        one("a.csv", ";".join(["id", *(f"{nm:.1f}" for nm in NM)]).replace(".", ",") + "\nrock;"
+            + ";".join(f"{r:.8f}" for r in R).replace(".", ",") + "\n"),
+    ),
+    "thousands, Swiss": Written(
+        "CLDR, de_CH", one("a.csv", "Wellenlänge (nm);R (%)\n" + "".join(
+            f"{nm:,.1f};{100 * r:.6f}\n".replace(",", "'") for nm, r in zip(NM, R, strict=True))),
+    ),
+    "percent in cells": Written(
+        "Microsoft, number format 0.00%, saved as CSV",
+        one("a.csv", "Wavelength (nm),Reflectance\n" + "".join(
+            f"{nm:g},{100 * r:.6f}%\n" for nm, r in zip(NM, R, strict=True))),
+    ),
+    "not determined": Written(
+        "laboratory reports, n.d. for what was not determined",
+        one("a.csv", "Wavelength (nm),Reflectance\n" + "".join(
+            f"{nm:g},{f'{r:.8g}' if nm <= 2450 else 'n.d.'}\n" for nm, r in zip(NM, R, strict=True))),
+        missing=5,
+    ),
+    "lambda in Angstrom": Written(
+        "IRAF, wspectext with a header", one("a.dat", "# lambda(A) R(lambda)\n" + rows(10 * NM, R, gap=" "))),
+    "errors of wavelengths": Written(
+        "Levenberg fits of line lists: wl_err beside wl",
+        one("a.csv", "wl_um,wl_err,R,R_err\n" + rows(NM / 1000, 0 * R + 0.005, R, 0 * R + 0.001, gap=",")), sigma=0.001,
+    ),
+    "wavenumber and wavelength": Written(
+        "OMNIC and Spectragryph, both abscissae",
+        one("a.csv", "Wavenumber (cm-1),Wavelength (um),Reflectance\n" + rows(1e7 / NM, NM / 1000, R, gap=",")),
+    ),
+    "empty column between": Written(
+        "Excel sheets with a blank column",
+        one("a.csv", "Wavelength (nm),,Reflectance\n" + "".join(
+            f"{nm:g},,{r:.8g}\n" for nm, r in zip(NM, R, strict=True))),
+    ),
+    "json rows": Written(
+        "pandas, DataFrame.to_json, orient='records'",
+        one("a.json", json.dumps([
+            {"wavelength": nm, "reflectance": r} for nm, r in zip(NM.tolist(), R.tolist(), strict=True)])),
+    ),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("steps", "noise"), [((1.5, 3.7, 2.6), 0.0), ((1.5, 3.7, 2.6), 0.0005), ((5.0, 10.0, 10.0), 0.0005)]
+)
+@pytest.mark.parametrize("common", [2, 3, 6])
+def test_three_detectors_with_few_channels_in_common_are_joined(
+    steps: tuple[float, float, float], noise: float, common: int
+) -> None:
+    """Rows in the order of wavelengths, as of field spectrometers with three detectors (Hueni & Bialek 2017)."""
+    low = np.arange(400, 1000 + 1e-9, steps[0])
+    middle = np.arange(low[-common] - 0.4 * steps[0], 1900, steps[1])
+    high = np.arange(middle[-common] - 0.4 * steps[1], 2500, steps[2])
+    nm = np.concatenate([low, middle, high])
+    level = np.concatenate([1.05 * rock(low), 0.97 * rock(middle), rock(high)])
+    level = level * (1 + noise * np.random.default_rng(1).normal(size=nm.size))
+    order = np.argsort(nm)
+    table = "wavelength_nm,rock\n" + rows(nm[order], level[order], gap=",")
+    [spectrum] = quietly(lambda: list(read_spectra(InputFile("a.csv", table.encode()))))  # type: ignore[misc]
+    off = spectrum.reflectance / rock(spectrum.wavelength_nm) - 1
+    assert np.abs(off).max() < 0.001 + 8 * noise
+    assert len(spectrum.metadata["read_as"]) == 2
 
 
 @pytest.fixture

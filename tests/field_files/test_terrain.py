@@ -227,6 +227,20 @@ KINDS: dict[str, tuple[str, Callable[[Path], Path], int]] = {
     ),
     "not sorted, Windows": (
         "https://gdal.org/drivers/raster/xyz.html", text("a.xyz", nodes("{:.2f} {:.2f} {:.4f}", end="\r\n")), 0),
+    "pivot table": (
+        "pandas, DataFrame.pivot; Origin matrices",
+        text("a.csv", ",".join(["y\\x", *(f"{x:g}" for x in X)]) + "\n" + "".join(
+            ",".join([f"{y:g}", *(f"{one:.4f}" for one in row)]) + "\n"
+            for y, row in zip(Y[::-1], HEIGHT[::-1], strict=True))), 0,
+    ),
+    "latitude first": (
+        "PDS Geosciences Node, LOLA points in order of latitude",
+        text("a.csv", nodes("{1:.10f},{0:.10f},{2:.4f}", "lat,lon,elev\n", x=LON, y=LAT)), 150,
+    ),
+    "survey": (
+        "total stations, point, easting, northing, height",
+        text("a.csv", nodes("{n},{:.2f},{:.2f},{:.4f}", "Point,Easting (m),Northing (m),Height (m)\n")), 0,
+    ),
 }  # fmt: skip
 
 

@@ -102,6 +102,17 @@ KINDS: dict[str, tuple[str, bytes]] = {
         "Senatore & Iagnemma 2014, 10.1016/j.jterra.2014.01.001, rigs that set both speeds",
         csv(columns(slip_ratio=("slip_rim", SLIP))),
     ),
+    "symbols beside names": (
+        "tables of journals: name, symbol, unit",
+        csv({"Sinkage z [mm]": 1e3 * SINKAGE, "Slip ratio s [%]": 100 * SLIP, "Normal load W [N]": LOAD,
+             "Drawbar pull DP [N]": PULL}),
+    ),
+    "capitals": (
+        "load cells, KN",
+        csv(columns(normal_force_n=("LOAD (KN)", LOAD / 1e3), drawbar_pull_n=("DBP (KN)", PULL / 1e3)))),
+    "unit in words": ("snake case with in", csv(columns(sinkage_m=("sinkage_in_mm", 1e3 * SINKAGE)))),
+    "net traction in per cent": (
+        "ANSI/ASAE S296.5", csv(columns(drawbar_pull_n=("Net traction ratio [%]", 100 * PULL / LOAD)))),
 }  # fmt: skip
 
 
@@ -127,6 +138,13 @@ def test_slips_over_the_way_are_asked_about_where_they_were_set_to_round_numbers
     kept = read_states(read_input(path), WHEEL, units="slip_ratio=rim")
     np.testing.assert_allclose(kept.values[:, 1], BY_TRAVEL, atol=1e-4)
     assert not kept.questions
+
+
+def test_a_column_named_std_has_errors(tmp_path: Path) -> None:
+    path = tmp_path / "test.csv"
+    path.write_bytes(csv(columns(drawbar_pull_n=("DP [N]", PULL)) | {"DP std [N]": 0 * PULL + 0.25}))
+    found = read_states(read_input(path), WHEEL)
+    assert found.sigmas[:, 4] == pytest.approx(0.25) and found.stated
 
 
 @pytest.mark.parametrize("kind", KINDS)
