@@ -40,11 +40,11 @@ def read_netcdf(path: Path, *, onto: str, values: bool) -> HeightGrid:
         y, x = (np.asarray(data[axes[name]], dtype=float) for name in ("y_m", "x_m"))
         numbers = np.asarray(height.transpose(axes["y_m"], axes["x_m"]), dtype=float)
         units = {name: str(data[axes[name]].attrs.get("units", "")) for name in axes}
-        unit = str(height.attrs.get("units", ""))
+        unit, body = str(height.attrs.get("units", "")), _body_in(data)
     nodes = {"x_m": np.tile(x, y.size), "y_m": np.repeat(y, x.size), "height_m": numbers.ravel()}
     said = f"variable {names[0]} on {axes['x_m']} and {axes['y_m']}"
     if any(one.lower().startswith("degree") for one in units.values()) or are_angles([*axes.values()]):
-        return grid_of_raster(in_degrees(path, nodes, unit, said), onto=onto, values=values)
+        return grid_of_raster(in_degrees(path, nodes, unit, said, body), onto=onto, values=values)
     for name in axes:
         nodes[name] = nodes[name] * (metres_in(units[name]) or 1.0)
     return grid_of_nodes(path, nodes, unit, (said,))
@@ -61,6 +61,17 @@ def _opened(path: Path) -> Any:
     # Whatever xarray and its engines raise of a damaged file: each has its own.
     except Exception as error:
         raise DataError(f"{path}: not a netCDF file that can be read ({str(error)[:80]}); fetch it again") from error
+
+
+def _body_in(data: Any) -> str:
+    """The ellipsoid that a variable of a mapping names (CF conventions, appendix F), in PROJ's words; '' for none."""
+    for one in data.variables.values():
+        axis = one.attrs.get("semi_major_axis", one.attrs.get("earth_radius"))
+        if axis is not None:
+            minor, flat = one.attrs.get("semi_minor_axis"), one.attrs.get("inverse_flattening")
+            shape = f" +b={float(minor)}" if minor is not None else f" +rf={float(flat)}" if flat else ""
+            return f"+a={float(axis)}{shape or f' +b={float(axis)}'}"
+    return ""
 
 
 def _axes(variable: Any) -> dict[str, str]:

@@ -201,8 +201,8 @@ def are_angles(names: Sequence[str]) -> bool:
     return any(plain_name(name).startswith(("lon", "lat")) for name in names)
 
 
-def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, said: str) -> HeightRaster:
-    """Heights at longitudes and latitudes of the Moon, as a raster of them. Raises DataError."""
+def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, said: str, body: str = "") -> HeightRaster:
+    """Heights at longitudes and latitudes of the Moon, or of a `body` in words of PROJ, as a raster. Raises DataError."""
     try:
         from rasterio.crs import CRS
         from rasterio.transform import from_origin
@@ -223,9 +223,9 @@ def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, said: str) -
     found = np.full((up.size, across.size), np.nan)
     found[np.rint((up[-1] - lat) / sides[1]).astype(int), np.rint((lon - across[0]) / sides[0]).astype(int)] = height
     transform = from_origin(across[0] - 0.5 * sides[0], up[-1] + 0.5 * sides[1], *sides)
-    told = f"{said}, in degrees on the sphere of the Moon; a GeoTIFF names another body"
-    crs = CRS.from_user_input(f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs").to_wkt()
-    crs = crs.replace("unknown", "Moon", 1)
+    told = f"{said}, in degrees on " + (body or "the sphere of the Moon; a GeoTIFF names another body")
+    crs = CRS.from_user_input(f"+proj=longlat {body or f'+R={1e3 * MOON_RADIUS_KM:.0f}'} +no_defs").to_wkt()
+    crs = crs if body else crs.replace("unknown", "Moon", 1)
     return HeightRaster(
         path=str(path), bands={HEIGHT: found}, transform=transform, crs=crs, unit=unit,
         said="; ".join(filter(None, (told, lost))),

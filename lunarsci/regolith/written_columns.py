@@ -84,6 +84,8 @@ QUANTITIES = (
         "resistance_torque_nm", TORQUES, ("resistance_torque", "torque", "wheel_torque", "driving_torque", "t")
     ),
 )  # fmt: skip
+WITH_UNIT = ("t", "h")
+"""Symbols that are times and heights, too: they count where a unit says so."""
 BY_TRAVEL = ("slip_travel", "slip_v", "slip_over_v", "slip_sae")
 SHARE_OF_LOAD = (
     *("dp_over_w", "dp_w", "dpw", "dp_over_load", "dp_load", "pull_over_load", "pull_load", "pull_over_weight", "p_w"),
@@ -126,7 +128,7 @@ def of_name(name: str) -> ColumnMeaning | None:
     if whole in SHARE_OF_LOAD:
         return ColumnMeaning("drawbar_pull_n", OVER_LOAD, sigma, scale)
     for quantity in QUANTITIES:
-        if whole in quantity.names:
+        if whole in quantity.names and whole not in WITH_UNIT:
             return ColumnMeaning(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma, scale)
     for quantity in QUANTITIES:
         for count in (1, 2, 0):

@@ -121,6 +121,20 @@ def netcdf4(folder: Path) -> Path:
     return folder / "a.nc"
 
 
+def netcdf_of_mars(folder: Path) -> Path:
+    """Longitudes and latitudes on the sphere that the file names: the same ground is 1.95 times as wide there."""
+    import xarray
+
+    size = RADIUS_M / 3_396_190.0
+    lat, lon = LATITUDE + size * (LAT - LATITUDE), LONGITUDE + size * (LON - LONGITUDE)
+    data = xarray.Dataset(
+        {"topo": (("lat", "lon"), HEIGHT, {"units": "m", "grid_mapping": "crs"})}, {"lat": lat, "lon": lon}
+    )
+    data["crs"] = xarray.DataArray(0, attrs={"grid_mapping_name": "latitude_longitude", "earth_radius": 3_396_190.0})
+    data.to_netcdf(folder / "a.nc")
+    return folder / "a.nc"
+
+
 def npz(folder: Path) -> Path:
     x, y = np.meshgrid(X, Y)
     np.savez(folder / "a.npz", X=x, Y=y, Z=HEIGHT)
@@ -195,6 +209,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], Path], int]] = {
     "envi": ("NV5 ENVI header files; https://gdal.org/drivers/raster/envi.html", envi, 0),
     "gmt": ("Wessel et al. 2019, 10.1029/2019GC008515, grid files (COARDS)", gmt, 0),
     "netcdf4 in km": ("CF conventions 1.10, units", netcdf4, 0),
+    "netcdf of another body": ("CF conventions 1.10, appendix F, earth_radius", netcdf_of_mars, 150),
     "meshgrid": ("NumPy, savez of a meshgrid", npz, 0),
     "vrt": ("https://gdal.org/drivers/raster/vrt.html", vrt, 0),
     "world file": ("Esri, world files for rasters", world_file, 0),

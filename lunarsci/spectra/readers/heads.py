@@ -19,6 +19,7 @@ FEWEST_ROWS = 3
 """Lines of numbers, one after the other, that begin a table; assumed."""
 _SEPARATOR = re.compile(r'^"?sep=(.)"?$', re.IGNORECASE)
 _CELLS = re.compile(r"[\t;]\s*|\s+|,\s*")
+_OF_NUMBERS = "0123456789.+-"
 _AXIS = re.compile(r"^\W*([xy])\W?\s*units?\s*(?:[:=]|\t)\s*(\S.*)$", re.IGNORECASE)
 _COLUMN = re.compile(r"^\W*col(?:umn|\.)?\s*(\d+)\s*[:=]\s*(\S.*?)(?:~~\d+)?$", re.IGNORECASE)
 _KEY = re.compile(r"^([^:=]{1,60}?)\s*[:=]\s*(.*)$")
@@ -68,6 +69,9 @@ def text_table(lines: Lines, file: str) -> TableInText:
 
 def tables_in(lines: Lines) -> list[Lines]:
     """Tables one after another that have one and the same line above their numbers; the lines as they are, if not."""
+    begin = _begin(lines)
+    if all(line[:1] in _OF_NUMBERS for _, line in lines[begin + 1 :]):  # most tables, soon told
+        return [lines]
     numeric = [is_numeric(line) for _, line in lines]
     heads = [k for k in range(1, len(lines) - FEWEST_ROWS) if not numeric[k - 1] and all(numeric[k : k + FEWEST_ROWS])]
     names = {lines[k - 1][1] for k in heads}
@@ -79,7 +83,7 @@ def tables_in(lines: Lines) -> list[Lines]:
 
 def is_numeric(line: str) -> bool:
     """Whether a line begins with two numbers, or a number and nothing after a separator."""
-    cells = _CELLS.split(line.strip())
+    cells = _CELLS.split(line.strip(), 2)
     values = [number(cell.replace(",", ".")) for cell in cells[:2]]
     return len(cells) > 1 and number(cells[0]) is not None and cells[0] != "" and values[1] is not None
 
