@@ -202,7 +202,7 @@ def are_angles(names: Sequence[str]) -> bool:
 
 
 def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, said: str, body: str = "") -> HeightRaster:
-    """Heights at longitudes and latitudes of the Moon, or of a `body` as PROJ says it, as a raster. Raises DataError."""
+    """Heights at longitudes and latitudes of the Moon, or of a `body` as PROJ says it: a raster. Raises DataError."""
     try:
         from rasterio.crs import CRS
         from rasterio.transform import from_origin
