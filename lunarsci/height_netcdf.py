@@ -60,7 +60,9 @@ def _opened(path: Path) -> Any:
         return xarray.open_dataset(path, engine=engine)
     # Whatever xarray and its engines raise of a damaged file: each has its own.
     except Exception as error:
-        raise DataError(f"{path}: not a netCDF file that can be read ({str(error)[:80]}); fetch it again") from error
+        raise DataError(
+            f"{path}: not a netCDF file that can be read ({' '.join(str(error).split())[:80]}); fetch it again"
+        ) from error
 
 
 def _body_in(data: Any) -> str:
@@ -81,8 +83,10 @@ def _axes(variable: Any) -> dict[str, str]:
 
 
 def holds_heights(path: Path) -> bool:
-    """Whether a netCDF file has a grid of heights and no cube."""
-    with _opened(path) as data:
-        return any(_axes(one) for one in data.data_vars.values()) and all(
-            one.ndim < 3 for one in data.data_vars.values()
-        )
+    """Whether a netCDF file has a grid of heights and no cube; a damaged one has neither."""
+    try:
+        with _opened(path) as data:
+            every = [*data.data_vars.values()]
+            return any(map(_axes, every)) and all(one.ndim < 3 for one in every)
+    except DataError:
+        return False

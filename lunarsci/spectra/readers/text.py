@@ -125,7 +125,7 @@ def _one_after_another(parts: Sequence[Lines], source: InputFile) -> SpectrumTab
         for k, (own, sigma) in enumerate(found.spectra):
             title = name if len(found.spectra) == 1 else f"{name} {own.name or k + 1}"
             unit = stated_unit(own)
-            columns.append(Column(title, own.values, own.position, unit))
+            columns.append(Column(title, own.values, 1 + len(columns) + sum(map(len, groups)), unit))
             columns += [] if sigma is None else [Column(f"{title}_sigma", sigma.values, sigma.position, unit)]
         groups.append(columns)
     return on_one_grid(groups, source, {}, f"{len(parts)} tables one after another, each a spectrum or more")
