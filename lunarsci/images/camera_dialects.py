@@ -39,6 +39,13 @@ def written_tree(file: InputFile, start: str) -> Mapping[str, Any] | None:
 
     Raises DataError for a model with terms that Brown's have not.
     """
+    try:
+        return _written(file, start)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]}); export it again") from error
+
+
+def _written(file: InputFile, start: str) -> Mapping[str, Any] | None:
     if _COLMAP.search(start):
         return {f"cam{one[1]}": _of_colmap(one) for one in _COLMAP.finditer(text(file))}
     if "[image]" in start and "camera matrix" in start:

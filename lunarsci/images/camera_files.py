@@ -141,7 +141,10 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
             if not SURELY.search(start):
                 return None
             raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
-        found = plainer(found) if isinstance(found, Mapping) else found
+        try:
+            found = plainer(found) if isinstance(found, Mapping) else found
+        except (ValueError, TypeError, OverflowError) as error:
+            raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]})") from error
     return found if isinstance(found, Mapping) and (_cameras_in(found) or _way_in(found)) else None
 
 

@@ -27,6 +27,8 @@ _RECORD = re.compile(r"^##\s*([^=]*?)\s*=\s*(.*)$")
 _FORM = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d+)?|[@A-Ia-i%J-Rj-rS-Zs]\d*|\?")
 _SQUEEZED, _DIFFERENCE, _DUPLICATE = "@ABCDEFGHIabcdefghi", "%JKLMNOPQRjklmnopqr", "STUVWXYZs"
 """Letters for the first digit 0 to 9, then -1 to -9; of duplicates 1 to 9."""
+MOST_POINTS = 10_000_000
+"""Of a spectrum; assumed."""
 _TABULAR = ("XYDATA", "XYPOINTS")
 LIKE_JCAMP, LIKE_MRT = re.compile(r"##\s*(TITLE|JCAMP)", re.IGNORECASE), "Byte-by-byte Description of file"
 
@@ -48,7 +50,10 @@ def read_jcamp(source: InputFile) -> SpectrumTable:
     for block in _blocks(inputs.text(source)):
         keys |= {key: value.split("\n")[0] for key, value in block.items() if key not in _TABULAR}
         if any(one in block for one in _TABULAR):
-            groups.append(_spectrum(block, source.name, len(groups)))
+            try:
+                groups.append(_spectrum(block, source.name, len(groups)))
+            except (ValueError, OverflowError) as error:
+                raise DataError(f"{source.name}: broken JCAMP-DX ({str(error)[:80]}); fetch it again") from error
     if not groups:
         raise DataError(f"{source.name}: JCAMP-DX without XYDATA or XYPOINTS; export the spectrum as one of them")
     if len(groups) == 1:
@@ -112,6 +117,8 @@ def _ordinates(body: str, what: str) -> FloatArray:
         for form in forms:
             if form[0] in _DUPLICATE:
                 times = int(f"{_DUPLICATE.index(form[0]) + 1}{form[1:]}") - 1
+                if len(values) + times > MOST_POINTS:
+                    raise DataError(f"{what}: more than {MOST_POINTS} points; fetch it again")
                 values += [values[-1] + step * (k + 1) for k in range(times)] if values else []
             elif form[0] in _DIFFERENCE:
                 step, differences = _digits(form, _DIFFERENCE), True
@@ -142,7 +149,7 @@ def read_json(source: InputFile) -> SpectrumTable:
     lists = dict[str, list[Any]]()
     for name, values in found.items() if isinstance(found, dict) else ():
         own = list(values.values()) if isinstance(values, dict) else values
-        if isinstance(own, list) and own and all(one is None or type(one) in (int, float) for one in own):
+        if isinstance(own, list) and own and all(map(_is_number, own)):
             lists[str(name)] = own
     lists = {name: one for name, one in lists.items() if len(one) == max(map(len, lists.values()))}
     if len(lists) < 2:
@@ -151,11 +158,16 @@ def read_json(source: InputFile) -> SpectrumTable:
 
     def column(k: int) -> Column:
         name = [*lists][k]
-        return Column(name, np.array([np.nan if one is None else float(one) for one in lists[name]]), k + 1)
+        return Column(name, np.array([np.nan if one is None else one for one in lists[name]], float), k + 1)
 
     places = tuple(f"value {k + 1}" for k in range(len(next(iter(lists.values())))))
     spectra = tuple((column(r), None if s is None else column(s)) for r, s in roles.spectra)
     return SpectrumTable(source, "json", column(roles.wavelength), spectra, places)
+
+
+def _is_number(cell: Any) -> bool:
+    """Whether a value of JSON is a number that a float has, or none."""
+    return cell is None or (type(cell) in (int, float) and abs(cell) < 1e308)
 
 
 def read_with_astropy(source: InputFile, format: str) -> SpectrumTable:
