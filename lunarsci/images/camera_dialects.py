@@ -41,6 +41,8 @@ def written_tree(file: InputFile, start: str) -> Mapping[str, Any] | None:
     """
     try:
         return _written(file, start)
+    except DataError:
+        raise
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]}); export it again") from error
 

@@ -52,6 +52,8 @@ def read_jcamp(source: InputFile) -> SpectrumTable:
         if any(one in block for one in _TABULAR):
             try:
                 groups.append(_spectrum(block, source.name, len(groups)))
+            except DataError:
+                raise
             except (ValueError, OverflowError) as error:
                 raise DataError(f"{source.name}: broken JCAMP-DX ({str(error)[:80]}); fetch it again") from error
     if not groups:
