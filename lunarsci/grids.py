@@ -15,8 +15,9 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.height_grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
+from lunarsci.height_netcdf import is_netcdf, read_netcdf
 from lunarsci.height_rasters import DRIVERS, check_count, read_height_raster
-from lunarsci.height_texts import TEXTS, is_ascii_grid, read_ascii, read_nodes, read_table
+from lunarsci.height_texts import AXES, NODE, TEXTS, is_ascii_grid, plain_name, read_ascii, read_nodes, read_table
 from lunarsci.height_units import metres_in
 from lunarsci.names import one_of
 from lunarsci.no_data import USUALLY
@@ -56,6 +57,7 @@ def read_grid(
     * `.tif`, `.tiff`, GeoTIFF; `.lbl`, `.img`, PDS3; `.xml`, label of PDS4; `.cub`, ISIS: first band, and bands whose
       description is one of `layers`, with scale, offset and nodata; needs the extra `cubes`. What does not lie on
       square cells of metres is brought onto such, see `HeightRaster.in_metres`.
+    * `.nc`, `.grd`, netCDF: a variable on x and y, or on longitude and latitude of the Moon; needs the extra `cubes`.
     * `.asc`, or any text that begins with its header: ESRI ASCII grid, cells in m.
     * `.csv`, a row for each node: `x_m`, `y_m`, `height_m`, and optionally `layers`; nodes that are not in the table
       are holes. `.xyz`, `.txt` and `.dat`, the same of x, y and height alone, with or without names.
@@ -69,12 +71,18 @@ def read_grid(
     file, end = Path(path), Path(path).suffix.lower()
     asked, how = (file, tuple(layers), tuple(unread)), dict[str, Any](onto=onto, values=values)
     try:
-        if (end in TEXTS or end not in (".npz", *DRIVERS)) and is_ascii_grid(file):
+        if is_netcdf(file):
+            grid = read_netcdf(file, **how)
+        elif (end in TEXTS or end not in (".npz", *DRIVERS)) and is_ascii_grid(file):
             grid = read_ascii(*asked, **how)
         elif end in DRIVERS:
             grid = grid_of_raster(read_height_raster(file, asked[1]), **how)
         else:
-            grid = (read_table if end == ".csv" else read_nodes if end in TEXTS else _read_archive)(*asked)
+            grid = (
+                _read_archive(*asked)
+                if end not in TEXTS
+                else (read_table if end == ".csv" else read_nodes)(*asked, **how)
+            )
         grid = grid if values else _without_fill(_in_metres(str(path), grid, unit))
         _check_heights(str(path), grid.height_m)
         for said in (one for one in grid.read_as if USUALLY in one):
@@ -175,7 +183,9 @@ def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
     for key in ("x_m", "y_m", "height_m"):
         if key not in arrays:
             raise DataError(f"{path}: no '{key}'; a terrain needs x_m, y_m and height_m")
-    x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in ("x_m", "y_m", "height_m"))
+    x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in NODE)
+    if x.ndim == y.ndim == 2 and x.shape == y.shape and (x == x[:1]).all() and (y == y[:, :1]).all():
+        x, y = x[0], y[:, 0]
     if height.shape != (y.size, x.size):
         raise DataError(f"{path}: height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
     spacing = spacing_of(x, y)
@@ -233,12 +243,15 @@ def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise DataError(f"{path}: a single array, not a NumPy archive; write it with numpy.savez")
         with archive:
-            if unknown := {*archive.files} - known - {*unread}:
+            named = {} if {*NODE} & {*archive.files} else {key: AXES.get(plain_name(key), key) for key in archive.files}
+            if len({*named.values()}) < len(named):
+                named = {}
+            if unknown := {named.get(key, key) for key in archive.files} - known - {*unread}:
                 wrong = shortened(min(unknown))
                 raise DataError(f"{path}: '{wrong}' is not a key of a terrain; {one_of(wrong, sorted(known))}")
             for entry in archive.zip.infolist() if archive.zip else ():
                 check_count(str(path), entry.file_size // 8)
-            arrays = {key: archive[key] for key in archive.files if key in known}
+            arrays = {named.get(key, key): archive[key] for key in archive.files if named.get(key, key) in known}
         if wrong := next((key for key, array in arrays.items() if np.iscomplexobj(array)), ""):
             raise DataError(f"{path}: {wrong} has complex numbers; write real ones")
         return arrays

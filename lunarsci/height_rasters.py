@@ -29,12 +29,14 @@ EVEN = 1e-4
 DRIVERS = {
     **{".tif": "GTiff", ".tiff": "GTiff", ".lbl": "PDS", ".img": "PDS", ".xml": "PDS4", ".cub": "ISIS3"},
     **{".jp2": "JP2OpenJPEG", ".grd": "GSAG", ".flt": "EHdr", ".bil": "EHdr"},
+    **{".vrt": "VRT", ".bsq": "ENVI", ".raw": "ENVI"},
 }
 """GDAL's readers by the ending of a file."""
 OTHERS = {b"EHFA": "HFA", b"DSBB": "GSBG", b"DSRB": "GS7BG"}
 """Those of other files with such endings, by how they begin."""
 KINDS = {
     **{"GTiff": "GeoTIFF", "PDS": "PDS3 image or label of one", "PDS4": "PDS4 label", "ISIS3": "ISIS cube"},
+    **{"ENVI": "raw grid with its header of ENVI", "VRT": "virtual raster of GDAL"},
     **{"JP2OpenJPEG": "JPEG 2000", "EHdr": "raw grid with its .hdr", "HFA": "image of Erdas Imagine"},
     **dict.fromkeys(("GSAG", "GSBG", "GS7BG"), "grid of Surfer"),
 }
@@ -213,7 +215,7 @@ def read_height_raster(path: Path, layers: tuple[str, ...] = ()) -> HeightRaster
                 bands={name: band for name, (band, _) in found.items()},
                 said=found[HEIGHT][1],
                 transform=raster.transform,
-                crs="" if raster.crs is None else raster.crs.to_wkt(),
+                crs=raster.crs.to_wkt() if raster.crs and (raster.crs.is_geographic or raster.crs.is_projected) else "",
                 unit=_unit(raster),
                 synthetic=raster.tags().get("SYNTHETIC", "").lower() in ("true", "1", "yes"),
                 beside=beside,
@@ -226,7 +228,11 @@ def _driver_of(path: Path) -> str:
     """GDAL's reader of a file, by its begin or its ending. Raises DataError."""
     try:
         with path.open("rb") as stream:
-            return OTHERS.get(stream.read(4), DRIVERS[path.suffix.lower()])
+            begin, end = stream.read(4), path.suffix.lower()
+        header = path.with_suffix(".hdr")
+        if DRIVERS[end] in ("PDS", "EHdr") and header.is_file() and header.read_bytes()[:4] == b"ENVI":
+            return "ENVI"
+        return OTHERS.get(begin, DRIVERS[end])
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from error
 

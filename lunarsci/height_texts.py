@@ -5,6 +5,7 @@ GDAL's reader of such tables wants them sorted, and an extra; pandas reads the n
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError
 from lunarsci.height_grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
 from lunarsci.height_rasters import EVEN, HEIGHT, HeightRaster, check_count
+from lunarsci.height_units import metres_in
 from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.names import one_of
 from lunarsci.no_data import without_markers
@@ -33,6 +36,14 @@ AXES = {
     ),
 }
 """What others call the columns of a table of nodes, without units."""
+BESIDE = {
+    *("", "fid", "id", "index", "n", "no", "point", "unnamed", "r", "g", "b", "red", "green", "blue", "rgb", "alpha"),
+    *("intensity", "nx", "ny", "nz", "scalarfield", "class", "classification"),
+}
+"""Columns beside nodes that leave a table one of them: numbers of points, colours and normals of point clouds."""
+REMARKS = ("#", "//", "%", "!")
+MOST_PERCENT = 200.0
+"""No reflectance is larger; that of `lunarsci.spectra`, assumed. [%]"""
 SPARSE = 4.0
 """Nodes of a grid for each row of a table without names, that may be holes; assumed."""
 ROUNDED = 0.04
@@ -48,13 +59,18 @@ def is_ascii_grid(path: Path) -> bool:
 
 def read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
     """An ESRI ASCII grid, its cells in m. Raises DataError."""
-    lines = text(read_input(path)).splitlines()
+    content = text(read_input(path))
+    if "," in content:
+        content = content.replace(",", " " if "." in content else ".")
+    lines = content.splitlines()
     header: dict[str, float] = {}
     while lines and len(words := lines[0].split()) == 2 and (name := words[0].lower()) in HEADER:
         if name in header:
             raise DataError(f"{path}: {name} is there twice; keep the right one")
         header[name] = float(words[1])
         lines.pop(0)
+    if not header and node_columns(InputFile(str(path), content.encode()), content):
+        return read_nodes(path, layers, unread, **how)
     shape = _checked_header(path, header)
     heights = np.array(" ".join(lines).split(), dtype=np.float64)
     if heights.size != shape[0] * shape[1]:
@@ -65,11 +81,35 @@ def read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
         header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + 0.5 * header[f"d{axis}"]) for axis in "xy"
     )
     height, (dx, dy) = heights.reshape(shape), (header["dx"], header["dy"])
-    if not np.isclose(dx, dy, rtol=EVEN):
-        return grid_of_raster(replace(_oblong(path, height, (x0, y0), (dx, dy)), said=said), **how)
+    crs, beside = _system_beside(path)
+    if crs or not np.isclose(dx, dy, rtol=EVEN):
+        raster = _oblong(path, height, (x0, y0), (dx, dy))
+        return grid_of_raster(replace(raster, said=said, crs=crs, beside=beside), **how)
     return HeightGrid(
         name=path.stem, x0_m=x0, y0_m=y0, spacing_m=dx, height_m=height[::-1], unit="", read_as=(said,) if said else ()
     )
+
+
+def _system_beside(path: Path) -> tuple[str, tuple[str, ...]]:
+    """The coordinate system of a `.prj` beside a grid, and that file; nothing where there is none.
+
+    Raises DataError for one in degrees where rasterio is not installed, and for text that is no system.
+    """
+    beside = path.with_suffix(".prj")
+    if not beside.is_file():
+        return "", ()
+    content = text(read_input(beside))
+    try:
+        from rasterio.crs import CRS
+        from rasterio.errors import CRSError
+    except ImportError as error:
+        if content.lstrip().upper().startswith("PROJCS"):
+            return "", ()
+        raise DataError(f"{path}: {beside.name} says degrees; {NO_RASTERIO}") from error
+    try:
+        return CRS.from_user_input(content).to_wkt(), (str(beside),)
+    except CRSError as error:
+        raise DataError(f"{beside}: not a coordinate system: {error}; correct it or take it away") from error
 
 
 def _oblong(path: Path, height: FloatArray, first: tuple[float, float], sides: tuple[float, float]) -> HeightRaster:
@@ -107,12 +147,12 @@ def _checked_header(path: Path, header: dict[str, float]) -> tuple[int, int]:
     return int(header["nrows"]), int(header["ncols"])
 
 
-def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
+def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
     """A table of nodes with the columns `x_m`, `y_m` and `height_m`, or others that mean these. Raises DataError."""
     table = read_csv_table(path)
-    named = {str(name): AXES.get(_plain(name), str(name)) for name in table}
-    if {*named.values()} >= {*NODE} and not {*NODE} <= {*named}:
-        return read_nodes(path, layers, unread)
+    named = {str(name): AXES.get(plain_name(name), str(name)) for name in table}
+    if not {*NODE} <= {*named} and ({*named.values()} >= {*NODE} or read_as_nodes(path)):
+        return read_nodes(path, layers, unread, **how)
     table = table[[name for name in table if name in layers or name not in unread]]
     known = (*NODE, *layers)
     for name in NODE:
@@ -123,43 +163,96 @@ def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> 
     return _grid_of(path, {str(name): numbers_of(str(path), str(name), cells) for name, cells in table.items()})
 
 
-def read_nodes(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
-    """A table of x, y and height, with or without names, with commas, semicolons or blanks. Raises DataError."""
+def read_as_nodes(path: Path) -> bool:
+    """Whether a text has a row for each node, by names or places."""
+    content = text(read_input(path))
+    return node_columns(InputFile(str(path), content.encode()), content) is not None
+
+
+def read_nodes(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
+    """A table of x, y and height, with or without names, with commas, semicolons or blanks. Raises DataError.
+
+    Longitude and latitude are of the Moon, and projected as those of a raster.
+    """
     content = text(read_input(path))
     found = node_columns(InputFile(str(path), content.encode()), content)
     if found is None:
         raise DataError(f"{path}: no table of x, y and height; name three columns x_m, y_m and height_m")
     names, values = found
-    for name, written in zip(NODE, names, strict=True):
-        if re.search(r"lat|lon", written, re.IGNORECASE):
-            raise DataError(
-                f"{path}: column '{written}' has degrees, {name} is in m; give a GeoTIFF, which says on what body"
-            )
-    unit = next(iter(re.findall(r"(?:_|\(|\[|\s)(k?m|cm|mm|ft)\b", names[2].lower())), "")
+    units = [_unit_in(name) for name in names]
+    nodes = dict(zip(NODE, values, strict=True))
     said = f"columns {', '.join(names)} as x, y and height"
-    height, lost = without_markers(values[2])
-    grid = _grid_of(path, dict(zip(NODE, (*values[:2], height), strict=True)))
-    return replace(grid, unit=unit, read_as=(said, lost) if lost else (said,))
+    if are_angles(names[:2]):
+        return grid_of_raster(in_degrees(path, nodes, units[2], said), **how)
+    for name, unit in zip(NODE[:2], units, strict=False):
+        nodes[name] = nodes[name] * (metres_in(unit) or 1.0)
+    return grid_of_nodes(path, nodes, units[2], (said,))
+
+
+def grid_of_nodes(path: Path, nodes: dict[str, FloatArray], unit: str, said: tuple[str, ...]) -> HeightGrid:
+    """Heights in a unit on their grid, without those that stand for none."""
+    height, lost = without_markers(nodes["height_m"])
+    grid = _grid_of(path, {**nodes, "height_m": height})
+    return replace(grid, unit=unit, read_as=(*said, lost) if lost else said)
+
+
+def are_angles(names: Sequence[str]) -> bool:
+    """Whether names of places are those of longitude and latitude."""
+    return any(plain_name(name).startswith(("lon", "lat")) for name in names)
+
+
+def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, said: str, body: str = "") -> HeightRaster:
+    """Heights at longitudes and latitudes of the Moon, or of a `body` as PROJ says it: a raster. Raises DataError."""
+    try:
+        from rasterio.crs import CRS
+        from rasterio.transform import from_origin
+    except ImportError as error:
+        raise DataError(f"{path}: places are in degrees; {NO_RASTERIO}") from error
+    lon, lat = nodes["x_m"], nodes["y_m"]
+    if np.abs(lon).max() > 360.0 or np.abs(lat).max() > 90.0:
+        raise DataError(f"{path}: longitude or latitude beyond a circle; name columns in m x_m and y_m")
+    height, lost = without_markers(nodes["height_m"])
+    across, up = (_axis(axis) for axis in (lon, lat))
+    sides = [float(np.ptp(axis)) / max(axis.size - 1, 1) for axis in (across, up)]
+    if min(across.size, up.size) < 3 or not min(sides) > 0:
+        raise DataError(f"{path}: {across.size} longitudes and {up.size} latitudes; give at least 3 of each")
+    for name, axis, side in (("longitudes", across, sides[0]), ("latitudes", up, sides[1])):
+        if np.abs(np.diff(axis) - side).max() > EVEN * side:
+            raise DataError(f"{path}: {name} are not in even steps; interpolate the heights to even ones")
+    check_count(str(path), across.size * up.size)
+    found = np.full((up.size, across.size), np.nan)
+    found[np.rint((up[-1] - lat) / sides[1]).astype(int), np.rint((lon - across[0]) / sides[0]).astype(int)] = height
+    transform = from_origin(across[0] - 0.5 * sides[0], up[-1] + 0.5 * sides[1], *sides)
+    told = f"{said}, in degrees on " + (body or "the sphere of the Moon; a GeoTIFF names another body")
+    crs = CRS.from_user_input(f"+proj=longlat {body or f'+R={1e3 * MOON_RADIUS_KM:.0f}'} +no_defs").to_wkt()
+    crs = crs if body else crs.replace("unknown", "Moon", 1)
+    return HeightRaster(
+        path=str(path), bands={HEIGHT: found}, transform=transform, crs=crs, unit=unit,
+        said="; ".join(filter(None, (told, lost))),
+    )  # fmt: skip
 
 
 def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple[list[str], FloatArray] | None:
     """Names and numbers (3, n) of the columns of a table of nodes, or of them `alone`; None for any other table.
 
-    Three columns without names are such a table where the first two are places on a grid.
+    Three columns without names are such a table where the first two are places on a grid. Names may stand in the
+    remark above, as of point clouds. What colours or counts nodes may stand beside them.
     """
     import pandas as pd
 
-    lines = [line for line in content.splitlines() if line.strip() and not line.lstrip().startswith(("#", "//"))]
-    split = re.compile(r"\s*[,;]\s*|\s+")
-    first = split.split(lines[0].strip()) if lines else []
+    rows = _cells(content)
+    first = rows[0] if rows else []
     bare = all(_is_number(cell) for cell in first)
-    if len(first) < 3 or (not bare and (len(lines) < 2 or len(split.split(lines[1].strip())) != len(first))):
+    if pivot := _pivot(rows, alone=alone):
+        return pivot
+    if len(first) < 3 or (not bare and (len(rows) < 2 or len(rows[1]) != len(first))):
         return None
-    axes = [AXES.get(_plain(cell), "") for cell in first]
+    axes = [AXES.get(plain_name(cell), "") for cell in first]
     places = [0, 1, 2] if bare else [axes.index(name) for name in NODE if name in axes]
-    if len(places) < 3 or ((bare or alone) and len(first) != 3):
+    beside = {plain_name(cell) for k, cell in enumerate(first) if k not in places}
+    if len(places) < 3 or (bare and len(first) != 3) or (alone and not beside <= BESIDE):
         return None
-    rows = [split.split(line.strip()) for line in lines[0 if bare else 1 :]]
+    rows = rows[0 if bare else 1 :]
     if {len(row) for row in rows} != {len(first)}:
         return None
     table = pd.DataFrame(rows, dtype=str)
@@ -169,6 +262,47 @@ def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple
     except DataError:
         return None
     return (names, values) if not bare or _is_grid(values) else None
+
+
+def _pivot(rows: list[list[str]], *, alone: bool) -> tuple[list[str], FloatArray] | None:
+    """Nodes of a table with x in the names of its columns and y in its first one; None for any other table.
+
+    `alone`, cells that could be reflectances in percent are none of heights: such tables have spectra in rows, too.
+    """
+    if len(rows) < 4 or len({*map(len, rows)}) != 1 or len(rows[0]) < 4 or _is_number(rows[0][0] or "x"):
+        return None
+    try:
+        x, y = np.array(rows[0][1:], dtype=float), np.array([row[0] for row in rows[1:]], dtype=float)
+        heights = np.array([[cell or "nan" for cell in row[1:]] for row in rows[1:]], dtype=float)
+    except ValueError:
+        return None
+    if alone and np.nanmin(heights) >= 0 and np.nanmax(heights) <= MOST_PERCENT:
+        return None
+    steps = [np.diff(axis) / (axis[1] - axis[0] or np.nan) for axis in (x, y)]
+    if not all(np.allclose(step, 1.0, atol=ROUNDED) for step in steps):
+        return None
+    names = ["the names of columns", "the first column", "the cells"]
+    return names, np.array([np.tile(x, y.size), np.repeat(y, x.size), heights.ravel()])
+
+
+def _cells(content: str) -> list[list[str]]:
+    """Cells of lines that are no remarks, those of names first; with decimal points."""
+    lines = [line.strip() for line in content.splitlines() if line.strip()]
+    marked = [line.startswith(REMARKS) for line in lines]
+    body = [line for line, remark in zip(lines, marked, strict=True) if not remark]
+    if len(body) > 1 and body[0].isdigit():  # how many points there are
+        body = body[1:]
+    sample = body[1] if len(body) > 1 else body[0] if body else ""
+    separator = next((sign for sign in "\t;," if sign in sample), None)
+    if separator in (None, "\t", ";") and body:
+        body = [body[0], *(line.replace(",", ".") if "." not in line else line for line in body[1:])]
+    rows = [[cell.strip().strip('"') for cell in line.split(separator)] for line in body]
+    above = marked.index(False) - 1 if False in marked else -1
+    names = lines[above].lstrip("#/ ") if above >= 0 else ""
+    named = [cell.strip() for cell in names.split(separator)] if names else []
+    if rows and len(named) == len(rows[0]) and {*NODE} <= {AXES.get(plain_name(cell), "") for cell in named}:
+        rows.insert(0, named)
+    return rows
 
 
 def _is_grid(values: FloatArray) -> bool:
@@ -186,9 +320,15 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _plain(name: object) -> str:
+def plain_name(name: object) -> str:
     """A name without its unit, in small letters."""
-    return re.sub(r"[\s_]*[\[(]?\b(?:m|km|cm|mm|ft)\b[\])]?$|[^a-z]", "", str(name).lower().replace("_", " "))
+    return re.sub(
+        r"[\s_]*[\[(]?\b(?:m|km|cm|mm|ft|deg|degrees)\b[\])]?$|[^a-z]", "", str(name).lower().replace("_", " ")
+    )
+
+
+def _unit_in(name: str) -> str:
+    return next(iter(re.findall(r"(?:_|\(|\[|\s)(k?m|cm|mm|ft)\b", name.lower())), "")
 
 
 def _grid_of(path: Path, values: "dict[str, FloatArray]") -> HeightGrid:

@@ -29,6 +29,7 @@ SHARED = {
     "grids",
     "height_grid",
     "height_texts",
+    "height_netcdf",
     "no_data",
     "height_rasters",
     "height_units",

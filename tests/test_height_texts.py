@@ -78,7 +78,7 @@ def test_rounded_places_are_on_even_steps(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("lon lat z\n1 2 3\n2 2 3\n", "has degrees"),
+        ("lon lat z\n1 2 3\n2 2 3\n", "2 longitudes and 1 latitudes"),
         ("wavelength_nm,a,b\n500,0.1,0.2\n", "no table of x, y and height"),
         ("x y z\n0 0 1\n1 0 1\n0 1 1\n", "at least 3"),
         ("x y z\n0 0 1\n1 0\n", "no table of x, y and height"),

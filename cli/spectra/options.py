@@ -11,7 +11,8 @@ Files = Annotated[
     typer.Argument(
         metavar="FILE",
         help="Spectra: ECSV, CSV, text or Excel (first column wavelength, then spectra), RELAB .tab/.asc, PDS, FITS "
-        "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
+        "table, ENVI library (.sli, .hdr), USGS splib07 text, JCAMP-DX, JSON, VOTable, VNIS products (.2BL, .2B); "
+        "several files, folders or "
         "patterns; - is stdin.",
     ),
 ]

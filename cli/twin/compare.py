@@ -13,7 +13,7 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
+from .options import AS_WRITTEN, GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
 from .trial_tables import trial_tables
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ OPTIONS = {
         "Gravity: moon, mars, earth, or a number in m/s².", show_default="that of a public trial, or moon", panel=GROUND
     ),
     "interpolation": INTERPOLATION,
+    "as_written": AS_WRITTEN,
     "soil": option(
         "Soil that trials are predicted on: a name or a TOML file; or a belief (JSON) or samples (CSV), from which "
         "every drive has its own. Repeatable.",

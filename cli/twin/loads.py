@@ -15,7 +15,7 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import wheel_tables
-from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
+from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
 
 PANEL: dict[str, Any] = {"panel": "Uncertain motion and soil"}
 OPTIONS = {
@@ -25,6 +25,7 @@ OPTIONS = {
     "height_unit": HEIGHT_UNIT,
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
+    "as_written": AS_WRITTEN,
     "soil": option(
         "One soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"
     ),

@@ -12,7 +12,7 @@ PlanFile = Annotated[
 GROUND, SOIL, LIGHT, STEPS = "Rover and ground", "Soil and drives", "Sun and battery", "Steps and draws"
 ROVER = option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2", panel=GROUND)
 TERRAIN = option(
-    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, ESRI ASCII .asc, CSV of nodes).",
+    "Terrain: synthetic-longji, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, netCDF, ESRI ASCII .asc, CSV of nodes).",
     show_default="synthetic-longji",
     panel=GROUND,
 )
@@ -22,6 +22,11 @@ HEIGHT_UNIT = option(
     panel=GROUND,
 )
 GRAVITY = option("Gravity: moon, mars, earth, or a number in m/s².", show_default="moon", panel=GROUND)
+AS_WRITTEN = option(
+    "Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be likely "
+    "in another unit is asked about, and the result is not to be trusted.",
+    panel=GROUND,
+)
 INTERPOLATION = option(
     "Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).", panel=GROUND
 )

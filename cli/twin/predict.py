@@ -12,7 +12,7 @@ from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, GROUND, KEEP_OUT, RUTS, SUN, PlanFile
+from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
@@ -23,11 +23,7 @@ OPTIONS = DRIVE | {
         "Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both "
         "95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.",
     ),
-    "as_written": option(
-        "Numbers of soil, rover and terrain are meant as they are written. Without it a number that would be likely in "
-        "another unit is asked about, and the verdict is not-determined.",
-        panel=GROUND,
-    ),
+    "as_written": AS_WRITTEN,
     "ruts": RUTS,
     "before": BEFORE,
     "exact_terrain": EXACT_TERRAIN,

@@ -13,7 +13,7 @@ from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
+from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
@@ -42,6 +42,7 @@ OPTIONS = {
     "height_unit": HEIGHT_UNIT,
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
+    "as_written": AS_WRITTEN,
     "particles": option("Soils that carry the belief.", min=32, panel=BELIEF),
     "ruts": option(
         "Whether wheels met the ruts of others; as explains the drive better, if left out.",

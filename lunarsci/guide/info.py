@@ -16,7 +16,14 @@ from typing import Any, ClassVar, TypeAlias
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
-from lunarsci.guide.rover_files import is_image_of_heights, kind_of_rover_file, states_named_otherwise
+from lunarsci.guide.rover_files import (
+    is_envi_of_heights,
+    is_image_of_heights,
+    kind_of_rover_file,
+    states_named_otherwise,
+    telemetry_named_otherwise,
+)
+from lunarsci.height_netcdf import NETCDF, holds_heights
 from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
@@ -105,6 +112,7 @@ MAGIC = {
     b"EHFA_HEADER_TAG": "terrain",
     b"DSAA": "terrain",
     b"DSBB": "terrain",
+    b"DSRB": "terrain",
 }
 WAVELENGTH = re.compile(
     r"wave|wellenl|longueur|longitud|lunghezza|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel",
@@ -121,7 +129,7 @@ _Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]
 """Kind, SHA-256, contents and trouble."""
 SUFFIXES = {
     ".tif": "terrain", ".tiff": "terrain", ".asc": "terrain", ".2b": "vnis", ".2bl": "vnis", ".img": "cube",
-    ".geojson": "zones",
+    ".geojson": "zones", ".flt": "terrain", ".bil": "terrain", ".vrt": "terrain",
 }  # fmt: skip
 
 
@@ -248,11 +256,13 @@ def _contents(kind: str, file: InputFile | InputStream) -> tuple[Mapping[str, An
 def kind_of(file: InputFile) -> str:
     """The kind of a file, one of `KINDS`. Raises DataError for content that is none of them."""
     suffix = Path(file.name).suffix.lower()
+    if file.data.startswith(NETCDF) and holds_heights(Path(file.name)):
+        return "terrain"
     if magic := next((kind for start, kind in MAGIC.items() if file.data.startswith(start)), None):
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
-    if suffix == ".img" and is_image_of_heights(file.name):
+    if suffix == ".img" and (is_image_of_heights(file.name) or is_envi_of_heights(file.name)):
         return "terrain"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
         return SUFFIXES[suffix]
@@ -267,7 +277,7 @@ def kind_of(file: InputFile) -> str:
         text = beginning(file)
     if suffix == ".toml":
         return _kind_of_toml(file)
-    of_json = text.lstrip().startswith("{")
+    of_json = text.lstrip().startswith(("{", "[{"))
     if not (of_json and b'"lunarsci/' in file.data) and (kind := kind_of_rover_file(file, text)):
         return kind
     if of_json:
@@ -278,7 +288,7 @@ def kind_of(file: InputFile) -> str:
 
 
 def _kind_of_json(file: InputFile) -> str:
-    found = read_json(file, "a file of lunarsci", lambda value: value)
+    found = read_json(file, "a file of lunarsci", lambda value: value[0] if isinstance(value, list) else value)
     schema = str(found.get("schema", ""))
     for kind, start in (
         ("belief", "lunarsci/soil-belief/"),
@@ -289,6 +299,8 @@ def _kind_of_json(file: InputFile) -> str:
             return kind
     if found.get("type") in ("FeatureCollection", "Feature", "Polygon", "LineString"):
         return "zones"
+    if any(map(is_wavelength, found)):
+        return "spectra"
     raise DataError(f"{file.name}: JSON without a schema of lunarsci; nothing is known of it")
 
 
@@ -305,9 +317,11 @@ def _kind_of_toml(file: InputFile) -> str:
 def _kind_of_table(name: str, text: str, suffix: str) -> str:
     if suffix == ".fit":
         return "mgm"
-    lines = _from_names([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
+    whole = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    lines = _from_names(whole)
     columns = _cells(name, lines[:1])
-    columns += states_named_otherwise(columns)
+    columns += telemetry_named_otherwise(columns)
+    columns += states_named_otherwise(columns) or states_named_otherwise(_cells(name, whole[:1]))
     if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):
@@ -316,7 +330,7 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
         return "library" if "mineral" in text and "end_member" in text else "spectra"
     if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns):
         return "table"
-    if header_channels(columns):
+    if header_channels(columns) or (lines and header_channels(lines[0].split(";"))):
         return "spectra"
     if columns[0][:1].isdigit() and any(any(map(str.isalpha, cell)) and ":" in cell for cell in lines[0].split()):
         return "table"

@@ -43,6 +43,15 @@ def is_image_of_heights(name: str) -> bool:
         return is_map_of_heights(stream.read(LABEL_BYTES).decode("latin-1"))
 
 
+def is_envi_of_heights(name: str) -> bool:
+    """Whether an image has a header of ENVI beside it with one band on a map."""
+    header = Path(name).with_suffix(".hdr")
+    content = header.read_text("latin-1") if header.is_file() else ""
+    return bool(
+        content.startswith("ENVI") and re.search(r"^bands\s*=\s*1\s*$", content, re.M) and "map info" in content
+    )
+
+
 def is_table_of_heights(file: InputFile, start: str) -> bool:
     """Whether a text is a grid of heights, or has a row for each node."""
     from lunarsci.height_texts import node_columns
@@ -55,11 +64,23 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
 
 
 def states_named_otherwise(columns: Sequence[str]) -> list[str]:
-    """Columns of wheel states that are there by other names, or in other units, where two or more of them are."""
-    from lunarsci.regolith.written_columns import of_name
+    """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
+    from lunarsci.regolith.written_columns import QUANTITIES, of_name
 
     found = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
-    return found if len(found) > 1 else []
+    own = [one.column for one in QUANTITIES if one.column in columns]
+    return found if len(found) + len(own) > 1 else []
+
+
+def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
+    """Columns of telemetry and positions that are there by names of ROS, or in other units."""
+    from lunarsci.twin.telemetry.columns import named_columns
+    from lunarsci.twin.telemetry.ros_columns import own_names
+
+    ros = own_names(list(columns))
+    if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
+        ros = [name for name in ros if name != "yaw_deg"]
+    return ros + [name for name in named_columns(list(columns)) if name not in columns]
 
 
 def camera_contents(file: InputFile) -> Mapping[str, Any]:

@@ -16,6 +16,7 @@ from lunarsci.documents import xml_root, yaml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.cahv import COARSE_PX, CahvModel, count_of, fit_cahv, orthonormal
 from lunarsci.images.camera import Camera, rotation_of
+from lunarsci.images.camera_dialects import plainer, written_tree
 from lunarsci.images.rig import StereoRig, covariance_of, is_swapped
 from lunarsci.inputs import InputFile, beginning, text
 
@@ -127,6 +128,8 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
     """The keys of a file of YAML or of OpenCV's XML that has cameras, or a way from one to the other; None of any
     other one. Raises DataError for one that is broken."""
     start = beginning(file)
+    if written := written_tree(file, start):
+        return written
     if "<opencv_storage" in start:
         found: Any = _of_element(xml_root(file.name, file.data))
     elif not KEYS.search(start):
@@ -138,6 +141,10 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
             if not SURELY.search(start):
                 return None
             raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
+        try:
+            found = plainer(found) if isinstance(found, Mapping) else found
+        except (ValueError, TypeError, OverflowError) as error:
+            raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]})") from error
     return found if isinstance(found, Mapping) and (_cameras_in(found) or _way_in(found)) else None
 
 

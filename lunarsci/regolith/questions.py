@@ -6,8 +6,9 @@ asked. A number that no unit explains is asked about where it is rarer than a sl
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from lunarsci.regolith.prior import Law
 
@@ -45,6 +46,11 @@ class Question:
 
     def __str__(self) -> str:
         return f"{self.doubt} ({self.option})"
+
+
+def asked_in(questions: "Sequence[Question]") -> dict[str, Any]:
+    """The key `questions` of a result; nothing where nothing is asked."""
+    return {"questions": [asdict(one) for one in questions]} if questions else {}
 
 
 def question(

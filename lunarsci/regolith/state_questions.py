@@ -26,6 +26,9 @@ SLIPS: Mapping[str, Law] = {
     TRAVEL: Law("ln", 0.4, 1.0, "the same as r w / v - 1; assumed"),
 }
 """Median of slips that are no ratios from -1 to 1, as they are written; assumed."""
+ROUND, OFF, SURELY_ROUND = 0.05, 0.02, 1e4
+"""Step of the slips that wheel tests are set to, how far off one a round number is at most, in steps, and the odds from
+which they are taken for set ones; assumed."""
 USUAL_SLIP = 0.3
 """Middle of what wheel tests try; assumed."""
 
@@ -51,12 +54,25 @@ def another_unit(median: float, wheel: Wheel) -> str:
 def likely_slip(slip: FloatArray) -> str:
     """The definition, or unit, of slips (n,) that are no ratios from -1 to 1; '' where they are."""
     known = slip[np.isfinite(slip)]
-    if not known.size or (np.abs(known) <= 1).all():
+    if not known.size:
         return ""
+    if (np.abs(known) <= 1).all():
+        return TRAVEL if _set_by_travel(known) else ""
     if known.max() <= 1:
         return "rim"
     middle = float(np.median(known[known > 0]))
     return max(SLIPS, key=lambda unit: SLIPS[unit].ln_density(middle))
+
+
+def _set_by_travel(slip: FloatArray) -> bool:
+    """Whether slips within 1 were set to round numbers of 1 - v / (r w), and are written as r w / v - 1.
+
+    By the odds of round numbers: one that nobody set is round by chance in a share of 2 `OFF` of cases.
+    """
+    each = np.unique(slip[slip > 0])
+    steps = (each / ROUND, each / (1 + each) / ROUND)
+    written, turned = (int((np.abs(one - np.rint(one)) < OFF).sum()) for one in steps)
+    return (turned - written) * -math.log(2 * OFF) > math.log(SURELY_ROUND)
 
 
 def slip_question(slip: FloatArray, unit: str) -> Question:
@@ -86,6 +102,24 @@ def force_questions(
         # The balance holds as it is written, so that both are in the same unit.
         asked = replace(asked, option=f"{asked.option},drawbar_pull_n={asked.likely_unit}")
     return tuple(one for one in (asked, pulls) if one is not None)
+
+
+def questions_by_name(values: FloatArray, wheel: Wheel, unitless: Collection[str] = ()) -> tuple[Question, ...]:
+    """The same where no option has units, so that names of columns answer."""
+    return tuple(
+        replace(one, option=f"name columns {', '.join(map(_name_of, one.option.removeprefix(OPTION).split(',')))}")
+        for one in force_questions(values, wheel, unitless)
+    )
+
+
+def _name_of(answer: str) -> str:
+    """The name of a column that says the unit of an answer of the option.
+
+    >>> _name_of("normal_force_n=kN"), _name_of(" drawbar_pull_n=load")
+    ('normal_force_kN', 'drawbar_pull_over_load')
+    """
+    column, _, unit = answer.strip().partition("=")
+    return f"{column.rpartition('_')[0]}_{'over_load' if unit == OVER_LOAD else unit}"
 
 
 def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None:

@@ -22,6 +22,7 @@ from lunarsci.regolith.state_questions import (
     force_questions,
     likely_sinkage_unit,
     likely_slip,
+    questions_by_name,
     slip_question,
 )
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
@@ -131,6 +132,10 @@ class StateTable:
     def numbers(self, name: str) -> FloatArray:
         """A column as numbers, NaN where blank or missing. (n,) Raises DataError for text."""
         return _numbers(self.file, self.table, name)
+
+    def questions(self, wheel: Wheel) -> tuple[Question, ...]:
+        """What to ask of its forces: loads and pulls that would be likely in another unit."""
+        return questions_by_name(self.values[self.valid], wheel, self.named.unitless)
 
     @property
     def wheels(self) -> tuple[str, ...]:
@@ -324,7 +329,7 @@ def _with_sinkage(found: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Qu
 def _with_slip(found: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
     """A table with slips as ratios from -1 to 1, and what to ask where they were none."""
     slip = found.values[:, 1]
-    if not (unit := likely_slip(slip[found.valid])):
+    if "slip_ratio" in found.named.answered or not (unit := likely_slip(slip[found.valid])):
         return found, ()
     values = found.values.copy()
     values[:, 1] = converted_slip(slip, unit)

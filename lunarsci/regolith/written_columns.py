@@ -3,14 +3,14 @@
 A column that names its quantity and its unit is converted. One without a unit is taken in newtons, metres, degrees and
 shares of the rim's speed; what the numbers say of that is asked by `lunarsci.regolith.states`.
 
-Slip is 1 - v / (r w) in terramechanics (Wong 2008, Theory of Ground Vehicles, ISBN 978-0-470-17038-0), `rim` here, and
-r w / v - 1 for tyres (SAE J670), `travel` here; lunarsci's is the first one while a wheel drives, and the second one
-while it skids (Ding et al. 2024, 10.1038/s41467-024-46233-8).
+Slip is 1 - v / (r w) in terramechanics (Wong 2008, Theory of Ground Vehicles, ISBN 978-0-470-17038-0; travel reduction
+in ANSI/ASAE S296), `rim` here, and r w / v - 1 for tyres (SAE J670), `travel` here; lunarsci's is the first one while a
+wheel drives, and the second one while it skids (Ding et al. 2024, 10.1038/s41467-024-46233-8).
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -35,8 +35,15 @@ ANGLES: Mapping[str, float] = {"deg": 1.0, "rad": float(np.degrees(1.0)), "degre
 """Degrees of a unit, by definition."""
 SHARES: Mapping[str, float] = {"share": 1.0, "ratio": 1.0, "%": 0.01, "pct": 0.01, "percent": 0.01}
 """Of one, by definition."""
+TORQUES: Mapping[str, float] = {
+    **{"nm": 1.0, "ncm": 0.01, "nmm": 1e-3, "knm": 1e3, "mnm": 1e-3, "kgfm": 9.80665, "kgfcm": 0.0980665},
+    **{"lbfft": 1.3558179483314004, "lbfin": 0.1129848290276167, "ftlbf": 1.3558179483314004},
+}
+"""Newton metres of a unit, its words put together, exact by definition (as above)."""
 OF_RUNS = ("meas", "measured", "avg", "average", "mean")
 """Words that say how a number came about, not what it is of."""
+OF_ERRORS = ("sigma", "std", "sd", "stdev", "stddev", "err", "error", "uncertainty")
+"""Words that say that a column has the errors of a quantity."""
 RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
 OPTION = "--units"
 
@@ -54,28 +61,36 @@ QUANTITIES = (
         "normal_force_n",
         FORCES,
         ("normal_force", "load", "normal_load", "vertical_load", "vertical_force", "wheel_load", "weight",
+         "dynamic_load",
          "w", "fz", "f_z",
          "fn", "f_n"),
     ),
     StateColumn(
         "drawbar_pull_n",
         FORCES,
-        ("drawbar_pull", "drawbar", "dp", "pull", "fx", "f_x", "f_dp", "fdp", "drawbar_force", "net_traction"),
+        ("drawbar_pull", "drawbar", "dp", "pull", "fx", "f_x", "f_dp", "fdp", "drawbar_force", "drawbar_pull_force",
+         "dbp", "net_traction", "net_pull"),
     ),
     StateColumn("lateral_force_n", FORCES, ("lateral_force", "side_force", "fy", "f_y", "fl", "f_l")),
-    StateColumn("sinkage_m", LENGTHS, ("sinkage", "wheel_sinkage", "sink", "sinkage_depth", "z")),
+    StateColumn("sinkage_m", LENGTHS, ("sinkage", "wheel_sinkage", "sink", "sinkage_depth", "z", "h")),
     StateColumn(
         "slip_ratio",
         SHARES,
-        ("slip_ratio", "slip", "wheel_slip", "s", "i", "slip_rim", "slip_travel", "slip_v", "slip_over_v", "slip_sae"),
+        ("slip_ratio", "slip", "wheel_slip", "s", "i", "travel_reduction", "travel_reduction_ratio",
+         "slip_rim", "slip_travel", "slip_v", "slip_over_v", "slip_sae"),
     ),
     StateColumn("side_slip_deg", ANGLES, ("side_slip", "sideslip", "slip_angle", "side_slip_angle", "beta")),
-    StateColumn("resistance_torque_nm", {"nm": 1.0}, ("resistance_torque", "torque", "wheel_torque")),
+    StateColumn(
+        "resistance_torque_nm", TORQUES, ("resistance_torque", "torque", "wheel_torque", "driving_torque", "t")
+    ),
 )  # fmt: skip
+WITH_UNIT = ("t", "h")
+"""Symbols that are times and heights, too: they count where a unit says so."""
 BY_TRAVEL = ("slip_travel", "slip_v", "slip_over_v", "slip_sae")
 SHARE_OF_LOAD = (
     *("dp_over_w", "dp_w", "dpw", "dp_over_load", "dp_load", "pull_over_load", "pull_load", "pull_over_weight", "p_w"),
     *("drawbar_pull_over_load", "drawbar_pull_over_weight", "drawbar_pull_load", "drawbar_pull_weight", "pull_weight"),
+    *("net_traction_ratio", "ntr", "net_traction_coefficient", "dynamic_traction_ratio", "pull_ratio", "pull_number"),
     *("drawbar_pull_coefficient", "drawbar_coefficient", "pull_coefficient", "traction_coefficient", "dp_ratio"),
 )
 """Names of a drawbar pull over the load."""
@@ -83,11 +98,12 @@ SHARE_OF_LOAD = (
 
 @dataclass(frozen=True, slots=True)
 class ColumnMeaning:
-    """What a column is: its quantity, unit ('' where none is named), and whether it is the error of it."""
+    """What a column is: its quantity, unit ('' where none is named), whether it is the error of it, and its scale."""
 
     column: str
     unit: str
     sigma: bool
+    scale: float = field(default=1.0, repr=False)
 
     @property
     def target(self) -> str:
@@ -102,18 +118,38 @@ def of_name(name: str) -> ColumnMeaning | None:
     (ColumnMeaning(column='normal_force_n', unit='kn', sigma=False), 'load', 'travel', None)
     """
     words = [word.lower() for word in re.findall(r"[A-Za-z]+|%", name)]
-    sigma = "sigma" in words
-    words = [word for word in words if word != "sigma" and word not in OF_RUNS]
-    whole = "_".join(words)
+    sigma = not {*words}.isdisjoint(OF_ERRORS)
+    words = [word for word in words if word not in (*OF_ERRORS, *OF_RUNS)]
+    if len(words) > 2 and words[-2] == "in":
+        words = [*words[:-2], words[-1]]
+    whole, scale = "_".join(words), 1.0
+    if words[-1:] and words[-1] in ("%", "percent") and "_".join(words[:-1]) in (*BY_TRAVEL, *SHARE_OF_LOAD):
+        whole, scale = "_".join(words[:-1]), 0.01
     if whole in SHARE_OF_LOAD:
-        return ColumnMeaning("drawbar_pull_n", OVER_LOAD, sigma)
+        return ColumnMeaning("drawbar_pull_n", OVER_LOAD, sigma, scale)
     for quantity in QUANTITIES:
-        if whole in quantity.names:
-            return ColumnMeaning(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma)
+        if whole in quantity.names and whole not in WITH_UNIT:
+            return ColumnMeaning(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma, scale)
     for quantity in QUANTITIES:
-        if words and words[-1] in quantity.units and "_".join(words[:-1]) in quantity.names:
-            return ColumnMeaning(quantity.column, words[-1], sigma)
+        for count in (1, 2, 0):
+            own, unit = words[: len(words) - count], "".join(words[len(words) - count :])
+            # A name may have its symbol behind it: 'Normal load W [N]'.
+            named = any("_".join(own[:k]) in quantity.names and (k == len(own) or "_".join(own[k:]) in quantity.names)
+                        for k in range(1, len(own) + 1))  # fmt: skip
+            if named and (unit in quantity.units or not count):
+                return ColumnMeaning(quantity.column, unit, sigma)
     return None
+
+
+def with_row_of_units(table: "pd.DataFrame") -> "pd.DataFrame":
+    """A table whose first row has units, each in the name of its column."""
+    words = [*map(str, table.iloc[0].fillna("").str.strip())] if len(table) > 1 else []
+    every = {unit for quantity in QUANTITIES for unit in quantity.units}
+    plain = ["".join(re.findall(r"[A-Za-z]+|%", word)).lower() for word in words]
+    if not any(plain) or not all(word in ("", "-") or unit in every for word, unit in zip(words, plain, strict=True)):
+        return table
+    named = {name: f"{name} [{unit}]" for name, unit in zip(table.columns, words, strict=True) if unit not in ("", "-")}
+    return table.rename(columns=named).iloc[1:].reset_index(drop=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +201,7 @@ def named_columns(file: str, table: "pd.DataFrame", known: Sequence[str], units:
     Raises RequestError for units that are none, DataError for two columns of one quantity.
     """
     asked, found = asked_units(units), dict[str, str]()
+    table = with_row_of_units(table)
     columns = {str(name): of_name(str(name)) for name in table.columns if name not in known}
     columns = {name: what for name, what in columns.items() if what and what.target not in table.columns}
     own = [(name, sigma) for name in asked for sigma in (False, True)]
@@ -179,9 +216,9 @@ def named_columns(file: str, table: "pd.DataFrame", known: Sequence[str], units:
             raise DataError(f"{file}: columns '{other}' and '{name}' are both {what.target}; keep the right one")
         found[what.target] = name
         unit = asked.get(what.column, what.unit)
-        values = numbers_of(file, name, table[name])
+        values = what.scale * numbers_of(file, name, table[name])
         done = done.rename(columns={name: what.target})
-        if unit not in (OVER_LOAD,):
+        if unit != OVER_LOAD or what.scale != 1.0:
             done[what.target] = _cells(_converted(what, unit, values))
         said.append(f"column '{name}' as {_told(what.target, unit)}{'' if what.unit else f' ({OPTION})'}")
     over = [what for name, what in columns.items() if what and asked.get(what.column, what.unit) == OVER_LOAD]
@@ -202,6 +239,8 @@ def _told(target: str, unit: str) -> str:
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:
     if unit in (TRAVEL, RIM):
         return values if what.sigma else (by_travel(values) if unit == TRAVEL else by_rim(values))
+    if unit == OVER_LOAD:
+        return values
     if re.fullmatch(r"[+-].*", unit):
         return values if what.sigma else values + float(unit)
     return values * next(one.units for one in QUANTITIES if one.column == what.column).get(unit, 1.0)

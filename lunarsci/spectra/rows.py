@@ -27,9 +27,14 @@ _LONGEST_SHOWN = 40
 
 
 _COMMENT = ("#", "%", "!")
+_ORDINATES = ("%R", "%T", "%r", "%t")
+"""Lines of heads of spectrometers that name what is measured."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*|(?:[ '\u2019\u00a0\u202f]\d{3})+(?:[.,]\d*)?)")
+"""A number with signs between its thousands, where which is the decimal sign is sure."""
 _MISSING = {
     *("", "-", "--", "na", "nan", "n/a", "null", "none", "missing", "."),
+    *("n.d.", "nd", "n/d", "n.a.", "bdl", "no data", "*", "**", "***", "****", "*****", "******"),
     *("#n/a", "#na", "#div/0!", "#value!", "#num!", "1.#qnan", "-1.#ind", "1.#inf", "-nan", "-nan(ind)"),
 }
 """Cells without a number; those of spreadsheets and of C on Windows among them."""
@@ -54,8 +59,10 @@ def split_lines(text: str) -> tuple[list[tuple[int, str]], list[tuple[int, str]]
     # str.splitlines also breaks at form feeds and the like, and the line numbers would not be those of an editor.
     stripped = (line.strip().strip("\x1a") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
     numbered = [(n, line) for n, line in enumerate(stripped, 1) if line]
-    data = [(n, line) for n, line in numbered if not line.startswith(_COMMENT)]
-    comments = [(n, line.lstrip("#%! \t")) for n, line in numbered if line.startswith(_COMMENT)]
+    data = [(n, line) for n, line in numbered if not line.startswith(_COMMENT) or line in _ORDINATES]
+    comments = [
+        (n, line.lstrip("#%! \t")) for n, line in numbered if line.startswith(_COMMENT) and line not in _ORDINATES
+    ]
     return data, comments
 
 
@@ -72,7 +79,7 @@ def separator_of(lines: Sequence[tuple[int, str]]) -> str:
 def split_fields(line: str, separator: str, place: str) -> tuple[str, ...]:
     """Fields of one line, stripped; quotes are honoured. Raises DataError naming `place` for broken quotes."""
     if separator == " ":
-        return tuple(line.split())
+        return tuple(cell.strip('"') for cell in line.split())
     fields = csv_rows(place, [line], delimiter=separator, skipinitialspace=True, strict='"' in line)
     return tuple(f.strip() for f in next(fields, ()))
 
@@ -104,6 +111,10 @@ def number(cell: str, decimal_comma: bool = False) -> float | None:
     """Value of a cell, NaN for a missing one, None for anything that is no number."""
     if decimal_comma and "." not in cell:
         cell = cell.replace(",", ".", 1)
+    if not _NUMBER.fullmatch(cell) and _GROUPED.fullmatch(cell):
+        decimal = max(cell.rfind("."), cell.rfind(","))
+        whole, rest = (cell, "") if decimal < 0 else (cell[:decimal], cell[decimal + 1 :])
+        cell = f"{re.sub(r'[^0-9+-]', '', whole)}.{rest}"
     if _NUMBER.fullmatch(cell):
         return float(cell.replace("d", "e").replace("D", "e"))
     return float("nan") if is_missing(cell) else None

@@ -136,6 +136,23 @@ def spectrum_files() -> dict[str, bytes]:
     }
 
 
+def exchanged() -> list[bytes]:
+    """A spectrum as JCAMP-DX, JSON, VOTable, and twice below each other."""
+    nm, reflectance = curve()
+    pairs = b"".join(b"%.1f,%.5f\n" % row for row in zip(nm, reflectance, strict=True))
+    cells = b"".join(b"<TR><TD>%.1f</TD><TD>%.5f</TD></TR>" % row for row in zip(nm, reflectance, strict=True))
+    fields = b'<FIELD name="wavelength" datatype="double" unit="nm"/><FIELD name="reflectance" datatype="double"/>'
+    block = b"SYNTHETIC\nwavelength_nm,rock\n" + pairs
+    return [
+        b"##TITLE= SYNTHETIC\n##XUNITS= NANOMETERS\n##YUNITS= REFLECTANCE\n##NPOINTS= %d\n"
+        b"##XYPOINTS= (XY..XY)\n%s##END=\n" % (nm.size, pairs),
+        json.dumps({"wavelength_nm": nm.tolist(), "reflectance": reflectance.tolist()}).encode(),
+        b'<?xml version="1.0"?><VOTABLE version="1.3"><RESOURCE><TABLE>%s<DATA><TABLEDATA>%s</TABLEDATA></DATA></TABLE>'
+        b"</RESOURCE></VOTABLE>" % (fields, cells),
+        block + b"\n" + block,
+    ]
+
+
 def envi_header(kind: str = "ENVI Standard", samples: int = 4, lines: int = 3, bands: int = 80) -> bytes:
     nm, _ = curve()
     return (
@@ -164,7 +181,7 @@ def spectra_readers() -> dict[str, Reader]:
         b"%d,%.4f\n" % (w, irradiance) for w, irradiance in _sunlight()
     )
     return {
-        f"spectra {suffix}": Reader(of_spectra, [f"spoilt{suffix}"], [data])
+        f"spectra {suffix}": Reader(of_spectra, [f"spoilt{suffix}"], [data, *(exchanged() if suffix == ".txt" else [])])
         for suffix, data in spectrum_files().items()
     } | {
         "spectra splib": Reader(of_spectra, ["spoilt.txt", "splib07a_Wavelengths_SYNTHETIC.txt"],
@@ -330,6 +347,11 @@ distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [-0.05, 0.01, 0.0, 0.0, 0.0]}
 projection_matrix: {rows: 3, cols: 4, data: [50.0, 0.0, 31.5, -5.0, 0.0, 50.0, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0]}
 """
+METASHAPE = (
+    b"<calibration><projection>frame</projection><width>640</width><height>480</height><f>600</f><cx>1</cx><cy>2</cy>"
+    b"<k1>-0.1</k1></calibration>"
+)
+TRANSFORMS = b'{"fl_x": 600.0, "fl_y": 601.0, "cx": 320.0, "cy": 240.0, "w": 640, "h": 480, "k1": -0.1}'
 KALIBR = b"""cam0:
   distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
   distortion_model: radtan
@@ -524,7 +546,8 @@ def picture_readers() -> dict[str, Reader]:
         "camera label": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.2BL"], [label()]),
         "camera CAHVOR": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.lbl"], [CAHV]),
         "camera": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.toml"], [alone.encode()]),
-        "camera YAML": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.yaml"], [ROS, KALIBR]),
+        "camera YAML": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.yaml"],
+                              [ROS, KALIBR, METASHAPE, TRANSFORMS]),
         "rig": Reader(of_path("images.rig_files:read_rig"), ["spoilt.toml"],
                       [rig()]),
         "rig of labels": Reader(of_labels, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),

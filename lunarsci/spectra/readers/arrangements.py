@@ -17,7 +17,7 @@ from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength, says_error
 from lunarsci.spectra.readers.heads import TableInText
-from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit
+from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit, stated_unit
 from lunarsci.spectra.rows import DECIMAL_COMMA, Row, is_missing, number, numbers, quoted, split_fields
 
 FEWEST_CHANNELS = 8
@@ -28,7 +28,12 @@ MOST_COMPARED, SAME = 6, 2e-4
 """Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
 _BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
 _NUMBERED = re.compile(r"[ _.-]?\d+$")
-_CHANNEL = re.compile(r"[A-Za-z_. ]{0,12}?(\d+(?:[.,]\d+)?)\s*(nm|um|µm|μm|micron\w*)?", re.IGNORECASE)
+_UNIT = r"nm|um|µm|μm|micron\w*|nanomet\w+|micromet\w+"
+_CHANNEL = re.compile(
+    rf"[A-Za-z_. ]{{0,12}}?(\d+(?:[.,]\d+)?)\s*({_UNIT})?|.*[\s(\[](\d+(?:[.,]\d+)?)\s*({_UNIT})\s*[)\]]?",
+    re.IGNORECASE,
+)
+"""A number alone or after a short word; or after any words, as those of a band, where a unit follows."""
 
 
 def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]) -> SpectrumTable | None:
@@ -72,12 +77,12 @@ def _is_text(row: Row, place: int, decimal: bool) -> bool:
 def header_channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | None] | None:
     """Places of names that are wavelengths, these and their unit; None where they are few or in no order."""
     found = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
-    values = np.array([float(match[1].replace(",", ".")) for _, match in found])
+    values = np.array([float((match[1] or match[3]).replace(",", ".")) for _, match in found])
     if values.size < FEWEST_CHANNELS or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
         return None
     if not any(low <= values.min() and values.max() <= high for low, high in SURELY.values()):
         return None
-    units = {length_unit(match[2]) for _, match in found if match[2]}
+    units = {length_unit(match[2] or match[4]) for _, match in found if match[2] or match[4]}
     return [k for k, _ in found], values, units.pop() if len(units) == 1 else None
 
 
@@ -129,7 +134,11 @@ def one_below_another(names: Sequence[str], rows: Sequence[Row], separator: str,
 
 
 def on_one_grid(
-    groups: Sequence[Sequence[Column]], source: InputFile, about: dict[str, Any], said: str = ""
+    groups: Sequence[Sequence[Column]],
+    source: InputFile,
+    about: dict[str, Any],
+    said: str = "",
+    format: str = "text",
 ) -> SpectrumTable:
     """Spectra with wavelengths of their own on the wavelengths of all, missing where they have none."""
     grids = [group[0].values for group in groups]
@@ -150,12 +159,18 @@ def on_one_grid(
 
         spectra += [(spread(others[r - 1]), None if s is None else spread(others[s - 1])) for r, s in roles.spectra]
     names = [one.name for one, _ in spectra]
-    spectra = [(c if names.count(c.name) == 1 else Column("", c.values, c.position, c.unit), s) for c, s in spectra]
+    spectra = [(c if names.count(c.name) == 1 else _without_name(c), s) for c, s in spectra]
     said = said or f"{len(groups)} columns of wavelengths: each read as those of the columns up to the next"
     places = tuple(f"wavelength {value:g}" for value in every)
     first = groups[0][0]
     wavelength = Column(first.name, every, first.position, first.unit)
-    return SpectrumTable(source, "text", wavelength, tuple(spectra), places, {**about, "read_as": [said]})
+    about = {**about, "read_as": [said]} if len(groups) > 1 else about
+    return SpectrumTable(source, format, wavelength, tuple(spectra), places, about)
+
+
+def _without_name(column: Column) -> Column:
+    """A column that keeps the unit that its name states."""
+    return Column("", column.values, column.position, stated_unit(column))
 
 
 def unnamed(
@@ -166,7 +181,7 @@ def unnamed(
     Raises DataError for a third and last column that could be the errors of the second as well as a spectrum.
     """
     wavelength, *others = columns
-    said, counts = list[str](), [k for k, one in enumerate(others) if k > 0 and _is_count(one.values)]
+    said, counts = list[str](), [k for k, one in enumerate(others) if k > 0 and _is_count(one.values, others[0].values)]
     if counts:
         listed = ", ".join(str(others[k].position) for k in counts)
         said.append(f"column {listed} without a name read as a count, left out; name the columns to decide otherwise")
@@ -213,11 +228,12 @@ def _is_quotient(ratio: FloatArray, over: FloatArray, under: FloatArray) -> bool
     return bool(np.ptp(ratio) > 0 and np.median(off[np.isfinite(off)]) < SAME) if np.isfinite(off).any() else False
 
 
-def _is_count(values: FloatArray) -> bool:
-    """Whether all are the same whole number, from 1 on."""
+def _is_count(values: FloatArray, first: FloatArray) -> bool:
+    """Whether all are whole numbers, from 0 on, beside a spectrum that has others."""
     known = values[np.isfinite(values)]
-    return bool(known.size > 1 and (known == np.round(known)).all() and (known >= 1).all() and known.max() < 1e4
-                and (known == known[0]).all())  # fmt: skip
+    fractions = (first[np.isfinite(first)] % 1.0 != 0.0).any()
+    return bool(known.size > 1 and (known % 1.0 == 0.0).all() and (known >= 0).all() and 1 <= known.max() < 1e4
+                and (fractions or (known == known[0]).all()))  # fmt: skip
 
 
 def _share(values: FloatArray, beside: FloatArray) -> float:

@@ -23,7 +23,8 @@ from lunarsci.spectra.rows import quoted
 _LISTS_KEPT = 200
 _ERROR = re.compile(r"uncertainty|sigma|std\w*|error|err|flux_?err\w*", re.IGNORECASE)
 """Names of the errors beside spectra in vector cells; specutils writes `uncertainty`."""
-_DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless", "none", "-"}
+_DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless", "none", "-", "---"}
+_PERCENT = {"percent", "per cent", "pct", "%"}
 
 
 def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
@@ -83,7 +84,7 @@ def _unit(column: Any, file: str) -> Any:
     text = str(column.unit).strip().casefold()
     if text in _DIMENSIONLESS:
         return u.dimensionless_unscaled
-    length = "%" if text == "percent" else length_unit(text)
+    length = "%" if text in _PERCENT else length_unit(text)
     if length is None and is_wavelength(str(column.name)):
         raise DataError(
             f"{file}: column {quoted(str(column.name))} has the unknown unit {quoted(str(column.unit))}; use nm or um"
@@ -230,6 +231,8 @@ def _of_image(hdu: Any) -> Any:
     from astropy.table import Table
     from astropy.wcs import WCS
 
+    if hdu.data is not None and hdu.data.ndim == 2 and "XUNITS" in hdu.header and len(hdu.data) in (2, 3, 4):
+        return _of_spextool(hdu)
     kind = str(hdu.header.get("CTYPE1", "")).strip()[:4]
     if hdu.data is None or hdu.data.ndim not in (1, 2) or kind not in ("WAVE", "AWAV", "LINE", "LAMB"):
         return None
@@ -242,6 +245,22 @@ def _of_image(hdu: Any) -> Any:
         [str(hdu.header.get("OBJECT") or "flux")] if len(values) == 1 else [f"flux_{k + 1}" for k in range(len(values))]
     )
     return Table([wavelength, *values.astype(float)], names=["wavelength", *names], meta=dict(hdu.header))
+
+
+def _of_spextool(hdu: Any) -> Any:
+    """The table of an image of wavelength, spectrum, its error and flags, as Spextool has them.
+
+    Cushing et al. (2004), PASP 116, 362, 10.1086/382907.
+    """
+    from astropy.table import Table
+
+    rows = hdu.data.astype(float)
+    names = ["wavelength", "flux", "flux_sigma", "flags"][: len(rows)]
+    table = Table([*rows], names=names, meta=dict(hdu.header))
+    for name, key in (("wavelength", "XUNITS"), ("flux", "YUNITS"), ("flux_sigma", "YUNITS")):
+        if name in names:
+            table[name].unit = u.Unit(str(hdu.header.get(key, "")).strip(), parse_strict="silent") or None
+    return table
 
 
 def _unrolled(table: Any, file: str) -> Any:

@@ -73,6 +73,7 @@ _UNIT_WORDS = {
     *("å", "angstrom", "angstroms", "cm", "1", "axis"),
 }
 _POSITION_WORDS = {"band", "channel", "center", "centre", "central", "mean"}
+_ANGSTROM = re.compile(r"[(\[]\s*A\s*[)\]]$")
 _NOT_A_SPECTRUM = {
     *("fwhm", "bandwidth", "resolution", "band", "bands", "channel", "channels", "index", "pixel"),
     *("flag", "flags", "quality", "mask", "weight", "weights", "kanal", "nr", "chan", "count", "counts", "n"),
@@ -130,7 +131,7 @@ class Roles:
 
 def is_wavelength(name: str) -> bool:
     """Whether a name says wavelength: 'wavelength_nm', 'Channel wavelength', 'wl [µm]', 'nm'."""
-    tokens = name_tokens(name)
+    tokens = name_tokens(_ANGSTROM.sub(" angstrom", name))
     while tokens and tokens[0] in _POSITION_WORDS:
         tokens = tokens[1:]
     if not tokens:
@@ -288,7 +289,7 @@ def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[
 
 
 def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable, IntArray]:
-    """A table, and numbers of its spectra, less columns of one and the same value above any reflectance, as a time.
+    """A table, and numbers of its spectra, less columns of one value above any reflectance, and of row numbers.
 
     They are named in a LunarSciWarning, and so is a column that looks like the error of the one before it.
     """
@@ -298,11 +299,13 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
     plain = [high[k] <= MAX_FRACTION for k, (one, _) in enumerate(table.spectra) if one.name and _is_plain(one.name)]
-    constant = unnamed & (low > MAX_FRACTION) & ((low == high) | any(plain))
+    running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
+    constant = unnamed & ((low > MAX_FRACTION) & ((low == high) | any(plain)) | running)
     if constant.any() and not constant.all():
         kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
         why = "the same value in all rows" if (low == high)[constant].all() else "raw numbers beside a reflectance"
+        why = "the number of the row" if running[constant].all() else why
         warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
         shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
         table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])

@@ -13,8 +13,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.spectra.readers.table import SpectrumTable
 
-LEAST_CHANNELS, LEAST_IN_COMMON = 5, 3
-"""Of a detector, as of the splice of VNIS, and of each where they overlap in rows that are sorted; assumed."""
+LEAST_CHANNELS = 5
+"""Of a detector, as of the splice of VNIS; assumed."""
 MOST_DETECTORS = 4
 """Of a spectrometer; assumed: field spectrometers have two or three."""
 EVEN = 0.25
@@ -115,9 +115,9 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     low, high = one[one <= end], np.sort(np.concatenate([other, one[one > end]]))
     while low.size > 1 and high.size > 1 and _is_missed(ascending[low[-1]], ascending[high]):
         low, high = low[:-1], np.sort(np.append(high, low[-1]))
-    beside = np.diff(ascending[high[high < low[-1]]])
-    if (low > high[0]).sum() < LEAST_IN_COMMON or beside.size < LEAST_IN_COMMON - 1:
+    if low.size < LEAST_CHANNELS or high.size < LEAST_CHANNELS or low[-1] < high[0]:
         return []
+    beside = np.diff(ascending[high[: np.searchsorted(high, low[-1]) + 2]])
     return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
 
 
@@ -165,9 +165,16 @@ def _ratio(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: I
 
 
 def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> bool:
-    """Whether the levels of two grids differ."""
+    """Whether the levels of two grids differ by more than their common channels, and all of each, scatter."""
     found = _differences(wavelength_nm, values, low, high)
-    if found.size < LEAST_IN_COMMON:
+    if not found.size:
         return False
-    error = float(found.std(ddof=1)) / found.size**0.5
+    scatter = max(_scatter(values[part]) for part in (low, high))
+    error = max(scatter, float(found.std(ddof=1)) if found.size > 1 else 0.0) / found.size**0.5
     return bool(abs(float(found.mean())) > max(LEAST, SURE * error))
+
+
+def _scatter(values: FloatArray) -> float:
+    """Of ln R from channel to channel, about straight lines between neighbours: 6 variances of it."""
+    level = np.log(values[values > 0])
+    return float(np.median(np.abs(np.diff(level, 2)))) / (0.6745 * 6**0.5) if level.size > 2 else np.inf

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, get_args
 
@@ -16,6 +17,7 @@ from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
 from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
+from lunarsci.spectra.readers.interchange import looks_like, read_jcamp, read_json, read_with_astropy
 from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
 from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
 from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
@@ -38,9 +40,13 @@ from lunarsci.spectra.readers.text import read_excel, read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel")
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
 
-_READERS = {"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib, "excel": read_excel}
+_READERS: dict[str, Callable[[InputFile], SpectrumTable]] = {
+    **{"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib, "excel": read_excel},
+    **{"jcamp": read_jcamp, "json": read_json},
+    **{name: partial(read_with_astropy, format=name) for name in ("votable", "mrt")},
+}
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
 _FOREIGN = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
 _FITS = b"SIMPLE  ="
@@ -137,10 +143,10 @@ def _format_of(source: InputFile) -> str:
         return "ecsv"
     if suffix == ".ecsv":
         raise DataError(f"{source.name}: is named ECSV but has no '# %ECSV' line; rename it .csv, or write it as ECSV")
+    if known := looks_like(text):
+        return known
     if text.startswith("<"):
         raise DataError(f"{source.name}: is an HTML or XML page, not a table (an error page saved?); fetch it again")
-    if text.startswith("{"):
-        raise DataError(f"{source.name}: is JSON or the like, not a table; save the spectra as CSV or ECSV")
     if looks_like_splib(text):
         return "splib"
     return "relab" if looks_like_relab(text, named_so=suffix in _RELAB_SUFFIXES) else "text"

@@ -7,10 +7,11 @@ reads a table only where somebody says how many lines are before it, and which o
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from lunarsci.errors import DataError
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.table import only_percent
+from lunarsci.spectra.readers.table import length_unit, only_percent
 from lunarsci.spectra.rows import UNITS, number, separator_of, split_fields
 
 Lines = Sequence[tuple[int, str]]
@@ -18,7 +19,9 @@ FEWEST_ROWS = 3
 """Lines of numbers, one after the other, that begin a table; assumed."""
 _SEPARATOR = re.compile(r'^"?sep=(.)"?$', re.IGNORECASE)
 _CELLS = re.compile(r"[\t;]\s*|\s+|,\s*")
-_AXIS = re.compile(r"^\W*([xy])\W?\s*units?\s*[:=]\s*(\S.*)$", re.IGNORECASE)
+_OF_NUMBERS = "0123456789.+-"
+_AXIS = re.compile(r"^\W*([xy])\W?\s*units?\s*(?:[:=]|\t)\s*(\S.*)$", re.IGNORECASE)
+_COLUMN = re.compile(r"^\W*col(?:umn|\.)?\s*(\d+)\s*[:=]\s*(\S.*?)(?:~~\d+)?$", re.IGNORECASE)
 _KEY = re.compile(r"^([^:=]{1,60}?)\s*[:=]\s*(.*)$")
 _SVC = re.compile(r"spectra vista|^\W*SIG data", re.IGNORECASE)
 SVC_COLUMNS = ("Wavelength (nm)", "Reference radiance", "Target radiance", "Reflectance (%)")
@@ -64,9 +67,23 @@ def text_table(lines: Lines, file: str) -> TableInText:
     return table if begin < 2 else _with_head(table, _first_row(body, begin, separator, file), file)
 
 
+def tables_in(lines: Lines) -> list[Lines]:
+    """Tables one after another that have one and the same line above their numbers; the lines as they are, if not."""
+    begin = _begin(lines)
+    if all(line[:1] in _OF_NUMBERS for _, line in lines[begin + 1 :]):  # most tables, soon told
+        return [lines]
+    numeric = [is_numeric(line) for _, line in lines]
+    heads = [k for k in range(1, len(lines) - FEWEST_ROWS) if not numeric[k - 1] and all(numeric[k : k + FEWEST_ROWS])]
+    names = {lines[k - 1][1] for k in heads}
+    if len(heads) < 2 or len(names) > 1:
+        return [lines]
+    ends = [max(k for k in range(head) if numeric[k]) + 1 for head in heads[1:]]
+    return [lines[low:high] for low, high in pairwise([0, *ends, len(lines)])]
+
+
 def is_numeric(line: str) -> bool:
     """Whether a line begins with two numbers, or a number and nothing after a separator."""
-    cells = _CELLS.split(line.strip())
+    cells = _CELLS.split(line.strip(), 2)
     values = [number(cell.replace(",", ".")) for cell in cells[:2]]
     return len(cells) > 1 and number(cells[0]) is not None and cells[0] != "" and values[1] is not None
 
@@ -92,9 +109,10 @@ def _without_tail(lines: Lines, begin: int) -> tuple[Lines, Lines]:
     separator = separator_of(lines[begin:end])
     by = None if separator == " " else separator
     width, words = len(lines[begin][1].split(by)), [line for _, line in tail]
-    # A line as wide as the table, or one that begins with a digit, is a row that is spoilt.
-    spoilt = any(len(line.split(by)) == width or line[:1].isdigit() or
-                 not any(map(str.isalpha, line)) for line in words)  # fmt: skip
+    # A first line as wide as the table, or one that begins with a digit, is a row that is spoilt.
+    spoilt = len(words[0].split(by)) == width or any(
+        line[:1].isdigit() or (any(map(str.isdigit, line)) and not any(map(str.isalpha, line))) for line in words
+    )
     return (lines, ()) if spoilt else (lines[:end], tail)
 
 
@@ -116,32 +134,55 @@ def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
     head, body = table.lines[:begin], table.lines[begin:]
     width = len(split_fields(body[0][1], table.separator, file))
     about = (*(line for _, line in head), *table.about)
-    names, units = list[str](), list[str]()
+    names, units, rows = list[str](), list[str](), list[list[str]]()
     for line, text in reversed(head):
         cells = list(split_fields(text, table.separator, f"{file}: line {line}"))
         if table.separator == " " and len(cells) != width:
             cells = [cell.strip() for cell in re.split(r"\s{2,}|\t|,\s*", text)]
-        if len(cells) != width or "=" in text or ":" in cells[0]:
+        if len(cells) != width or "=" in text or ":" in cells[0] or _is_prose(cells):
             continue
-        if not units and not names and {cell.strip("()[] ").casefold() for cell in cells} <= _UNITS:
+        if not units and not rows and {cell.strip("()[] ").casefold() for cell in cells} <= _UNITS:
             units = [cell.strip("()[] ") for cell in cells]
             continue
-        if not names:
-            names = cells
-        elif len({*names}) < len(names) and len({*cells}) == len(cells):
-            above = [f"{cell} [%]" if only_percent(low) else cell for cell, low in zip(cells, names, strict=True)]
-            names = [names[0], *above[1:]]
-        if len({*names}) == len(names):
-            break
+        rows.append(cells)
+    if rows:
+        spectral = [k for k, cells in enumerate(rows) if is_wavelength(cells[0])]
+        at = spectral[0] if spectral else 0
+        names = _named_above(rows[at], rows[at + 1 :])
     if names and units:
         names = [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, units, strict=True)]
     found = _by_keys(about, width) or names or units
     return replace(table, lines=body, names=found or None, about=about)
 
 
+def _is_prose(cells: Sequence[str]) -> bool:
+    """Whether cells are words of a sentence: one cuts brackets apart."""
+    return any(cell.count("(") != cell.count(")") for cell in cells)
+
+
+def _named_above(names: list[str], above: Sequence[list[str]]) -> list[str]:
+    """Names of columns of which some are alike, with what a line above them says of each, or of each pair."""
+    if len({*names}) == len(names):
+        return names
+    for cells in above:
+        groups = [k for k, name in enumerate(names) if name == names[0]]
+        pairs = len(groups) > 1 and [bool(cell) for cell in cells] == [k in groups for k in range(len(cells))]
+        if len({*cells}) == len(cells) or pairs:
+            titles = [cells[k - 1] if pairs and k - 1 in groups else cell for k, cell in enumerate(cells)]
+            titles = [f"{cell} [%]" if only_percent(low) else cell for cell, low in zip(titles, names, strict=True)]
+            return [name if k == 0 or (pairs and k in groups) else titles[k] for k, name in enumerate(names)]
+    return names
+
+
 def _by_keys(about: Sequence[str], width: int) -> list[str]:
-    """Names of columns by keys of the head: units of x and y, or the layout of SVC."""
+    """Names of columns by lines of the head: of each by its number, units of x and y, or the layout of SVC."""
     if width == len(SVC_COLUMNS) and any(map(_SVC.search, about)):
         return list(SVC_COLUMNS)
+    numbered = {int(match[1]): match[2] for match in map(_COLUMN.match, about) if match}
+    if {*numbered} == {*range(1, width + 1)}:
+        return [numbered[k + 1] for k in range(width)]
+    for one, other in pairwise(about):
+        if width == 2 and length_unit(one) and only_percent(other):
+            return [one, other]
     axes = {match[1].casefold(): match[2].strip() for match in map(_AXIS.match, about) if match}
     return [axes["x"], axes["y"]] if width == 2 and {"x", "y"} <= {*axes} else []

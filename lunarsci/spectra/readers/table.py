@@ -296,7 +296,7 @@ def reflectance_unit(
     Raises DataError when the file's word contradicts the values and nothing is stated, or when without any word the
     median is above 2 and its size tells nothing.
     """
-    found = _unit_of(column)
+    found = stated_unit(column)
     if found is not None and not _contradicts(found, median):
         return ReflectanceChoice(SCALES[found], "file", "overruled" if stated not in (None, found) else None)
     if stated is not None:
@@ -356,8 +356,8 @@ def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: st
 
     Raises DataError when only the column's name says otherwise: it might then mean per cent of the value.
     """
-    found = _unit_of(sigma)
-    if found is None or found == _unit_of(reflectance) or SCALES[found] == scale:
+    found = stated_unit(sigma)
+    if found is None or found == stated_unit(reflectance) or SCALES[found] == scale:
         return scale
     if sigma.unit is None:
         raise DataError(f"{file}: column {sigma.label} is in {found} and its reflectance is not; give both in one unit")
@@ -383,10 +383,11 @@ def check_alike(columns: Sequence[Column], medians: Sequence[float], unit: str |
 
 def states_unit(column: Column) -> bool:
     """Whether a column says that it is in fractions or percent, by its name or its file."""
-    return _unit_of(column) is not None
+    return stated_unit(column) is not None
 
 
-def _unit_of(column: Column) -> str | None:
+def stated_unit(column: Column) -> str | None:
+    """'fraction' or 'percent' where a column says so, by its name or its file."""
     if column.unit is not None:
         return column.unit
     if not _MAY_SAY_UNIT.search(column.name):

@@ -9,6 +9,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
 
@@ -26,8 +27,8 @@ from lunarsci.spectra.readers.arrangements import (
     unnamed,
 )
 from lunarsci.spectra.readers.columns import assign_roles, is_wavelength
-from lunarsci.spectra.readers.heads import text_table
-from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.readers.heads import Lines, is_numeric, tables_in, text_table
+from lunarsci.spectra.readers.table import Column, SpectrumTable, stated_unit
 from lunarsci.spectra.rows import (
     DECIMAL_COMMA,
     Row,
@@ -42,6 +43,8 @@ from lunarsci.spectra.rows import (
 )
 
 _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
+OPUS = ".dpt"
+"""Data point tables of Bruker's OPUS: wavenumbers and ordinates without a head."""
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
@@ -88,6 +91,8 @@ def read_text(source: InputFile) -> SpectrumTable:
     lines, comments = split_lines(inputs.text(source))
     if not lines:
         raise DataError(f"{source.name}: holds only comments; check how it was made or downloaded")
+    if len(parts := tables_in(lines)) > 1:
+        return _one_after_another(parts, source)
     table = text_table(lines, source.name)
     separator = table.separator
     told = (*(comment for _, comment in comments), *table.about)
@@ -106,6 +111,8 @@ def read_text(source: InputFile) -> SpectrumTable:
     if values is None or len(values) < 2 or np.isnan(values[-1]).all() or len(names or values) != len(values):
         values = None
         names, rows = _rows(names, body, separator, source.name)
+    if names and rows:
+        names, rows = _percent_cells(names, rows)
     width = len(rows[0].fields) if values is None else len(values)
     _warn_of_commented_rows(body, comments, separator, source.name)
     titles = names or [""] * width
@@ -118,12 +125,14 @@ def read_text(source: InputFile) -> SpectrumTable:
 
     places = tuple(f"line {line}" for line, _ in body)
     if names is None:
-        return unnamed([column(k) for k in range(width)], source, places, about)
+        first = replace(column(0), unit="cm-1" if Path(source.name).suffix.lower() == OPUS else None)
+        return unnamed([first, *(column(k) for k in range(1, width))], source, places, about)
     if groups := own_wavelengths(names):
         return on_one_grid([[column(k) for k in group] for group in groups], source, about)
     if stacked := one_below_another(names, rows, separator, source.name):
         return on_one_grid(stacked, source, about, f"{len(stacked)} spectra one below another, by their names")
     texts = _texts(rows) if any(map(is_wavelength, names)) else []
+    texts += [k for k, name in enumerate(names) if not name and np.isnan(column(k).values).all()]
     roles = assign_roles(names, source, left_out=texts)
     return SpectrumTable(
         source,
@@ -135,6 +144,34 @@ def read_text(source: InputFile) -> SpectrumTable:
         roles.systematic_columns(column),
         None if values is None else _block(values, [r for r, _ in roles.spectra]),
     )
+
+
+def _one_after_another(parts: Sequence[Lines], source: InputFile) -> SpectrumTable:
+    """Tables of one header that stand below each other, each with what stands above it as its name."""
+    groups = list[list[Column]]()
+    for part in parts:
+        lines = [line for _, line in part]
+        found = read_text(InputFile(source.name, "\n".join(lines).encode()))
+        begin = next(k for k, line in enumerate(lines) if is_numeric(line))
+        name = lines[begin - 2] if begin > 1 else f"table {len(groups) + 1}"
+        columns = [found.wavelength]
+        for k, (own, sigma) in enumerate(found.spectra):
+            title = name if len(found.spectra) == 1 else f"{name} {own.name or k + 1}"
+            unit = stated_unit(own)
+            columns.append(Column(title, own.values, 1 + len(columns) + sum(map(len, groups)), unit))
+            columns += [] if sigma is None else [Column(f"{title}_sigma", sigma.values, sigma.position, unit)]
+        groups.append(columns)
+    return on_one_grid(groups, source, {}, f"{len(parts)} tables one after another, each a spectrum or more")
+
+
+def _percent_cells(names: list[str], rows: list[Row]) -> tuple[list[str], list[Row]]:
+    """Names with the sign of percent where all cells of a column end in it, and the rows without it."""
+    signed = [k for k in range(len(names)) if rows[0].fields[k].endswith("%")]
+    signed = [k for k in signed if all(row.fields[k].endswith("%") or is_missing(row.fields[k]) for row in rows)]
+    if not signed:
+        return names, rows
+    names = [f"{name} [%]" if k in signed and "%" not in name else name for k, name in enumerate(names)]
+    return names, [Row(row.line, tuple(cell.rstrip("% ") for cell in row.fields)) for row in rows]
 
 
 def _texts(rows: Sequence[Row]) -> list[int]:
@@ -204,9 +241,16 @@ def _rows(
 ) -> tuple[list[str] | None, list[Row]]:
     """Names and the fields of each line, one width everywhere."""
     names, rows = _without_last_empty(names, [_row(line, separator, file) for line in body])
+    if names and all(len(row.fields) == len(names) + 1 for row in rows) and _are_row_names(rows):
+        names = ["", *names]
     if check_widths(rows, file, None if names is None else len(names)) < 2:
         raise DataError(f"{file}: has one column; a spectrum needs a wavelength and a reflectance column")
     return names, rows
+
+
+def _are_row_names(rows: Sequence[Row]) -> bool:
+    """Whether the first cells number the rows, as R writes them without a name."""
+    return all(row.fields[0] == str(k) for k, row in enumerate(rows, 1))
 
 
 def _is_header(row: Row, decimal_comma: bool) -> bool:

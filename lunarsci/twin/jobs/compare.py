@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lunarsci.arrays import BoolArray
     from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.questions import Question
     from lunarsci.regolith.states import StateTable
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.comparison.checks import BandCheck, EndCheck
@@ -46,6 +47,7 @@ class CompareRequest:
     belief : whose discrepancy of the twin's physics learns from the miss.
     rover : as it was predicted for; a name or a TOML file; None for the one that the prediction names.
     seed : of the errors of measurement that are given to the members.
+    as_written : numbers of rover and states are meant as they are; nothing is asked about them.
     """
 
     positions: str | Any | None = None
@@ -53,6 +55,7 @@ class CompareRequest:
     belief: str | Any | None = None
     rover: str | None = None
     seed: int = 0
+    as_written: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +70,7 @@ class ComparedDrive(Result):
     pace : how fast the wheels turned beside the plan; None where the states do not say.
     before, belief : before and after it learned from the miss; None where none was given.
     inputs, tables, seed : for `made_from`.
+    questions : numbers that no rover or wheel has as they are written.
     """
 
     schema = "twin-compare/1"
@@ -80,6 +84,7 @@ class ComparedDrive(Result):
     inputs: dict[str, str]
     tables: dict[str, str]
     seed: int
+    questions: "tuple[Question, ...]" = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -97,15 +102,16 @@ class ComparedDrive(Result):
         told = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
         before = f"predicted from doubtful soils: {predicted}" if predicted else ""
         learned = "" if predicted else doubt_of("that learns", self.belief)
-        return "; ".join(part for part in (told, driven, measured, before, learned) if part)
+        return "; ".join(part for part in (*map(str, self.questions), told, driven, measured, before, learned) if part)
 
     @property
     def verdict(self) -> str:
         """That of the comparison; `doubtful` where it speaks for the prediction, of a drive that is doubtful."""
-        doubtful = self.matched.record.doubt or (self.pace is not None and self.pace.off)
+        doubtful = self.questions or self.matched.record.doubt or (self.pace is not None and self.pace.off)
         return "doubtful" if doubtful and not self.found.reasons else self.found.verdict
 
     def to_dict(self) -> dict[str, Any]:
+        from lunarsci.regolith.questions import asked_in
         from lunarsci.twin.comparison.matched import miss_of
 
         forecast, found = self.matched.forecast, self.found
@@ -135,7 +141,7 @@ class ComparedDrive(Result):
             "change": None if found.change is None else asdict(found.change),
             "invalid_share": found.invalid_share,
             "discrepancy": None if self.belief is None else self.belief.discrepancy.to_dict(),
-        }
+        } | asked_in(self.questions)
 
     def rows(self) -> list[dict[str, Any]]:
         """One a quantity, of all wheels and of each."""
@@ -164,6 +170,7 @@ def compare(
     from lunarsci.twin.comparison.forecast import read_forecast
     from lunarsci.twin.comparison.matched import match_observations
     from lunarsci.twin.rover import build_rover
+    from lunarsci.twin.rover_limits import rover_questions
 
     asked = request_of(CompareRequest, request, options)
     forecast, inputs = read_forecast(predicted)
@@ -211,6 +218,7 @@ def compare(
         inputs=inputs,
         tables={f"{rover} (rover)": digest},
         seed=asked.seed,
+        questions=() if asked.as_written else (*rover_questions(built), *table.questions(built.wheel)),
     )
 
 

@@ -13,7 +13,9 @@ from lunarsci.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
 from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
+from lunarsci.regolith.questions import Question, asked_in
+from lunarsci.regolith.soil import known_soils, read_soil, soil_hash, unusual
+from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
@@ -21,10 +23,12 @@ from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, PRIORS, GivenSoil, caution_of, doubt_of
 from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover, with_gravity
+from lunarsci.twin.rover_limits import rover_questions
 
 SYNTHETIC = "synthetic-longji"
 SOURCES = [
@@ -39,7 +43,8 @@ class DriveInputs:
 
     `driven` says where the soil of the terrain comes from, `given` which soils were asked for, `options` what was taken
     for options that were left out, and `check` what was found of files that were made for another rover or ground.
-    `rough` says that the terrain has roughness that its file does not show.
+    `rough` says that the terrain has roughness that its file does not show, `questions` are numbers that no Moon, soil
+    or rover has as they are written.
     """
 
     rover: Rover
@@ -55,6 +60,7 @@ class DriveInputs:
     ruts: bool = False
     before: Plan | None = None
     rough: bool = False
+    questions: tuple[Question, ...] = ()
 
     @property
     def made_for(self) -> dict[str, Any]:
@@ -112,6 +118,20 @@ class DriveInputs:
             return self.given.soil_map.belief_along(planned_places(self.plan, self.rover))
         return self.given.belief
 
+    def asked(self, *, heights: bool, as_written: bool, states: StateTable | None = None) -> "DriveInputs":
+        """With what to ask of the rover's numbers, of an own soil, of loads, and of `heights` given without a unit.
+
+        Nothing where all is meant `as_written`.
+        """
+        if as_written:
+            return self
+        found, soil = rover_questions(self.rover), self.given.named
+        if heights:
+            found += terrain_questions(self.terrain)
+        if soil is not None and soil not in known_soils():
+            found += unusual(read_soil(soil), soil)
+        return replace(self, questions=(*found, *(() if states is None else states.questions(self.rover.wheel))))
+
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""
         return {
@@ -121,6 +141,7 @@ class DriveInputs:
             "gravity_m_s2": self.rover.gravity_m_s2,
             "made_for": self.made_for,
             "assumed_of_rover": list(self.description.assumed),
+            **asked_in(self.questions),
         }
 
 

@@ -42,6 +42,7 @@ class LoadsRequest(RoverOnGround):
     balance_error : of the balance of forces, as a share of the weight; 0.005 if None. [-]
     iterate : rounds, at most, of forces and soil in turn; needs states with sinkages.
     seed : of everything random; None is 0.
+    as_written : numbers of soil, rover and terrain are meant as they are; nothing is asked about them.
     """
 
     member: int | None = None
@@ -53,6 +54,7 @@ class LoadsRequest(RoverOnGround):
     balance_error: float | None = None
     iterate: int | None = None
     seed: int | None = None
+    as_written: bool = False
 
     def __post_init__(self) -> None:
         if not self.uncertain and self.seed is not None:
@@ -94,7 +96,7 @@ class MotionLoads(Result):
 
     @property
     def untrusted(self) -> str:
-        return self.found.doubt
+        return "; ".join(filter(None, (*map(str, self.known.questions), self.found.doubt)))
 
     @property
     def title(self) -> str:
@@ -181,7 +183,7 @@ class UncertainLoads(Result):
     @property
     def untrusted(self) -> str:
         own = self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
-        return "; ".join(part for part in (own, self.doubt_of_belief) if part)
+        return "; ".join(part for part in (*map(str, self.known.questions), own, self.doubt_of_belief) if part)
 
     @property
     def title(self) -> str:
@@ -273,6 +275,7 @@ def loads(
     known.inputs.update({file.name: file.sha256 for file in files.values()})
     known.check.tables(file for name, file in files.items() if name != "belief")
     poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
+    known = known.asked(heights=asked.heights_without_unit, as_written=asked.as_written)
     if asked.uncertain:
         return _uncertain(known, files, poses, asked, progress)
     found = prescribed_loads(known.rover, known.terrain, poses)

@@ -273,7 +273,7 @@ def predict(
         keep_out=asked.keep_out,
         priors=not asked.sweep,
     )
-    questions = () if asked.as_written else _questions(inputs, asked)
+    questions = inputs.asked(heights=asked.heights_without_unit, as_written=asked.as_written).questions
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
         inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
@@ -281,20 +281,6 @@ def predict(
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
     return _asked_about(_judged(soils, prediction, asked, unresolved), questions)
-
-
-def _questions(inputs: "DriveInputs", asked: PredictRequest) -> "tuple[Question, ...]":
-    """What to ask of the numbers that were given: of the rover, of heights without a unit, and of an own soil."""
-    from lunarsci.regolith.soil import known_soils, read_soil, unusual
-    from lunarsci.twin.ground.unresolved import terrain_questions
-    from lunarsci.twin.rover_limits import rover_questions
-
-    found, soil = rover_questions(inputs.rover), inputs.given.named
-    if asked.terrain is not None and asked.height_unit is None:
-        found += terrain_questions(inputs.terrain)
-    if soil is not None and soil not in known_soils():
-        found += unusual(read_soil(soil), soil)
-    return tuple(found)
 
 
 def _asked_about(found: PredictedDrives, questions: "tuple[Question, ...]") -> PredictedDrives:

@@ -25,6 +25,11 @@ class RoverOnGround:
     interpolation: str = "smooth"
 
     @property
+    def heights_without_unit(self) -> bool:
+        """Whether a terrain was given and not what unit its heights are in."""
+        return self.terrain is not None and self.height_unit is None
+
+    @property
     def ground(self) -> tuple[str | None, str | None, str, HeightUnit | None, str | None]:
         """The same in the order of `read_drive_inputs`."""
         return self.rover, self.terrain, self.interpolation, self.height_unit, self.gravity

@@ -42,6 +42,7 @@ class UpdateRequest(RoverOnGround):
     particles : soils that carry the belief, 32 or more.
     ruts : whether wheels met the ruts of others; None takes what explains the drive better.
     seed : of everything random.
+    as_written : numbers of rover, terrain and states are meant as they are; nothing is asked about them.
     """
 
     plan: str | Any | None = None
@@ -53,6 +54,7 @@ class UpdateRequest(RoverOnGround):
     particles: int = 128
     ruts: bool | None = None
     seed: int = 0
+    as_written: bool = False
 
     def __post_init__(self) -> None:
         if self.forget and self.soil is None:
@@ -161,12 +163,15 @@ class LearnedSoil(Result):
 
     @property
     def untrusted(self) -> str:
+        asked = [*map(str, self.known.questions)]
         if self.segments is not None:
             if not any(segment.learned for segment in self.segments):
                 return f"nothing was learned: {self.segments[0].why_not}"
         elif self.found.refused:
-            return "; ".join([f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)])
-        return "; ".join(part for part in (*self.doubts, self.before.doubt) if part)
+            return "; ".join(
+                [*asked, f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)]
+            )
+        return "; ".join(part for part in (*asked, *self.doubts, self.before.doubt) if part)
 
     @property
     def forces_told(self) -> bool:
@@ -184,6 +189,7 @@ class LearnedSoil(Result):
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.regolith.belief_history import contact_rows, parameter_rows
+        from lunarsci.regolith.questions import asked_in
 
         found, soil_map = self.found, self.soil_map
         return {
@@ -214,7 +220,7 @@ class LearnedSoil(Result):
             "map": None
             if soil_map is None
             else {"zones": len(soil_map.zones), "correlation_m": soil_map.correlation_m},
-        }
+        } | asked_in(self.known.questions)
 
     def _soil_record(self) -> dict[str, Any]:
         """Where the soils come from that the drive was tried on."""
@@ -288,6 +294,7 @@ def update(
     known = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     table = read_drive_states(source, known.rover)
+    known = known.asked(heights=asked.heights_without_unit, as_written=asked.as_written, states=table)
     record = read_record(table, known.rover, positions=fixes)
     before = Before.read(asked, known)
     known.check.belief(before.file.name if before.file else "", before.belief)
@@ -297,18 +304,17 @@ def update(
     known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
     along = record if fixes is None else read_record(table, known.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
-    of_map = before.soil_map is not None
-    teach = not before.belief.discrepancy.has_scored(source.sha256)
+    of_map, teach = before.soil_map is not None, not before.belief.discrepancy.has_scored(source.sha256)
     drive = (known.rover, known.terrain, known.plan)
     found = assimilate(*drive, record, before.belief, ruts=asked.ruts, wheel=not of_map, teach=teach, **drawing)
     pace = pace_of(along, known.rover, known.plan)
-    line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     slip = SlipLean.of(along, found)
+    line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     whole = replace(line, doubts=(*line.doubts, slip.doubt if slip else ""))
     found = _with_history(found, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
     for text in before.cautions(found):
         warnings.warn(f"{source.name}: {text}", LunarSciWarning, stacklevel=2)
-    segments, soil_map = None, None
+    segments = soil_map = None
     if before.soil_map is None:
         change = find_change(along, found, seed=asked.seed)
         changes = [] if change is None else [change]
@@ -317,18 +323,9 @@ def update(
         kept = [_zone(segment, line) for segment in segments if segment.learned]
         soil_map = before.soil_map.with_zones(kept)
     return LearnedSoil(
-        known=known,
-        record=along,
-        states=source,
-        before=before,
-        found=found,
-        changes=changes,
-        segments=segments,
-        soil_map=soil_map,
-        seed=asked.seed,
-        pace=pace,
-        slip=slip,
-    )
+        known=known, record=along, states=source, before=before, found=found, changes=changes, segments=segments,
+        soil_map=soil_map, seed=asked.seed, pace=pace, slip=slip,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

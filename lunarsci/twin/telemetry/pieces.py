@@ -11,6 +11,7 @@ from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, InputStream
 from lunarsci.tables import csv_tables, line_pieces, parquet_tables
 from lunarsci.twin.telemetry.columns import UNIT, UNITS
+from lunarsci.twin.telemetry.ros_columns import in_own_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +39,7 @@ def tables_of(stream: InputStream, findings: "Findings") -> "Iterator[pd.DataFra
         tables = (_read_ecsv(piece) for piece, _ in line_pieces(stream, lambda cut, _: cut))
     else:
         tables = csv_tables(stream, without_cut)
-    for table in tables:
+    for table in (in_own_words(stream.name, one) for one in tables):
         yield table.set_axis(range(rows, rows + len(table)))
         rows += len(table)
     if not rows:

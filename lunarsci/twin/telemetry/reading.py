@@ -16,6 +16,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, check_telemetry_columns, named_columns
 from lunarsci.twin.telemetry.pieces import tables_of
 from lunarsci.twin.telemetry.rests import RowsKept
+from lunarsci.twin.telemetry.ros_columns import in_own_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,7 +169,8 @@ def read_positions(source: InputFile) -> Positions:
     Rows without a time, as of stations that are not on the drive, are left out. Raises DataError, also for rows of one
     time that contradict each other.
     """
-    file, table = source.name, read_csv_table(source)
+    file = source.name
+    table = in_own_words(file, read_csv_table(source))
     check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
     timed = table["time_s"].fillna("").str.strip() != ""
     if not timed.any():
