@@ -611,7 +611,7 @@ def test_a_heading_that_repeats_is_held_where_noise_or_a_turn_would_have_changed
 def test_attitude_differs_from_the_terrains_by_a_degree_and_a_half_or_60_percent_of_a_slope(
     name: str, stood_deg: float, measured_deg: float, said: str | None
 ) -> None:
-    """Up to 2 deg, if all of it is alike, are no doubt. In the median: two rows of nine are wild, two have no value."""
+    """Up to 3 deg, if all of it is alike, are no doubt. In the median: two rows of nine are wild, two have no value."""
     stood, measured = np.full(9, stood_deg), np.full(9, measured_deg)
     measured[[1, 2, 6, 7]] = 80.0, -90.0, np.nan, np.nan
     other = np.zeros(9)

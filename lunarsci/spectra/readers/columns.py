@@ -22,7 +22,7 @@ from lunarsci.spectra.readers.table import (
     SpectrumTable,
     name_tokens,
     only_percent,
-    states_unit,
+    stated_unit,
     without_unit,
 )
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
@@ -297,7 +297,7 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
         return table, deleted
     values = table.reflectances
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
-    unnamed = np.array([not states_unit(column) for column, _ in table.spectra])
+    unnamed = np.array([stated_unit(column) is None for column, _ in table.spectra])
     plain = [high[k] <= MAX_FRACTION for k, (one, _) in enumerate(table.spectra) if one.name and _is_plain(one.name)]
     running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
     constant = unnamed & ((low > MAX_FRACTION) & ((low == high) | any(plain)) | running)

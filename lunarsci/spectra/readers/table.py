@@ -323,7 +323,7 @@ def unit_by_size(
     Percent up to 100, ten-thousandths of whole numbers up to 10,000; None where these are fractions, or could as well
     be radiance: where the name does not say reflectance they vary more than sunlight reflected by them would. [nm]
     """
-    known = [k for k, column in enumerate(columns) if medians[k] > MAX_FRACTION and not states_unit(column)]
+    known = [k for k, column in enumerate(columns) if medians[k] > MAX_FRACTION and stated_unit(column) is None]
     if not known:
         return None, ""
     row = max(known, key=lambda k: float(medians[k]))
@@ -370,7 +370,7 @@ def check_alike(columns: Sequence[Column], medians: Sequence[float], unit: str |
     Raises DataError, which names two that are not: one of them is no reflectance, or has another unit.
     """
     least = _MIN_PERCENT if unit == "percent" else MAX_FRACTION
-    known = [(m, c) for c, m in zip(columns, medians, strict=True) if m > 0 and not states_unit(c)]
+    known = [(m, c) for c, m in zip(columns, medians, strict=True) if m > 0 and stated_unit(c) is None]
     if unit == "fraction" or not known:
         return
     (low, one), (high, other) = min(known, key=itemgetter(0)), max(known, key=itemgetter(0))
@@ -379,11 +379,6 @@ def check_alike(columns: Sequence[Column], medians: Sequence[float], unit: str |
             f"{file}: columns {one.label} and {other.label} have medians of {low:.3g} and {high:.3g}, not reflectances "
             f"in one unit; take out what is none, or write units into the names, as in {quoted(other.name + ' (%)')}"
         )
-
-
-def states_unit(column: Column) -> bool:
-    """Whether a column says that it is in fractions or percent, by its name or its file."""
-    return stated_unit(column) is not None
 
 
 def stated_unit(column: Column) -> str | None:

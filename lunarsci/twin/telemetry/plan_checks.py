@@ -111,7 +111,7 @@ class _Halt(NamedTuple):
     planned: bool
 
 
-class _Driven(NamedTuple):
+class _AlongWay(NamedTuple):
     """Commands over the way of the rims, in rows or steps in which these move.
 
     Time (n,) [s]; way (n,) [m]; steering [deg], or where no wheel is steered speed of each rim over their mean
@@ -124,16 +124,16 @@ class _Driven(NamedTuple):
     speed_m_s: float
 
     @classmethod
-    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray) -> "_Driven | None":
-        """From times (n,), mean speed of the rims between them (n - 1,), and commands; None where nothing moves."""
+    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray, gaps: BoolArray) -> "_AlongWay | None":
+        """From times (n,), mean speed of the rims between them and gaps (n - 1,), and commands; None where nothing
+        moves."""
         fast = speed_m_s > UNDER_WAY * np.max(speed_m_s, initial=0.0)
-        rows = np.append(fast, False)
+        rows = np.append(fast & ~gaps, False)
         if rows.sum() < 2:
             return None
-        way = np.append(
-            0.0,
-            np.cumsum(np.where(speed_m_s > STILL_SHARE * np.median(speed_m_s[fast]), speed_m_s, 0.0) * np.diff(time_s)),
-        )
+        # Noise of a wheel that stands is no way: over many rows it would add up to one.
+        steps = speed_m_s * np.diff(time_s)
+        way = np.append(0.0, np.cumsum(np.where(steps > STILL_SHARE * np.median(steps[fast]), steps, 0.0)))
         return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
 
 
@@ -149,7 +149,7 @@ class _Beside:
     share_off : of the way; 1 where too little of it lies within the plan.
     """
 
-    def __init__(self, sent: _Driven, told: _Driven, schedule: Schedule, rover: Rover) -> None:
+    def __init__(self, sent: _AlongWay, told: _AlongWay, schedule: Schedule, rover: Rover) -> None:
         self.rover, self.schedule, self.told = rover, schedule, told
         self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
         pace, end = sent.speed_m_s / told.speed_m_s, float(told.way_m[-1])
@@ -189,13 +189,14 @@ class _Beside:
         if rover.steered_mask.any():
             steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
             command = [steering, np.degrees(commands.steering_rad)]
-        made = [_Driven.of(*one) for one in zip((telemetry.time_s, grid), means, command, strict=True)]
+        gaps = sent.gaps, np.zeros(len(grid) - 1, dtype=bool)
+        made = [_AlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
         return None if made[0] is None or made[1] is None else cls(made[0], made[1], schedule, rover)
 
-    def _best(self, sent: _Driven, offsets_m: FloatArray) -> float:
+    def _best(self, sent: _AlongWay, offsets_m: FloatArray) -> float:
         return float(offsets_m[np.argmax([self._ln_of(sent, float(one)) for one in offsets_m])])
 
-    def _ln_of(self, sent: _Driven, offset_m: float) -> float:
+    def _ln_of(self, sent: _AlongWay, offset_m: float) -> float:
         """ln of how probable an offset is, up to a constant."""
         some = slice(None, None, 1 + len(sent.way_m) // MOST_TRIED)
         off, inside = self._compared(sent, offset_m, some)
@@ -204,7 +205,7 @@ class _Beside:
         missed = max(self.told.way_m[-1] - steps[inside].sum(), 0.0)
         return LN_OFF_M * float(steps[off.any(axis=1) | ~inside].sum() + missed)
 
-    def _compared(self, sent: _Driven, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
+    def _compared(self, sent: _AlongWay, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
         """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
         way, off = sent.way_m[rows] + offset_m, np.ones(sent.command[rows].shape, dtype=bool)
         for beside in (-STEP_M / 2.0, 0.0, STEP_M / 2.0):

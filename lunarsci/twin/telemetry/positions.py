@@ -17,7 +17,7 @@ from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.repeats import chance_by_noise, held
 from lunarsci.twin.telemetry.rests import GAP
 
-ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 2.0
+ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 3.0
 """Median difference of roll or pitch from the terrain's beyond which it is said [deg], or as a share of its slope where
 that is more; and by how much their sensor may be turned on the rover [deg]; assumed."""
 

@@ -23,7 +23,7 @@ AGREE, FASTER, SLOWER = 0.2, 0.25, 1.0
 """Standard deviation, in ln, of one column over another (a motor may be slower than told), and of the fastest rim over
 the rover's highest speed, if it is faster and if it is slower; assumed."""
 TURNING, NOISE, FEWEST = 0.3, 0.05, 3
-"""Share of the usual turn from which on a row counts, of the largest from which on one is usual, and how many rows
+"""Share of the usual turn from which on a row counts, of the largest from which on one is no noise, and how many rows
 there are at least; assumed."""
 LEAST_DEG = 1.0
 """Angle of one of both from which on steering counts: it is noise below; assumed. [deg]"""
@@ -69,8 +69,14 @@ def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetr
     """
     units, per_deg = units_of(rover), math.radians(rover.wheel.shearing_radius_m)
     steps = np.diff(telemetry.time_s)[:, None]
+    angle = np.diff(telemetry.angle_deg, axis=0)
+    within = np.nanmax(telemetry.angle_deg, axis=0, initial=-np.inf) - np.nanmin(
+        telemetry.angle_deg, axis=0, initial=np.inf
+    )
+    # Of angles within a turn the smaller way round.
+    angle -= np.where(within <= 360.0, 360.0 * np.rint(np.nan_to_num(angle) / 360.0), 0.0)
     turns = {
-        "angle_deg": np.diff(telemetry.angle_deg, axis=0) / steps,
+        "angle_deg": angle / steps,
         "rate_deg_s": between(telemetry.rate_deg_s),
         "speed_m_s": between(telemetry.speed_m_s) / per_deg,
     }
@@ -92,15 +98,19 @@ def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     """Median of one column over another, where that one is large; NaN where there are too few rows."""
     known = np.isfinite(values) & np.isfinite(wanted)
     known &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
-    # Of rows that are no noise at rest the middle one: the largest may be wild.
-    size = np.where(known, np.abs(wanted), 0.0)
-    known &= size > TURNING * float(np.median(size[size > NOISE * size.max(initial=0.0)] if size.any() else 0.0))
+    known &= np.abs(wanted) > TURNING * _usual(wanted[known])
     return float(np.median(values[known] / wanted[known])) if known.sum() >= FEWEST else math.nan
 
 
 def _fastest(rim_m_s: FloatArray) -> float:
-    known = np.abs(rim_m_s[np.isfinite(rim_m_s)])
-    return float(np.percentile(known, 90)) if known.size else math.nan
+    known = rim_m_s[np.isfinite(rim_m_s)]
+    return _usual(known) if known.size else math.nan
+
+
+def _usual(values: FloatArray) -> float:
+    """Median size of what is no noise at rest; the very largest ones may be wild."""
+    size = np.abs(values)
+    return float(np.median(size[size >= NOISE * np.percentile(size, 98)])) if size.size else 0.0
 
 
 def _likeliest(
