@@ -10,8 +10,9 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 
-LN_HELD = math.log(1e-4)
-"""Odds beforehand that a run is held, not chance; assumed."""
+LEAST_HELD, SURELY = 1e-4, 3.0
+"""Least odds beforehand that a run is held; they are the share of repeats beyond so many times that by chance;
+assumed."""
 FOLLOWS = 0.2
 """Share by which a change may differ from the one that is expected; assumed."""
 
@@ -30,17 +31,24 @@ def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) 
     begins = np.flatnonzero(np.append(True, (np.diff(flat, axis=0) != 0).any(axis=1)))
     repeats = np.diff(np.append(begins, len(values))) - 1
     change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
-    ln_odds = LN_HELD - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (FOLLOWS * change) ** 2)
+    # A channel that is sent more often than it is read repeats throughout.
+    ln_held = math.log(max(LEAST_HELD, repeats.sum() / len(values) - SURELY * chance))
+    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (FOLLOWS * change) ** 2)
     result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
     result[begins] = False
     return np.asarray(result)
 
 
 def digit_of(values: FloatArray) -> float:
-    """The finest change between successive readings but for those of floating point; infinite where there is none."""
+    """The last digit: the finest change of which all changes are multiples; a thousandth of it where they are none.
+
+    Infinite where nothing changes.
+    """
     changes = np.abs(np.diff(values, axis=0))
     known = changes[np.isfinite(changes)]
-    return float(np.min(known, where=known > 1e-6 * np.max(known, initial=0.0), initial=np.inf))
+    known = known[known > 1e-6 * np.max(known, initial=0.0)]
+    finest = float(np.min(known, initial=np.inf))
+    return finest if (np.abs(known / finest - np.rint(known / finest)) < 0.01).all() else 1e-3 * finest
 
 
 def chance_by_noise(values: FloatArray, sigma: float) -> float:

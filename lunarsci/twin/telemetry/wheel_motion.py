@@ -202,7 +202,7 @@ def _likeliest(
 
 
 def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatArray:
-    """How much more time went by than the clock says, where all encoders together say so. (n - 1,)"""
+    """How much more time went by than the clock says, where most encoders together say so. (n - 1,)"""
     turning = np.isfinite(angle) & (np.abs(expected) > 3.0 * SIGMA_DEG)
     share = np.ones(angle.shape)
     share[turning] = angle[turning] / expected[turning]
@@ -215,7 +215,8 @@ def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatA
         return np.asarray(np.where(turning, ln, 0.0).sum(axis=1))
 
     gain = ln_of(np.nan_to_num(angle - ratio[:, None] * expected)) - ln_of(np.nan_to_num(angle - expected))
-    return np.where((gain + LN_CLOCK > 0) & (ratio >= 0), ratio, 1.0)
+    most = turning.mean(axis=1) > 0.5
+    return np.where(most & (gain + LN_CLOCK > 0) & (ratio >= 0), ratio, 1.0)
 
 
 def _say(
