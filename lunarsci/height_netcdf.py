@@ -55,7 +55,8 @@ def _opened(path: Path) -> Any:
         import xarray
     except ImportError as error:
         raise DataError(f"{path}: {NO_XARRAY}") from error
-    engine = "scipy" if path.open("rb").read(3) == NETCDF[0] else "h5netcdf"
+    with path.open("rb") as stream:
+        engine = "scipy" if stream.read(3) == NETCDF[0] else "h5netcdf"
     try:
         return xarray.open_dataset(path, engine=engine)
     # Whatever xarray and its engines raise of a damaged file: each has its own.

@@ -563,7 +563,7 @@ def picture_readers() -> dict[str, Reader]:
 
 
 def ground_files() -> dict[str, bytes]:
-    """The same made-up ground (8 x 8 nodes) in four formats."""
+    """The same made-up ground (8 x 8 nodes) in five formats."""
     axis = 0.5 * np.arange(8)
     height = 0.05 * np.sin(axis[:, None] + axis)
     archive = io.BytesIO()
@@ -575,6 +575,7 @@ def ground_files() -> dict[str, bytes]:
         ".asc": f"ncols 8\nnrows 8\nxllcorner 0\nyllcorner 0\ncellsize 0.5\nNODATA_value -9999\n{rows}\n".encode(),
         ".csv": f"x_m,y_m,height_m\n{nodes}".encode(),
         ".tif": tiff({"height_m": height}),
+        ".nc": bytes(import_module("xarray").DataArray(height, {"y": axis, "x": axis}, name="height").to_netcdf()),
     }
 
 
@@ -910,7 +911,7 @@ SPECTRA = (
     "spectra splib, spectra .sli, spectra PDS3, spectra PDS4"
 )
 PICTURES = "picture png, picture tiff, picture jpeg"
-GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif, terrain in degrees, terrain PDS3"
+GROUND = "terrain .npz, terrain .asc, terrain .csv, terrain .tif, terrain .nc, terrain in degrees, terrain PDS3"
 SOILS = "soil, belief, soil map, soil samples, TOML"
 CUBES = "cube ENVI, cube M3, cube GeoTIFF, cube NetCDF 4, cube NetCDF 3, cube NetCDF swath, VNIS cube"
 READ_BY = {

@@ -121,6 +121,7 @@ def check(values: np.ndarray) -> None:
         np.testing.assert_allclose(values[:, place], TRUE[name], rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 def test_slips_over_the_way_are_asked_about_where_they_were_set_to_round_numbers(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,6 +148,7 @@ def test_a_column_named_std_has_errors(tmp_path: Path) -> None:
     assert found.sigmas[:, 4] == pytest.approx(0.25) and found.stated
 
 
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_states_are_read(kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path, plain = tmp_path / "test.csv", tmp_path / "plain.csv"
