@@ -13,6 +13,7 @@ UNNOTICED = {
     "spectrum": {
         "descending",
         "decimal commas",
+        "thousands separated",
         "a wavelength of another decade at the end",
         "absorbance, not named so",
         "continuum removed",
@@ -23,6 +24,7 @@ UNNOTICED = {
         "heights in km",
         "depths for heights",
         "cells in mm",
+        "decimal commas",
         "rows and columns not as announced",
     },
     "craters": {
@@ -33,7 +35,8 @@ UNNOTICED = {
         "last number cut",
     },
 }
-"""What stays silent of each part: rovers that climb little or are heavier might be, as may a soil of 61 deg."""
+"""What stays silent of each part: decimal commas and separated thousands are read as meant; rovers that climb little or
+are heavier might be, as may a soil of 61 deg."""
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
