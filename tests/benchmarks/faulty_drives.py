@@ -457,8 +457,8 @@ def case(task: tuple[int, str, str, bool]) -> dict[str, Any]:
     return row | scores(states, truth)
 
 
-def _named(kind: str, text: str) -> bool:
-    return any(word in text.lower() for word in NAMED_BY[kind])
+def _named(words: tuple[str, ...], text: str) -> bool:
+    return any(word in text.lower() for word in words)
 
 
 def _mean(rows: list[dict[str, Any]], value: Callable[[dict[str, Any]], float]) -> tuple[float, float]:
@@ -485,14 +485,14 @@ def _median(rows: list[dict[str, Any]], value: Callable[[dict[str, Any]], float]
     return format(float(np.median([value(row) for row in rows])), spec) if rows else "-"
 
 
-def report(rows: list[dict[str, Any]]) -> None:
-    """Of each kind and of all, and what the doubts are of."""
+def report(rows: list[dict[str, Any]], named_by: dict[str, tuple[str, ...]] = NAMED_BY) -> None:
+    """Of each kind and of all, and what the doubts are of; kinds with words of a finding that name them."""
     print("Shares in %. Slip, side slip and end are of drives without doubt (exit 0); errors of shares count soils.")
     print("named: drives of exit 3 whose doubt names the fault, and drives of exit 0 in which a finding names it.")
     head = ("kind", "drives", "refused", "exit 0", "slip in 95", "side in 95", "slip sd", "slip rms", "side sd",
             "side rms", "named 3", "named 0", "end err", "in 90", "radius", "end/radius", "cpu s")  # fmt: skip
     table = [head]
-    for kind in (*KINDS, "all"):
+    for kind in (*named_by, "all"):
         own = [row for row in rows if kind in (row["kind"], "all")]
         if not own:
             continue
@@ -500,7 +500,7 @@ def report(rows: list[dict[str, Any]]) -> None:
         sure, unsure = ([row for row in served if bool(row["doubt"]) == doubt] for doubt in (False, True))
         named = [
             "-" if not part or row_kind is None
-            else _share(float(np.mean([_named(row["kind"], text(row)) for row in part])))
+            else _share(float(np.mean([_named(named_by[row["kind"]], text(row)) for row in part])))
             for part, text, row_kind in (
                 (unsure, lambda row: row["doubt"], kind),
                 (sure, lambda row: " ".join(row["found"]), kind),
@@ -531,7 +531,7 @@ def report(rows: list[dict[str, Any]]) -> None:
         first, *others = (text.rjust(length) for text, length in zip(line, lengths, strict=True))
         print("  ".join([first.strip().ljust(lengths[0]), *others]))
     print("Doubts, and findings without doubt, by kind of fault (drives):")
-    for kind in KINDS:
+    for kind in named_by:
         own = [row for row in rows if row["kind"] == kind and not row["refused"]]
         doubts = Counter(name for row in own for name in set(row["doubts"]))
         others = Counter(

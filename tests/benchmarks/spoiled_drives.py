@@ -15,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import faulty_drives
 import numpy as np
 import pandas as pd
 from faulty_drives import Truth, report, scores, telemetry_of, terrain_of, truth_of
@@ -224,9 +223,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="a line of JSON for each drive")
     parser.add_argument("--report", type=Path, nargs="+", help="files of earlier runs")
     chosen = parser.parse_args()
-    faulty_drives.KINDS, faulty_drives.NAMED_BY = KINDS, dict.fromkeys(KINDS, ())
+    no_words = dict.fromkeys(KINDS, ())
     if chosen.report:
-        report([json.loads(line) for file in chosen.report for line in file.read_text().splitlines()])
+        report([json.loads(line) for file in chosen.report for line in file.read_text().splitlines()], no_words)
         return
     warnings.simplefilter("ignore")
     if chosen.cache:
@@ -238,7 +237,7 @@ def main() -> None:
             if chosen.out:
                 with chosen.out.open("a") as stream:
                     print(json.dumps(rows[-1]), file=stream)
-    report(rows)
+    report(rows, no_words)
 
 
 if __name__ == "__main__":

@@ -523,6 +523,22 @@ def test_times_of_another_clock_are_said_with_their_start_and_taken_from_there(
     assert found.rows.slip_ratio == pytest.approx(states(csv(drive.telemetry), yutu2).rows.slip_ratio, abs=1e-5)
 
 
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_by_another_clock_rests_gaps_and_halts_have_the_times_of_the_plan(drive: SyntheticDrive, yutu2: Rover) -> None:
+    table = halted(drive.telemetry, 40, 60, rates=True)
+    table = table[(table.time_s < 120) | (table.time_s > 135)].assign(time_s=lambda rows: rows.time_s + 5000.0)
+    findings = Findings("sent.csv")
+    told = read_telemetry(InputFile("sent.csv", csv(table)), yutu2, findings)
+    told = dataclasses.replace(told, rests_s=((5050.0, 5090.0),))
+    found = states_of(told, yutu2, GROUND, findings, PLAN)
+    assert found.telemetry.start_s == pytest.approx(5000.0, abs=0.05)
+    assert found.telemetry.rests_s[0] == pytest.approx((50.0, 90.0), abs=0.05) and found.telemetry.rested.sum() == 40
+    times = {one.kind: one.time_s for one in findings.entries}
+    begin = float(drive.telemetry.time_s[40])
+    assert times["unplanned halt"] == pytest.approx(begin, abs=1.1)
+    assert times["gap"] == pytest.approx(119.0, abs=1.1) == pytest.approx(found.gaps[0, 0], abs=1.1)
+
+
 def halted(table: pd.DataFrame, row: int, seconds: int, *, rates: bool) -> pd.DataFrame:
     """The rover stands still after a row; its wheels tell angles alone where `rates` are not wanted."""
     begin, own = float(table.time_s[row]), np.random.default_rng(1)

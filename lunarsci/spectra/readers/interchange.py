@@ -59,8 +59,7 @@ def read_jcamp(source: InputFile) -> SpectrumTable:
     if not groups:
         raise DataError(f"{source.name}: JCAMP-DX without XYDATA or XYPOINTS; export the spectrum as one of them")
     if len(groups) == 1:
-        for group in groups:
-            group[1] = Column(keys.get("YUNITS", ""), group[1].values, 2)
+        groups[0][1] = Column(keys.get("YUNITS", ""), groups[0][1].values, 2)
     return on_one_grid(groups, source, {"keys": keys}, f"{len(groups)} spectra of JCAMP-DX", "jcamp")
 
 

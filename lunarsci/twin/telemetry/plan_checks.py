@@ -51,6 +51,11 @@ def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings
     if schedule.plan.fixes is not None or (beside := _Beside.of(sent, rover, schedule)) is None:
         return sent, False, 0.0
     late_s = _say_clock(sent.telemetry, beside, findings)
+    # What was found, and what will be, is by the clock that all else of the result is by.
+    beside.sent = beside.sent._replace(time_s=beside.sent.time_s - late_s)
+    findings.entries[:] = [
+        one if one.time_s is None else replace(one, time_s=one.time_s - late_s) for one in findings.entries
+    ]
     halts = beside.halts() if beside.share_off <= MOST else ()
     _say_halts(halts, schedule, findings)
     as_planned = beside.share_off <= SOME or not _say_commands(beside, findings)
@@ -64,7 +69,8 @@ def _later(sent: Rows, start_s: float) -> Rows:
     telemetry, wheels, steering, gaps = sent
     first = int(np.searchsorted(telemetry.time_s, start_s))
     rows = taken(telemetry, np.arange(first, len(telemetry.time_s)))
-    rows = replace(rows, time_s=rows.time_s - start_s, start_s=telemetry.start_s + start_s)
+    rests = tuple((begin - start_s, end - start_s) for begin, end in telemetry.rests_s)
+    rows = replace(rows, time_s=rows.time_s - start_s, start_s=telemetry.start_s + start_s, rests_s=rests)
     steps = {name: getattr(wheels, name)[first:] for name in ("rim_m_s", "measured", "trusted")}
     return Rows(rows, replace(wheels, **steps), steering[first:], gaps[first:])
 
@@ -137,6 +143,16 @@ class _AlongWay(NamedTuple):
         return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
 
 
+class _Tried(NamedTuple):
+    """A way in which telemetry may lie beside its plan: ln of its odds, the way of the rows, its offset behind that of
+    the plan [m], and the pace of the drive."""
+
+    ln: float
+    sent: _AlongWay
+    offset_m: float
+    faster: float
+
+
 class _Beside:
     """Rows of telemetry in which wheels turn, beside the commands of a plan at the same way.
 
@@ -153,21 +169,21 @@ class _Beside:
         self.rover, self.schedule, self.told = rover, schedule, told
         self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
         pace, end = sent.speed_m_s / told.speed_m_s, float(told.way_m[-1])
+        begin, tried = float(np.interp(sent.time_s[0], told.time_s, told.way_m)), list[_Tried]()
         # Faster wheels go as far in less time, or are of another size and go farther.
-        scaled = [sent._replace(way_m=sent.way_m / scale) for scale in (1.0, pace)]
-        starts = [float(np.interp(sent.time_s[0], told.time_s, told.way_m)) - one.way_m[0] for one in scaled]
-        ln = [self._ln_of(*one) for one in zip(scaled, starts, strict=True)]
-        if max(ln) < LN_OFFSET:
-            for one in tuple(scaled):
+        for scale, faster in ((1.0, pace), (pace, 1.0)):
+            one = sent._replace(way_m=sent.way_m / scale)
+            by_clock = begin - float(one.way_m[0])
+            tried.append(_Tried(self._ln_of(one, by_clock), one, by_clock, faster))
+        if max(one.ln for one in tried) < LN_OFFSET:
+            for _, one, _, faster in tuple(tried):
                 last = float(one.way_m[-1])
                 step = max(STEP_M, (last + end) / MOST_TRIED)
                 coarse = self._best(one, np.arange(-last, end, step))
                 fine = self._best(one, coarse + np.arange(-step, step, STEP_M / 2.0))
-                scaled, starts = [*scaled, one, one, one], [*starts, 0.0, coarse, fine]
-                ln += [self._ln_of(one, offset_m) + LN_OFFSET for offset_m in (0.0, coarse, fine)]
-        best = int(np.argmax(ln))
-        self.sent, self.offset_m = scaled[best], starts[best]
-        faster = pace if self.sent.way_m[-1] == sent.way_m[-1] else 1.0
+                for offset_m in (0.0, coarse, fine):
+                    tried.append(_Tried(self._ln_of(one, offset_m) + LN_OFFSET, one, offset_m, faster))
+        _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one.ln)
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)
         self.off, self.inside = self._compared(self.sent, self.offset_m)
         self.planned_s = np.interp(way + self.offset_m, told.way_m, told.time_s)

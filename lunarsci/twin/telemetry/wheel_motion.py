@@ -79,7 +79,9 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     # Noise of a wheel that stands is no motion: over hours it would add up to one.
     for turn in (told, rate, angle):
         turn[resting] *= 0.0
-    went = _turns(telemetry, angle, rate, told, rover, gaps)
+    turns = {"told": told, "rate": rate, "angle": angle}
+    rates = {"told": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
+    went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + STAMP_S), gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
     _say(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
     rim, known = per_deg * np.where(np.isfinite(measured), measured, told / steps), np.isfinite(measured)
@@ -139,28 +141,31 @@ class _Turns(NamedTuple):
     clock: FloatArray
 
 
+def _sigma(
+    turns: dict[str, FloatArray], rates_deg_s: dict[str, FloatArray], digits: FloatArray, step_s: FloatArray
+) -> dict[str, FloatArray]:
+    """Standard errors of turns: of rates and commands with what these change by over a step. (n - 1, wheels) [deg]"""
+    sigma = {"angle": np.tile(digits, (len(step_s), 1))}
+    for name, share in (("rate", RATE_SHARE), ("told", TOLD_SHARE)):
+        changes = 0.5 * np.abs(np.nan_to_num(np.diff(rates_deg_s[name], axis=0))) * step_s
+        sigma[name] = np.sqrt(SIGMA_DEG**2 + (share * np.nan_to_num(turns[name])) ** 2 + changes**2)
+    return sigma
+
+
 def _turns(
-    telemetry: Telemetry, angle: FloatArray, rate: FloatArray, told: FloatArray, rover: Rover, gaps: BoolArray
+    turns: dict[str, FloatArray], sigma: dict[str, FloatArray], fastest_deg: FloatArray, gaps: BoolArray
 ) -> _Turns:
-    """The most probable set of witnesses, of turns that encoders, rates and commands say. (n - 1, wheels) [deg]"""
-    steps, per_deg = np.diff(telemetry.time_s)[:, None], math.radians(rover.wheel.shearing_radius_m)
-    sigma = {"angle": np.tile(_digits(telemetry), (len(steps), 1))}
-    for name, turn, rows, share in (
-        ("rate", rate, telemetry.rate_deg_s, RATE_SHARE),
-        ("told", told, telemetry.speed_m_s / per_deg, TOLD_SHARE),
-    ):
-        changes = 0.5 * np.abs(np.nan_to_num(np.diff(rows, axis=0))) * steps
-        sigma[name] = np.sqrt(SIGMA_DEG**2 + (share * np.nan_to_num(turn)) ** 2 + changes**2)
-    known, fastest = np.isfinite(rate), rover.max_speed_m_s / per_deg * (steps + STAMP_S)
-    turns = {"told": told, "rate": rate, "angle": angle}
-    found = _likeliest(turns, sigma, fastest, np.full(angle.shape[1], LN_WRAP))
+    """The most probable set of witnesses, of turns that commands, rates and encoders say. (n - 1, wheels) [deg]"""
+    told, rate, angle = turns.values()
+    known = np.isfinite(rate)
+    found = _likeliest(turns, sigma, fastest_deg, np.full(angle.shape[1], LN_WRAP))
     # An encoder that wraps does so often; how many whole turns a gap hides nobody knows.
     wraps = (found.wraps != 0).mean(axis=0)
     angle = np.where(gaps[:, None] & (wraps > 0), np.nan, angle)
     expected = np.where(known, rate, told)
     clock = _clock(angle, expected, np.hypot(sigma["angle"], np.where(known, sigma["rate"], sigma["told"])))
     turns = {"told": clock[:, None] * told, "rate": clock[:, None] * rate, "angle": angle}
-    found = _likeliest(turns, sigma, fastest, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
+    found = _likeliest(turns, sigma, fastest_deg, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
     return found._replace(clock=clock, off_deg=angle - np.nan_to_num(clock[:, None] * expected))
 
 
@@ -220,12 +225,7 @@ def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatA
 
 
 def _say(
-    telemetry: Telemetry,
-    rover: Rover,
-    went: _Turns,
-    hung: BoolArray,
-    lost: BoolArray,
-    findings: Findings,
+    telemetry: Telemetry, rover: Rover, went: _Turns, hung: BoolArray, lost: BoolArray, findings: Findings
 ) -> None:
     """Say what does not tell the turn of a wheel, or tells it otherwise."""
     blank = lost & ~hung
@@ -246,7 +246,7 @@ def _say(
     ):  # fmt: skip
         for k in np.flatnonzero(where.any(axis=0)):
             row = int(np.argmax(where[:, k]))
-            text = what.format(rover.wheels[k], went.off_deg[min(row, len(went.off_deg) - 1), k])
+            text = what.format(rover.wheels[k], went.off_deg[row, k])
             findings.add(kind, text, done, count=int(where[:, k].sum()), time_s=float(telemetry.time_s[row]))
     if (jumped := went.clock != 1.0).any():
         first, step_s = int(np.argmax(jumped)), np.diff(telemetry.time_s)
