@@ -181,7 +181,9 @@ def test_every_table_row_names_a_known_source() -> None:
     sources = tomllib.loads((folder / "sources.toml").read_text("utf-8"))
     with (folder / "mgm_bands.csv").open() as file:
         assert {row["source"] for row in csv.DictReader(file)} <= sources.keys()
-    assert {entry["table"] for entry in sources.values()} == {path.name for path in folder.glob("*.csv")}
+    assert {entry["table"] for entry in sources.values()} == {
+        path.name for suffix in ("csv", "npz") for path in folder.glob(f"*.{suffix}")
+    }
     for entry in sources.values():
         assert entry["what"]
         assert entry["citation"]

@@ -276,13 +276,6 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         for share in modes.fractions
     ]
     notes = [f"{modes.method}: {modes.status}" for modes in found] + not_weighed(found)
-    notes += [
-        f"{modes.method}: the mixture leaves {100 * modes.rms_ln:.1f} % of R (rms) beside a level, a slope and a bend"
-        for modes in found
-        if modes.dark and modes.rms_ln is not None
-    ]
-    shown = [modes.certified for modes in found if modes.certified is not None and modes.certified < 0.95]
-    notes += [f"95 %: so few suites show that it holds in {100 * min(shown):.0f} % at least, no more"] if shown else []
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)
 
 

@@ -35,7 +35,7 @@ def answer(document: Document) -> ResultAnswer:
 def contradictions(documents: Sequence[Document]) -> dict[str, str]:
     """What fits and shares of one spectrum say that cannot both be true, by the names of their documents."""
     spectra: dict[Any, list[tuple[Document, Result]]] = {}
-    for document in (one for one in documents if one.kind == "spectra-fit"):
+    for document in (one for one in documents if one.kind in ("spectra-fit", "spectra-unmix")):
         with as_written(document):
             hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
             for record in document.result["spectra"]:
@@ -192,6 +192,7 @@ ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {
     "spectra-match": rock_answers.match,
     "spectra-pixel": rock_answers.pixel,
     "spectra-simulate": rock_answers.simulated,
+    "spectra-unmix": rock_answers.unmixed,
     "twin-compare": drive_answers.compared,
     "twin-forces": drive_answers.loads,
     "twin-history": drive_answers.believed,

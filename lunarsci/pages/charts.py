@@ -157,7 +157,7 @@ def _shares(document: Document) -> Drawn:
         (f"{one['id']}, {mineral}", item)
         for one in document.result["spectra"]
         for mineral, item in (one.get("abundance") or {}).items()
-        if isinstance(item, Mapping) and item.get("fraction") is not None and mineral != "calibration"
+        if isinstance(item, Mapping) and item.get("fraction") is not None
     ][:MOST_BARS]
     if not rows:
         return None
@@ -389,6 +389,7 @@ CHARTS: dict[str, tuple[Callable[[Document], Any], ...]] = {
     "spectra-calibrate": (_spectra,),
     "spectra-simulate": (),
     "spectra-fit": (_absorptions, _shares),
+    "spectra-unmix": (_shares,),
     "spectra-match": (_craters,),
     "regolith-identify": (_left_of_prior, _soil_curves),
     "twin-predict": (_limits,),

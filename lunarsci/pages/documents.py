@@ -114,8 +114,7 @@ def _in_memory(result: Result, number: int, drawn: bool) -> Document:
     made = result.to_json()
     found = json.loads(made)
     schema = found["schema"].removeprefix("lunarsci/")
-    command = found["provenance"]["command"].rpartition(".")[2]
-    kind = "spectra-unmix" if command == "unmix" else schema.rpartition("/")[0]
+    kind = schema.rpartition("/")[0]
     pictures, cut = _picture_of(result, f"{kind}.png") if drawn else ({}, False)
     return Document(
         f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, cut, sha256(made.encode())

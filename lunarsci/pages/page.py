@@ -47,6 +47,7 @@ TITLES = {
     "spectra-pixel": "A pixel of a cube",
     "spectra-match": "Where the rock came from",
     "spectra-simulate": "A simulated observation",
+    "spectra-unmix": "Shares of minerals",
     "twin-compare": "How right the prediction was",
     "twin-forces": "Forces of the wheels",
     "twin-history": "What the belief of the soil rests on",

@@ -290,7 +290,6 @@ def _without_choices(result: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _of_kind(document: Document) -> list[str]:
     """What the commands say below the tables of all results of a kind."""
-    from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED
     from lunarsci.spectra.mgm.assemblages import BIC_OF_CHOICE
     from lunarsci.twin.jobs.forces import TOGETHER
     from lunarsci.twin.jobs.states import DEEPEST
@@ -298,7 +297,6 @@ def _of_kind(document: Document) -> list[str]:
     result = document.result
     spectra = result.get("spectra") or ()
     found = (
-        ("spectra-fit", ROCKS_UNCALIBRATED, any((one.get("abundance") or {}).get("ratios") for one in spectra)),
         ("spectra-fit", BIC_OF_CHOICE, any(one.get("choice") for one in spectra)),
         ("twin-forces", TOGETHER, result.get("totals")),
         ("twin-states", DEEPEST, result.get("sinkages")),

@@ -80,15 +80,24 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def fit(result: Result) -> ResultAnswer:
-    without = [str(one["id"]) for one in result["spectra"] if _no_share(one)]
-    told = [f"No share of minerals is to be quoted of {some_of(without, MOST_NAMED)}."] if without else []
-    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short), trust=" ".join(told))
+    return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short))
 
 
-def _no_share(one: Result) -> bool:
-    """Whether shares were asked for, of a known kind that can have them, and none may be quoted."""
-    asked = one.get("kind") and not one.get("normative")
-    return bool(asked) and not any(found["in_domain"] for found in (one.get("abundances") or {}).values())
+def unmixed(result: Result) -> ResultAnswer:
+    without = [str(one["id"]) for one in result["spectra"] if not one["abundance"]["in_domain"]]
+    told = [f"Shares of {some_of(without, MOST_NAMED)} are to be quoted with their 95 % intervals alone."]
+    answer = each(result["spectra"], _one_unmixed, "spectrum", _unmixed_in_short)
+    return ResultAnswer(answer, trust=told[0] if without else "")
+
+
+def _one_unmixed(one: Result) -> str:
+    return f"{one['id']}: {shares_verdict(one)}."
+
+
+def _unmixed_in_short(one: Result) -> str:
+    if one["kind"]["name"] == "weathered-soil":
+        return "a weathered soil, whose minerals are not unmixed"
+    return ", ".join(_mineral_shares(one)) or str(one["abundance"]["status"])
 
 
 def _fit_in_short(one: Result) -> str:
@@ -114,7 +123,7 @@ def standing_of(choice: Mapping[str, Any]) -> str:
 
 def _one_fit(one: Result) -> str:
     """What its command says below its tables, then which assemblages cannot be told apart, and the pyroxenes."""
-    verdict = shares_verdict(one) if "kind" in one else fit_verdict(one)
+    verdict = fit_verdict(one)
     family = (one.get("choice") or {}).get("family")
     weak = "" if (one.get("choice") or {}).get("strong", True) else "By weak evidence; "
     apart = "assemblages that cannot be told apart" if weak else "Assemblages that cannot be told apart"
@@ -132,7 +141,7 @@ def _mineral_shares(one: Result) -> list[str]:
     return [
         f"{mineral} {percent(item['fraction'])} ({percent(item['low'])} to {percent(item['high'])})"
         for mineral, item in (one.get("abundance") or {}).items()
-        if isinstance(item, Mapping) and item.get("fraction") is not None and mineral != "calibration"
+        if isinstance(item, Mapping) and item.get("fraction") is not None
     ]
 
 
@@ -142,7 +151,8 @@ def against(fitted: Result, mixed: Result) -> str:
     `fitted` is of `spectra fit --assemblage auto`; of `mixed`, of `spectra unmix`, count shares that may be quoted.
     """
     chosen, told = fitted.get("choice") or {}, []
-    for shares in (one for one in (mixed.get("abundances") or {}).values() if one["in_domain"]):
+    shares = mixed.get("abundance") or {}
+    if shares.get("in_domain"):
         for mineral in chosen.get("sure", ()):
             if mineral in shares and (most := shares[mineral]["high95"]) < HARDLY:
                 told.append(f"of {mineral}, which the fit is sure of, the shares have {percent(most)} at most")

@@ -1,132 +1,28 @@
-"""Modes of spectra taken together, as mixtures of the same powders: mixing laws weighted by their evidence."""
+"""Shares of spectra as mixtures of end members: alone, or together as mixtures of the same powders.
+
+Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
+from lunarsci.spectra.abundance.learned import MINERALS, SHARES
 from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
-from lunarsci.spectra.abundance.posterior import MOST_WIDE
-from lunarsci.spectra.abundance.powders import Powders, loosened, population, unsized
-from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+from lunarsci.spectra.abundance.powders import Powders, loosened, population
+from lunarsci.spectra.abundance.shares import Mixed
 from lunarsci.spectra.abundance.unmix import MixtureSeries, SharesPosterior, unmix
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 DRAWS, SEED = 4000, 0
-LEVELS = (0.6827, 0.95)
-LEAST_SIGMA = 0.01
-"""No share that is sought is taken as known better; assumed."""
-ABSENT = 0.005
-"""Below this an interval is taken to begin at 0; assumed."""
-MOST_STRANGE = 0.15
-"""Misfit and strain together, per channel, up to which spectra count as mixtures of the end members; assumed."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """What `unmix` found for the spectra of a suite, under each law.
-
-    `untested` says why no measurement vouches for it; empty where one does. `unsized` has minerals whose grain size
-    nobody stated.
-    """
-
-    method: str
-    minerals: tuple[str, ...]
-    posteriors: tuple[SharesPosterior, ...]
-    model_error: float
-    untested: str = ""
-    unsized: tuple[str, ...] = ()
-
-
-def abundances(names: Sequence[str], outcome: Outcome) -> list[Abundance]:
-    """Posterior means and shortest intervals of all spectra, laws weighted by their evidence."""
-    evidence = np.array([item.ln_evidence for item in outcome.posteriors])
-    weight = np.exp(evidence - evidence.max())
-    weight /= weight.sum()
-    counts = np.maximum(1, np.round(DRAWS * weight).astype(int))
-    drawn = zip(outcome.posteriors, counts, strict=True)
-    draws = np.concatenate([item.draws(int(count), SEED + k) for k, (item, count) in enumerate(drawn)])
-    misfit = sum(share * item.ln_residual**2 for share, item in zip(weight, outcome.posteriors, strict=True))
-    strain = sum(share * item.strain for share, item in zip(weight, outcome.posteriors, strict=True))
-    square = np.mean(misfit, axis=1)
-    strange = square / outcome.model_error**2 + strain / outcome.posteriors[0].ln_residual.shape[1]
-    return [
-        _abundance(name, outcome, draws[:, index], float(np.sqrt(square[index])), float(strange[index]))
-        for index, name in enumerate(names)
-    ]
-
-
-def _abundance(name: str, outcome: Outcome, draws: FloatArray, rms: float, strange: float) -> Abundance:
-    mean = draws.mean(axis=0)
-    edges = [
-        _widened(*shortest_interval(draws, level), mean, sigmas * LEAST_SIGMA * (np.ptp(draws, axis=0) > 0))
-        for sigmas, level in enumerate(LEVELS, start=1)
-    ]
-    fractions = tuple(
-        MineralFraction(
-            mineral,
-            float(mean[k]),
-            *(float(value) for low, high in edges for value in (min(low[k], mean[k]), max(high[k], mean[k]))),
-        )
-        for k, mineral in enumerate(outcome.minerals)
-    )
-    doubt = _doubt(outcome, strange, max((item.high - item.low) / 2 for item in fractions))
-    status = f"out of domain: {doubt}" if doubt else "like laboratory mixtures of these minerals"
-    return Abundance(name, outcome.method, fractions, _correlation(draws), not doubt, status, rms)
-
-
-def _doubt(outcome: Outcome, strange: float, wide: float) -> str:
-    """Why a spectrum is out of domain; empty where it is in."""
-    if outcome.untested:
-        return outcome.untested
-    if strange > MOST_STRANGE:
-        return (
-            f"less like these minerals than laboratory mixtures are (strangeness {strange:.2f}, up to "
-            f"{MOST_STRANGE:g} is usual); coarse grains, weathering, opaques, glass or other minerals"
-        )
-    if outcome.unsized and wide > MOST_WIDE:
-        return (
-            f"a share by volume is uncertain by {100 * wide:.0f} %, more than {100 * MOST_WIDE:.0f} %, since the "
-            f"library states no grain size (min_um, max_um) of {', '.join(outcome.unsized)}"
-        )
-    return ""
-
-
-def _widened(low: FloatArray, high: FloatArray, mean: FloatArray, least: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """An interval no narrower than `least` on either side of the mean, within 0 and 1."""
-    return np.maximum(np.minimum(low, mean - least), 0.0), np.minimum(np.maximum(high, mean + least), 1.0)
-
-
-def _correlation(draws: FloatArray) -> FloatArray:
-    """Of the fractions; 0 beside one that does not vary."""
-    covariance = np.cov(draws.T)
-    spread = np.sqrt(np.diag(covariance))
-    scale = np.outer(spread, spread)
-    found = np.divide(covariance, scale, out=np.zeros_like(covariance), where=scale > 0)
-    np.fill_diagonal(found, 1.0)
-    return np.asarray(found)
-
-
-def shortest_interval(draws: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
-    """Ends of the shortest interval that holds a share `level` of draws, (k,) each, from (n, k)."""
-    ordered = np.sort(draws, axis=0)
-    held = int(np.ceil(level * len(ordered)))
-    width = ordered[held - 1 :] - ordered[: len(ordered) - held + 1]
-    begin = np.argmin(width, axis=0)
-    low = np.take_along_axis(ordered, begin[None], axis=0)[0]
-    high = np.take_along_axis(ordered, begin[None] + held - 1, axis=0)[0]
-    return np.where(low < ABSENT, 0.0, low), np.where(high > 1 - ABSENT, 1.0, high)
-
-
 MODEL_ERROR = 0.03
 """Standard deviation of ln R on channels of 20 nm that stands for end members unlike the mixture's own; measured:
 with it 68 % intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the
 library."""
-UNTESTED = "shares beside opaques or submicroscopic iron were compared with no measured mixture"
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
 SUM_TOLERANCE = 0.02
 """How far known shares may miss a sum of 1; assumed."""
@@ -143,8 +39,8 @@ def estimate_series(
     iron: bool = False,
     present: Sequence[Sequence[str] | None] | None = None,
     known: Sequence[Mapping[str, float] | None] | None = None,
-) -> list[Abundance]:
-    """Fractions by volume of the named minerals, which sum to 1, with credible intervals.
+) -> Mixed:
+    """Probabilities of the shares by volume of the named minerals, which sum to 1.
 
     Each mineral is a population of end members (`population`), so that its powder may differ from every one of them;
     all minerals share a level that stands for grain size, and ln R may be shifted, tilted and bent by something
@@ -181,13 +77,30 @@ def estimate_series(
     fractions = _known(names, minerals, known or [None] * len(names))
     data = on_common_channels(spectra)
     library = embedded_end_members(data.wavelength_nm) if end_members is None else end_members
-    found = []
-    for law in laws:
-        suite = _suite(data, _powders(law, minerals, library, data), held, fractions, model_error, iron)
-        found.append(unmix(suite))
-    untested = UNTESTED if iron or OPAQUE in minerals else ""
-    sizes = tuple(unsized(minerals, library))
-    return abundances(names, Outcome(method, tuple(minerals), tuple(found), model_error, untested, sizes))
+    found = [
+        unmix(_suite(data, _powders(law, minerals, library, data), held, fractions, model_error, iron)) for law in laws
+    ]
+    return _mixed(found, [MINERALS.index(name) for name in minerals if name != OPAQUE], model_error, len(spectra) > 1)
+
+
+def _mixed(found: Sequence[SharesPosterior], places: Sequence[int], model_error: float, series: bool) -> Mixed:
+    """Draws of all laws, as many of each as its evidence says; minerals that are not named have a share of 0."""
+    evidence = np.array([item.ln_evidence for item in found])
+    weight = np.exp(evidence - evidence.max())
+    weight /= weight.sum()
+    counts = np.maximum(1, np.round(DRAWS * weight).astype(int))
+    drawn = zip(found, counts, strict=True)
+    draws = np.concatenate([item.draws(int(count), SEED + k) for k, (item, count) in enumerate(drawn)])
+    shares = draws[..., : len(places)] / draws[..., : len(places)].sum(axis=-1, keepdims=True)
+    square = sum(share * np.mean(item.ln_residual**2, axis=1) for share, item in zip(weight, found, strict=True))
+    strain = sum(share * item.strain for share, item in zip(weight, found, strict=True))
+    probabilities = np.zeros((draws.shape[1], len(MINERALS), SHARES.size))
+    probabilities[:, :, 0] = 1.0
+    for k, place in enumerate(places):
+        apart = np.abs(shares[:, :, k, None] - SHARES) * (SHARES.size - 1)
+        probabilities[:, place] = np.maximum(1.0 - apart, 0.0).mean(axis=0)
+    strange = square / model_error**2 + strain / found[0].ln_residual.shape[1]
+    return Mixed(probabilities, np.asarray(strange), np.sqrt(square), series)
 
 
 def _check(spectra: Sequence[Spectrum], minerals: Sequence[str], model_error: float) -> None:

@@ -241,9 +241,17 @@ def find_kinds(
         raise ParameterError(f"kind '{stated}'; give one of {', '.join(KINDS)}")
     if not spectra:
         return []
-    law = model or embedded_kinds()
     taken = [spectral_features(spectrum) for spectrum in spectra]
     features, noise = (np.array([item[k] for item in taken]) for k in (0, 1))
+    return _verdicts(features, noise, stated, model or embedded_kinds())
+
+
+def kinds_of_rows(wavelength_nm: FloatArray, reflectance: FloatArray, stated: Kind | None = None) -> list[KindVerdict]:
+    """As `find_kinds`, of spectra (n, c) above 0 on the same channels (c,). [nm, -]"""
+    return _verdicts(*features_of_rows(wavelength_nm, reflectance), stated, embedded_kinds())
+
+
+def _verdicts(features: FloatArray, noise: FloatArray, stated: Kind | None, law: KindModel) -> list[KindVerdict]:
     chance, likeness = law.probabilities(features, noise), law.likeness(features)
     return [_verdict(law, *row, stated) for row in zip(features, chance, likeness, strict=True)]
 

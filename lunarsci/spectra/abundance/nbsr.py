@@ -23,7 +23,6 @@ from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.tables import table_rows
 
 PYROXENES = ("orthopyroxene", "clinopyroxene")
-CORRELATION = [[1.0, -1.0], [-1.0, 1.0]]
 DEFAULT_LINE = "opx-cpx"
 TABLE, LIKENESS = "nbsr_calibrations.csv", "nbsr_likeness.csv"
 NORMAL_95 = 1.96
@@ -81,9 +80,7 @@ class PyroxeneShares:
         pairs = zip(PYROXENES, self.shares[row].tolist(), self.ends[row].tolist(), strict=True)
         fractions = tuple(MineralFraction(mineral, share, *ends) for mineral, share, ends in pairs)
         inside = bool(self.in_domain[row])
-        correlation = np.array(CORRELATION) if inside else None
-        status = self.statuses[row]
-        return Abundance(name, "nbsr", fractions, correlation, inside, status, rms_ln if inside else None)
+        return Abundance(name, "nbsr", fractions, inside, self.statuses[row], rms_ln if inside else None)
 
 
 def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows, calibration: str = DEFAULT_LINE) -> PyroxeneShares:
@@ -185,7 +182,7 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         return [found] if found else []
 
     def record_columns(self) -> dict[str, Column]:
-        """The keys `abundance` and `abundances` of records."""
+        """The key `abundance` of records."""
         from lunarsci.spectra.library.end_member import CHEMISTRY
 
         own, keys = self.shares, ("low", "high", "low95", "high95")
@@ -195,15 +192,17 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
             "not_weighed": Same([mineral for mineral in CHEMISTRY if mineral not in PYROXENES]),
             "status": own.statuses,
             "rms_ln": np.where(own.in_domain, self._rms, np.nan),
-            "correlation": Where(own.in_domain, Same(CORRELATION)),
-            "dark": None,
+            "learned": None,
             "ratios": Same({}),
             "published": None,
-            "calibration": Same({"suites": [], "certified": None}),
         }
         for k, mineral in enumerate(PYROXENES):
-            one[mineral] = {"fraction": own.shares[:, k], **dict(zip(keys, own.ends[:, k].T, strict=True))}
-        return {"abundance": Where(own.told, one), "abundances": Where(own.told, {"nbsr": one}, {})}
+            one[mineral] = {
+                "fraction": own.shares[:, k],
+                **dict(zip(keys, own.ends[:, k].T, strict=True)),
+                "present": None,
+            }
+        return {"abundance": Where(own.told, one)}
 
     def table_columns(self) -> dict[str, Column]:
         """`nbsr_in_domain`, `nbsr_orthopyroxene` and the like."""

@@ -4,13 +4,11 @@ The picture has one row for each spectrum and one panel for each mineral.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-from lunarsci.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +19,8 @@ class MineralFraction:
     """Share of one mineral: the mean of its posterior, and the shortest intervals that hold 68 and 95 % of it.
 
     By volume; of `nbsr` by weight, with the calibrated value and central intervals. `fraction` is NaN where the share
-    is not determined: there is an interval, and no centre. [-]
+    is not determined: there is an interval, and no centre. `present` is the probability of more than 5 %, NaN where the
+    method has none. [-]
     """
 
     mineral: str
@@ -30,30 +29,7 @@ class MineralFraction:
     high: float
     low95: float
     high95: float
-
-
-@dataclass(frozen=True, slots=True)
-class DarkPart:
-    """What darkens a target beside its minerals, after its spectrum was seen.
-
-    Attributes
-    ----------
-    phases, iron : probability of each dark phase, or none, and of submicroscopic iron below and above 50 nm. [-]
-    share, low, high : of a dark powder in the cross-section of all grains, and its central interval of 68 %. [-]
-    """
-
-    phases: Mapping[str, float]
-    iron: Mapping[str, float]
-    share: float
-    low: float
-    high: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """The key `dark` of an abundance."""
-        return {name: getattr(self, name) for name in ("share", "low", "high")} | {
-            "phases": dict(self.phases),
-            "iron": dict(self.iron),
-        }
+    present: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,27 +40,21 @@ class Abundance:
     ----------
     id, method : of the spectrum, and how it was found.
     fractions : by mineral; they sum to 1 over the minerals that the method can see.
-    correlation : (m, m) of the fractions, in their order; None where the method gives none.
     in_domain : whether the spectrum is of the kind for which the method was tested.
     status : a sentence; why not, where it is not.
     rms_ln : misfit of ln R, root mean square, None for a method that fits none. [-]
-    dark : what is dark beside the minerals, where the method weighs it.
+    learned : weight of the networks' estimate beside that of mixed end members; None of other methods. [-]
     ratios : of a solid rock, shares of one mineral in several.
-    suites : of known modes by which intervals are calibrated, and the highest level that so many can vouch for,
-        `certified`; None where the method has none.
     """
 
     id: str
     method: str
     fractions: tuple[MineralFraction, ...]
-    correlation: FloatArray | None
     in_domain: bool
     status: str
     rms_ln: float | None
-    dark: DarkPart | None = None
+    learned: float | None = None
     ratios: tuple[MineralFraction, ...] = ()
-    suites: tuple[str, ...] = ()
-    certified: float | None = None
 
     @property
     def determined(self) -> bool:
@@ -107,16 +77,14 @@ class Abundance:
             "not_weighed": self.not_weighed,
             "status": self.status,
             "rms_ln": self.rms_ln,
-            "correlation": None if self.correlation is None else self.correlation.tolist(),
-            "dark": self.dark.to_dict() if self.dark else None,
+            "learned": self.learned,
             "ratios": {item.mineral: _values(item) for item in self.ratios},
             "published": BOULDERS if self.ratios else None,
-            "calibration": {"suites": list(self.suites), "certified": self.certified},
         } | shares
 
 
 def _values(item: MineralFraction) -> dict[str, float]:
-    return {name: getattr(item, name) for name in ("fraction", "low", "high", "low95", "high95")}
+    return {name: getattr(item, name) for name in ("fraction", "low", "high", "low95", "high95", "present")}
 
 
 def open_share(name: str) -> MineralFraction:
@@ -127,7 +95,7 @@ def open_share(name: str) -> MineralFraction:
 def refused(id: str, method: str, minerals: Sequence[str], reason: str) -> Abundance:
     """Shares that may be anything, since a method does not apply to a spectrum."""
     fractions = tuple(open_share(mineral) for mineral in minerals)
-    return Abundance(id, method, fractions, None, False, f"not determined: {reason}", None)
+    return Abundance(id, method, fractions, False, f"not determined: {reason}", None)
 
 
 def without_centres(found: Abundance, reason: str) -> Abundance:
@@ -138,7 +106,6 @@ def without_centres(found: Abundance, reason: str) -> Abundance:
 
 
 PER_PAGE = 40
-ROCKS_UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
 BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8: OPX 46 % of pyroxene, olivine 20-30 %"
 """What is published of solid rocks seen by a rover, to be set beside their ratios."""
 
@@ -164,8 +131,7 @@ def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
         title = (
             f"mineral shares by {found[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
         )
-        rocks = ["not calibrated on rocks"] if any(one.ratios for one in part) else []
-        headline(figure, "\n".join([title, *rocks]))
+        headline(figure, title)
         yield figure
 
 

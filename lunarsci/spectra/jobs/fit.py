@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
@@ -150,7 +149,7 @@ class MgmFits(Result):
     batch, request : the spectra, and what was asked.
     fits : one fit, or one stated reason, for each spectrum.
     choices, intervals : by position, where they were asked for.
-    abundances : shares of minerals by position, one for each method, the first the one asked for.
+    abundances : shares of pyroxenes by NBSR, by position: one, or none where there is no ratio.
     failures, files : what gave no fit, one sentence each; the start, and what else was read beside the spectra.
     """
 
@@ -238,14 +237,13 @@ class MgmFits(Result):
         from lunarsci.spectra.mgm.result import MgmFit
 
         item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
-        found = [modes.to_dict() for modes in self.abundances.get(index, ())]
+        found = self.abundances.get(index, ())
         return item.to_dict() | {
             "source": origin,
             "compositions": {one.key: asdict(one) for one in compositions(item)} if isinstance(item, MgmFit) else {},
             "choice": choice.to_dict() if choice else None,
             "intervals": intervals.to_dict() if intervals else None,
-            "abundance": found[0] if found else None,
-            "abundances": {modes["method"]: modes for modes in found},
+            "abundance": found[0].to_dict() if found else None,
         }
 
     def may_have(self, key: str) -> Collection[str]:
@@ -274,12 +272,10 @@ class MgmFits(Result):
         return in_blocks(len(self.fits), of_some, size=size)
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.spectra.abundance.result import share_pages
         from lunarsci.spectra.mgm.figure import fit_pages
 
-        shown = [found[0] for found in self.abundances.values() if found and found[0].method != "nbsr"]
         weak = [self.fits[index] for index, choice in self.choices.items() if not choice.strong]
-        return chain(share_pages(shown), fit_pages(self.good, weak))  # type: ignore[arg-type]
+        return fit_pages(self.good, weak)  # type: ignore[arg-type]
 
     def fit_file(self) -> str:
         """A result file of the RELAB MGM program of the first fit; other header lines are those of the start file.

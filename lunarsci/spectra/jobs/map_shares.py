@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.cubes.output import NO_CODE, Layer
-from lunarsci.spectra.jobs.map_products import BandsProduct, FitProduct, model_of, slug
+from lunarsci.spectra.jobs.map_products import BandsProduct, FitProduct, slug
 
 if TYPE_CHECKING:
     from lunarsci.arrays import FloatArray
@@ -17,82 +17,76 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class UnmixProduct:
-    """Shares of minerals, as `lunarsci.unmix` finds them, one spectrum after the other."""
+    """Shares of minerals as the networks of `lunarsci.unmix` foretell them, in all pixels at once."""
 
     name: ClassVar[str] = "unmix"
-    slow: ClassVar[bool] = True
-    assemblage: str
-    continuum: Any
+    slow: ClassVar[bool] = False
     kind: Any
-    model_error: float | None
-    starts: int
 
     @classmethod
     def of(cls, request: "MapRequest") -> "UnmixProduct":
-        return cls(request.assemblage, request.continuum, request.kind, request.model_error, request.starts)
-
-    @property
-    def minerals(self) -> Sequence[str]:
-        """Those that are mixed, by full name."""
-        return model_of(self.assemblage, self.continuum).assemblage.minerals
+        return cls(request.kind)
 
     @property
     def layers(self) -> Sequence[Layer]:
         from lunarsci.spectra.abundance.kinds import KINDS
+        from lunarsci.spectra.abundance.learned import MINERALS
 
         found = []
-        for mineral in self.minerals:
+        for mineral in MINERALS:
             found.append(Layer(f"share_{mineral}", f"share of {mineral} by volume"))
             found += [Layer(f"share_{mineral}_{end}", f"{end} end of its interval of 68 %") for end in ("low", "high")]
         domain = ("out_of_domain", "in_domain")
         return [
             *found,
             Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)),
-            Layer("shares_in_domain", "whether the target is of a kind that shares were tested on", meanings=domain),
+            Layer("shares_in_domain", "whether all shares are likely within 15 %", meanings=domain),
         ]
 
     @property
     def tables(self) -> Sequence[str]:
-        from lunarsci.spectra.abundance.end_members import TABLE
         from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-        from lunarsci.spectra.abundance.posterior import TABLE as CALIBRATION
+        from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
+        from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 
-        return (TABLE, KIND_TABLE, CALIBRATION)
+        return (NETWORKS, KIND_TABLE, CALIBRATION)
 
     @property
     def sources(self) -> Sequence[str]:
-        from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
+        from lunarsci.spectra.jobs.unmix import LEARNED
 
-        return (HAPKE, ABSORBANCE, WEATHERING)
+        return (LEARNED,)
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
-        """Each layer of spectra."""
+        """Each layer of spectra; those with the same channels together."""
         import numpy as np
 
-        from lunarsci.errors import DataError
-        from lunarsci.spectra.abundance.kinds import KINDS
-        from lunarsci.spectra.jobs.unmix import unmix
+        from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
+        from lunarsci.spectra.abundance.learned import MINERALS, foretell
+        from lunarsci.spectra.abundance.shares import shares_of_rows
 
         count = len(reflectance)
         values: dict[str, Any] = {
             layer.name: np.full(count, NO_CODE, np.int16) if layer.meanings else np.full(count, np.nan)
             for layer in self.layers
         }
-        how: dict[str, Any] = {"assemblage": self.assemblage, "continuum": self.continuum, "kind": self.kind}
-        try:
-            found = unmix(_spectra(wavelength_nm, reflectance), **how, model_error=self.model_error, starts=self.starts)
-        except DataError:  # none of them could be fitted
-            return values
-        for row, shares in found.abundances.items():
-            values["shares_in_domain"][row] = bool(shares) and shares[0].in_domain
-            for item in shares[0].fractions if shares else ():
-                values[f"share_{item.mineral}"][row] = item.fraction
-                values[f"share_{item.mineral}_low"][row], values[f"share_{item.mineral}_high"][row] = (
-                    item.low,
-                    item.high,
-                )
-        for row, kind in found.kinds.items():
-            values["kind"][row] = list[str](KINDS).index(kind.kind) if kind.kind in KINDS else NO_CODE
+        there = np.isfinite(reflectance) & (reflectance > 0)
+        patterns, which = np.unique(there, axis=0, return_inverse=True)
+        for number, usable in enumerate(patterns):
+            rows = np.flatnonzero(which.ravel() == number)
+            if not usable.any():
+                continue
+            channels, part = wavelength_nm[usable], reflectance[np.ix_(rows, usable)]
+            kinds = kinds_of_rows(channels, part, None if self.kind == "auto" else self.kind)
+            allowed = np.ones((rows.size, len(MINERALS)))
+            mean, ends, inside = shares_of_rows(foretell(channels, part, allowed), allowed, kinds)
+            soil = np.array([kind.kind == "weathered-soil" for kind in kinds])
+            for k, mineral in enumerate(MINERALS):
+                for name, own in (("", mean[:, k]), ("_low", ends[:, k, 0]), ("_high", ends[:, k, 1])):
+                    values[f"share_{mineral}{name}"][rows] = np.where(soil, np.nan, own)
+            values["shares_in_domain"][rows] = inside
+            names = list[str](KINDS)
+            values["kind"][rows] = [names.index(one.kind) if one.kind in names else NO_CODE for one in kinds]
         return values
 
 

@@ -1,133 +1,208 @@
-"""`lunarsci.unmix`: shares of minerals by mixing end members, for the assemblage of a fit."""
+"""`lunarsci.unmix`: shares of minerals, by networks and by mixtures of end members."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
-from lunarsci.errors import ParameterError
+from lunarsci.errors import DataError, Failure, ParameterError, RequestError
 from lunarsci.names import some_of
-from lunarsci.result import job, request_of
-from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
+from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.spectra.jobs.fit import Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.arrays import FloatArray
     from lunarsci.inputs import InputFile
-    from lunarsci.spectra.abundance.kinds import Kind, KindVerdict
+    from lunarsci.spectra.abundance.kinds import KindVerdict
     from lunarsci.spectra.abundance.known_modes import KnownModes
+    from lunarsci.spectra.abundance.learned import Foretold
     from lunarsci.spectra.abundance.normative import Normative
     from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.abundance.shares import Mixed
     from lunarsci.spectra.library.end_member import EndMember
-    from lunarsci.spectra.mgm.result import MgmFit
-    from lunarsci.spectra.readers.batch import SpectraSource
+    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
     from lunarsci.spectra.spectrum import Spectrum
 
-
-SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE), "auto": (HAPKE, ABSORBANCE)}
+Target: TypeAlias = Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
+LAWS = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
 SOILS = (
     "Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1999JE001117",
     "Taylor, Pieters, Keller, Morris & McKay (2001), J. Geophys. Res. 106, 27985, 10.1029/2000JE001402",
 )
-LEAST_MINERALS, MOST_NAMED = 2, 5
-ON_POWDERS = "its calibration is of mixed powders, and the kind stated is"
-REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
+LEARNED = "Korda et al. (2023), Astron. Astrophys. 669, A101, 10.1051/0004-6361/202243886 (spectra learned from)"
+MOST_NAMED = 5
+REFUSED = "a soil that space has weathered, whose glass and iron no mixture of powders stands for"
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnmixRequest(ModelRequest):
-    """The model that says which minerals are there, and how they are mixed.
+class UnmixRequest:
+    """What is looked at, what is known of it, and how end members are mixed.
 
     Attributes
     ----------
-    kind : of the target; `auto`: found for each spectrum.
-    method : mixing law, or both, weighted by their evidence; `auto`: both together, Hapke's one by one, where both were
-        no better on measured suites.
+    assemblage : the minerals that there are, and no others, joined by hyphens, such as `OL-OPX`; all four are weighed
+        where it is left out.
+    kind : of the target; `auto`: found for each spectrum, and weighed by its probability.
+    method : mixing law of end members, or both, weighted by their evidence.
     library : file of end members, instead of the embedded ones.
     together : whether all spectra are mixtures of the same powders.
     known : table of mixtures whose modes are known; implies `together`.
-    opaque, iron : whether there surely is an opaque powder, or nanophase iron on all grains; one by one, these, others
-        and none compete otherwise. With `together` they are allowed, else there is none.
+    opaque, iron : whether there may be an opaque powder, or nanophase iron on all grains, beside the end members.
+    wavelength_unit, reflectance_unit : where an input does not state them. id : the only spectra to take, by name.
+
+    Raises
+    ------
+    RequestError for options that exclude each other.
     """
 
-    kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
-    method: Literal["auto", "both", "hapke", "absorbance"] = "auto"
+    assemblage: str | None = None
+    kind: Target = "auto"
+    method: Literal["both", "hapke", "absorbance"] = "both"
     library: str | None = None
     together: bool = False
     known: str | None = None
     opaque: bool = False
     iron: bool = False
+    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
+    reflectance_unit: Literal["fraction", "percent"] | None = None
+    id: tuple[str, ...] = ()
 
-    def _faults(self) -> tuple[tuple[Any, str], ...]:
-        wrong = self.method == "absorbance" and self.iron
-        return ((wrong, "`iron` needs `method` auto, hapke or both"), *ModelRequest._faults(self))
+    def __post_init__(self) -> None:
+        if self.method == "absorbance" and self.iron:
+            raise RequestError("`iron` needs `method` hapke or both")
+        if (self.opaque or self.iron) and not self.mixes:
+            raise RequestError(
+                "`opaque` and `iron` are of mixtures of end members; name the minerals (`assemblage`), or take the "
+                "spectra `together`"
+            )
+        if self.assemblage is not None:
+            _named(self.assemblage)
+
+    @property
+    def mixes(self) -> bool:
+        """Whether end members are mixed: networks alone are better where nothing is known of the minerals."""
+        return bool(self.assemblage or self.library or self.in_series)
+
+    @property
+    def in_series(self) -> bool:
+        """Whether the spectra are taken together."""
+        return bool(self.together or self.known)
+
+
+def _named(assemblage: str) -> list[str]:
+    """Full names of the minerals of an assemblage."""
+    from lunarsci.spectra.abundance.end_members import FAMILY_OF
+
+    short = {key: mineral for mineral, key in FAMILY_OF.items()}
+    parts = [part.strip().upper() for part in assemblage.replace(",", "-").split("-")]
+    if strange := [part for part in parts if part not in short]:
+        raise RequestError(
+            f"`assemblage`: '{strange[0]}' is no mineral that is weighed; join some of {', '.join(short)}"
+        )
+    return [mineral for key, mineral in short.items() if key in parts]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class UnmixedSpectra(MgmFits):
-    """Fits with the shares of the minerals that mixtures of end members give, and those of the band strengths.
+class UnmixedSpectra(Result):
+    """Shares of minerals of spectra, or the composition of those that space has weathered.
 
     Attributes
     ----------
-    kinds : of the target, by position, of each that was fitted.
+    batch, request : the spectra, and what was asked.
+    shares, kinds : of each spectrum.
     normatives : composition of those that are weathered, by position.
+    failures, files : inputs that gave no spectrum, one sentence each; what else was read beside the spectra.
     """
 
+    schema: ClassVar[str] = "spectra-unmix/1"
+    batch: "SpectraBatch"
     request: UnmixRequest
-    kinds: "Mapping[int, KindVerdict]" = field(default_factory=dict)
+    shares: "Sequence[Abundance]"
+    kinds: "Sequence[KindVerdict]"
     normatives: "Mapping[int, Normative]" = field(default_factory=dict)
+    failures: Sequence[Failure] = ()
+    files: "Sequence[InputFile]" = ()
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+        from lunarsci.spectra.abundance.kinds import TABLE as KINDS
+        from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
+        from lunarsci.spectra.abundance.mixing import IRON_TABLE
+        from lunarsci.spectra.abundance.normative import TABLE as SOIL
+        from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
+        from lunarsci.tables import table_hashes
+
+        mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
+        used = {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils}
+        sources = [LEARNED, *(LAWS[self.request.method] if mixes else ())]
+        sources += [*([WEATHERING] if iron else ()), *(SOILS if soils else ())]
+        return MadeFrom(
+            inputs=self.batch.inputs | {file.name: file.sha256 for file in self.files},
+            tables=self.batch.tables | table_hashes(*(name for name, wanted in used.items() if wanted)),
+            sources=sources,
+        )
 
     @property
     def untrusted(self) -> str:
-        doubts = [text] if (text := MgmFits.untrusted.fget(self)) else []  # type: ignore[attr-defined]
         names: dict[str, list[str]] = {}
-        for found in self.abundances.values():
-            if found and not found[0].determined:
-                names.setdefault(found[0].status.removeprefix("not determined: "), []).append(found[0].id)
-        doubts += [
+        for found in self.shares:
+            if not found.determined:
+                names.setdefault(found.status.removeprefix("not determined: "), []).append(found.id)
+        return "; ".join(
             f"shares of {some_of(own, MOST_NAMED)} are not determined: {reason}" for reason, own in names.items()
-        ]
-        return "; ".join(doubts)
+        )
 
-    def _record(self, index: int, origin: str) -> dict[str, Any]:
-        kind, soil = self.kinds.get(index), self.normatives.get(index)
-        return MgmFits._record(self, index, origin) | {
-            "kind": kind.to_dict() if kind else None,
-            "normative": soil.to_dict() if soil else None,
-        }
+    def content(self) -> dict[str, Any]:
+        return {**self.batch.said, "spectra": self.records}
 
-    def rows(self, *, bands: bool = True) -> list[dict[str, Any]]:
-        own = {(record["source"], record["id"]): _kind_columns(record) for record in self.records}
-        return [row | own[row["source"], row["id"]] for row in MgmFits.rows(self, bands=bands)]
+    @cached_property
+    def records(self) -> Sequence[dict[str, Any]]:
+        """The keys of each spectrum in `--json`."""
+        soils = self.normatives
+        return [
+            {"source": origin, "id": found.id, "kind": kind.to_dict(), "abundance": found.to_dict(),
+             "normative": soils[index].to_dict() if index in soils else None}
+            for index, (origin, found, kind) in enumerate(zip(self.batch.origins, self.shares, self.kinds, strict=True))
+        ]  # fmt: skip
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a spectrum."""
+        return [_row(record) for record in self.records]
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.abundance.normative import normative_pages
+        from lunarsci.spectra.abundance.result import share_pages
 
-        names = [self.records[index]["id"] for index in self.normatives]
-        return chain(MgmFits.figures(self), normative_pages(names, list(self.normatives.values())))
+        names = [self.shares[index].id for index in self.normatives]
+        return chain(share_pages(self.shares), normative_pages(names, list(self.normatives.values())))
 
-    def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-        from lunarsci.spectra.abundance.end_members import TABLE
-        from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-        from lunarsci.spectra.abundance.mixing import IRON_TABLE
-        from lunarsci.spectra.abundance.normative import TABLE as SOIL_TABLE
-        from lunarsci.spectra.abundance.posterior import TABLE as CALIBRATION_TABLE
 
-        tables, sources = MgmFits._tables_and_sources(self)
-        together = bool(self.request.together or self.request.known)
-        iron = self.request.iron or not together
-        used = {IRON_TABLE: iron, CALIBRATION_TABLE: not together, SOIL_TABLE: bool(self.normatives)}
-        tables += [TABLE, KIND_TABLE, *(name for name, wanted in used.items() if wanted)]
-        own = [*SOURCES[self.request.method], *([WEATHERING] if iron else []), *(SOILS if self.normatives else ())]
-        return tables, [*sources, *own]
+def _row(record: Mapping[str, Any]) -> dict[str, Any]:
+    """`olivine`, `olivine_low`, …, ratios of rocks, the kind, and `normative_feo_wt` and the like."""
+    shares, soil = record["abundance"], record["normative"] or {}
+    row = {key: record[key] for key in ("source", "id")} | {key: shares[key] for key in ("in_domain", "status")}
+    for name, item in (shares | shares["ratios"]).items():
+        if isinstance(item, Mapping) and "low95" in item:
+            row |= {name: item["fraction"]} | {f"{name}_{end}": item[end] for end in ("low", "high", "low95", "high95")}
+            row |= {f"{name}_present": item["present"]} if name in shares else {}
+    row |= {"kind": record["kind"]["name"], "kind_stated": record["kind"]["stated"]}
+    for name, item in soil.items():
+        if isinstance(item, Mapping):
+            stem = f"normative_{name.removesuffix('_wt')}"
+            row |= {f"{stem}_wt": item["value"], f"{stem}_low_wt": item["low"], f"{stem}_high_wt": item["high"]}
+    return row
 
 
 @job
 def unmix(
     spectra: "SpectraSource", request: UnmixRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> UnmixedSpectra:
-    """Shares by volume of the minerals of each fit's assemblage, by mixing end members, with intervals.
+    """Shares by volume of olivine, both pyroxenes and plagioclase, with intervals, whatever the sampling.
 
     Parameters
     ----------
@@ -138,165 +213,130 @@ def unmix(
     Raises
     ------
     RequestError for options that exclude each other; ParameterError for modes of spectra that are not there; DataError
-    where no spectrum can be read and fitted, and for end members or spectra that cannot be mixed.
+    where no spectrum can be read, and for end members or spectra that cannot be mixed.
     """
     from lunarsci.inputs import read_input
-    from lunarsci.spectra.abundance.nbsr import nbsr_abundances
+    from lunarsci.spectra.abundance.kinds import find_kinds
+    from lunarsci.spectra.abundance.learned import MINERALS
     from lunarsci.spectra.abundance.normative import normative
+    from lunarsci.spectra.abundance.result import refused
     from lunarsci.spectra.library.end_member import read_library
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(UnmixRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
-    found = fit_batch_of(batch, asked, progress)
-    shares = {index: list(one) for index, one in nbsr_abundances(found["fits"]).items()}
-    fits: dict[int, MgmFit] = {index: found["fits"][index] for index in shares}
     library, known = (read_input(name) if name else None for name in (asked.library, asked.known))
     end_members = read_library(library) if library else None
-    modes = _known_modes([fits[index].id for index in fits], known)
-    kinds = _kinds({index: batch.spectra[index] for index in fits}, asked)
-    _refuse(shares, fits, kinds, asked)
-    soils = {index: normative(batch.spectra[index], kind) for index, kind in kinds.items() if kind.is_weathered}
-    mixed_ones = [index for index in fits if known or not kinds[index].is_weathered]
-    suites = [mixed_ones] if mixed_ones and (asked.together or known) else [[index] for index in mixed_ones]
-    for done, suite in enumerate(suites, start=1):
-        minerals = _minerals([fits[index] for index in suite], asked)
-        if len(minerals) >= LEAST_MINERALS:
-            may = [_minerals([fits[index]], asked) for index in suite]
-            some = [batch.spectra[index] for index in suite]
-            if asked.together or known:
-                mixed = _unmixed(some, minerals, may, modes, end_members, asked)
-                judged = [
-                    one if modes.known.get(one.id) else _judged(one, kinds[k], batch.spectra[k])
-                    for k, one in zip(suite, mixed, strict=True)
-                ]
-            else:
-                judged = _one_by_one(some, minerals, [kinds[index] for index in suite], end_members, asked)
-            for index, item in zip(suite, judged, strict=True):
-                shares[index].insert(0, item)
-        if progress:
-            progress(done, len(suites))
-    files = [*found.pop("files", ()), *(file for file in (library, known) if file)]
+    modes = _known_modes([one.id for one in batch.spectra], known)
+    kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
+    named = _named(asked.assemblage) if asked.assemblage else list(MINERALS)
+    soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not known]
+    taken = [index for index in range(len(kinds)) if index not in set(soils)]
+    found = dict(zip(taken, _shares([batch.spectra[k] for k in taken], [kinds[k] for k in taken], named, modes,
+                                    end_members, asked, progress), strict=True))  # fmt: skip
+    found |= {k: refused(batch.spectra[k].id, "unmix", named, REFUSED) for k in soils}
+    weathered = [index for index, kind in enumerate(kinds) if kind.is_weathered and not known]
     return UnmixedSpectra(
-        batch=batch, request=asked, abundances=shares, kinds=kinds, normatives=soils, files=files, **found
-    )
-
-
-def _kind_columns(record: Mapping[str, Any]) -> dict[str, Any]:
-    """`kind`, `stranger`, and `normative_feo_wt` and the like."""
-    kind, soil = record["kind"] or {}, record["normative"] or {}
-    values = {f"normative_{name}": item for name, item in soil.items() if isinstance(item, Mapping)}
-    columns = {"kind": kind.get("name"), "stranger": kind.get("stranger")}
-    for name, item in values.items():
-        stem = name.removesuffix("_wt")
-        columns |= {name: item["value"], f"{stem}_low_wt": item["low"], f"{stem}_high_wt": item["high"]}
-    return columns
-
-
-def _kinds(spectra: "Mapping[int, Spectrum]", request: UnmixRequest) -> "dict[int, KindVerdict]":
-    """As stated, or found."""
-    from lunarsci.spectra.abundance.kinds import find_kinds
-
-    stated: Kind | None = None if request.kind == "auto" else request.kind
-    return dict(zip(spectra, find_kinds(list(spectra.values()), stated), strict=True))
-
-
-def _refuse(
-    shares: "dict[int, list[Abundance]]",
-    fits: "Mapping[int, MgmFit]",
-    kinds: "Mapping[int, KindVerdict]",
-    request: UnmixRequest,
-) -> None:
-    """What is weathered is not unmixed, unless modes of spectra beside it are known; NBSR is of mixed powders alone."""
-    from lunarsci.spectra.abundance.result import refused
-
-    for index, fit in fits.items():
-        if kinds[index].stated and kinds[index].kind != "powder-mixture":
-            shares[index] = [
-                refused(
-                    one.id, one.method, [item.mineral for item in one.fractions], f"{ON_POWDERS} {kinds[index].kind}"
-                )
-                for one in shares[index]
-            ]
-        minerals = _minerals([fit], request)
-        if kinds[index].is_weathered and not request.known and len(minerals) >= LEAST_MINERALS:
-            shares[index].insert(0, refused(fit.id, _method(request), minerals, _reason(kinds[index])))
-
-
-def _reason(kind: "KindVerdict") -> str:
-    return "; ".join((REFUSED, *kind.reasons))
-
-
-def _judged(found: "Abundance", kind: "KindVerdict", spectrum: "Spectrum") -> "Abundance":
-    """With what its absorption and its kind say of it."""
-    from lunarsci.spectra.abundance.band_depth import too_shallow
-    from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, refused, without_centres
-
-    if flat := too_shallow(spectrum):
-        return refused(found.id, found.method, [item.mineral for item in found.fractions], flat)
-    if kind.stranger or kind.is_weathered:
-        return without_centres(found, "; ".join(kind.reasons) if kind.stranger else _reason(kind))
-    if kind.kind == "solid-rock":
-        return replace(found, in_domain=False, status=f"out of domain: {ROCKS_UNCALIBRATED}")
-    return found
-
-
-def _method(request: UnmixRequest) -> str:
-    return "unmix" if request.method in ("auto", "both") else request.method
-
-
-def _one_by_one(
-    spectra: "Sequence[Spectrum]",
-    minerals: Sequence[str],
-    kinds: "Sequence[KindVerdict]",
-    end_members: "Sequence[EndMember] | None",
-    request: UnmixRequest,
-) -> "list[Abundance]":
-    """Shares of each spectrum by its kind; of a stranger intervals alone."""
-    from lunarsci.spectra.abundance.end_members import OPAQUE
-    from lunarsci.spectra.abundance.one_by_one import estimate_each
-    from lunarsci.spectra.abundance.result import without_centres
-
-    found = estimate_each(
-        spectra,
-        [name for name in minerals if name != OPAQUE],
+        batch=batch,
+        request=asked,
+        shares=[found[index] for index in range(len(kinds))],
         kinds=kinds,
-        method="hapke" if request.method == "auto" else _method(request),
-        end_members=end_members,
-        opaque=request.opaque,
-        iron=request.iron,
+        normatives={index: normative(batch.spectra[index], kinds[index]) for index in weathered},
+        failures=batch.failures_among({}),
+        files=[file for file in (library, known) if file],
     )
-    named = [replace(item, method=_method(request)) for item in found]
-    return [
-        without_centres(item, "; ".join(kind.reasons)) if kind.stranger else item
-        for item, kind in zip(named, kinds, strict=True)
-    ]
 
 
-def _unmixed(
-    suite: "Sequence[Spectrum]",
-    minerals: Sequence[str],
-    may: Sequence[Sequence[str]],
+def _shares(
+    spectra: "Sequence[Spectrum]",
+    kinds: "Sequence[KindVerdict]",
+    named: Sequence[str],
     modes: "KnownModes",
     end_members: "Sequence[EndMember] | None",
     request: UnmixRequest,
+    progress: Progress | None,
 ) -> "list[Abundance]":
-    """Shares of spectra taken together; `may` names the minerals of each fit."""
-    from lunarsci.spectra.abundance.estimate import estimate_series
+    import numpy as np
 
-    known = [modes.known.get(spectrum.id) for spectrum in suite]
-    absent = [modes.absent.get(spectrum.id, ()) for spectrum in suite]
-    present = [[name for name in own if name not in gone] for own, gone in zip(may, absent, strict=True)]
-    found = estimate_series(
-        suite,
-        minerals,
-        method=_method(request),
-        end_members=end_members,
-        iron=request.iron,
-        present=[None if told else own for told, own in zip(known, present, strict=True)],
-        known=known,
+    from lunarsci.spectra.abundance.learned import MINERALS, foretell_each
+    from lunarsci.spectra.abundance.shares import abundances
+
+    if not spectra:
+        return []
+    allowed = np.tile([float(mineral in named) for mineral in MINERALS], (len(spectra), 1))
+    for row, spectrum in zip(allowed, spectra, strict=True):
+        for mineral in modes.absent.get(spectrum.id, ()):
+            row[MINERALS.index(mineral)] = 0.0
+        if mineral_shares := modes.known.get(spectrum.id):
+            row[:] = [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
+    foretold = foretell_each(spectra, allowed)
+    mixed = _mixed(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
+    found = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed)
+    return [_as_stated(one, modes.known[one.id]) if one.id in modes.known else one for one in found]
+
+
+def _as_stated(found: "Abundance", known: Mapping[str, float]) -> "Abundance":
+    """A mixture whose shares are known."""
+    from lunarsci.spectra.abundance.result import MineralFraction
+    from lunarsci.spectra.abundance.shares import SOME
+
+    total = sum(known.values())
+    shares = {mineral: share / total for mineral, share in known.items()}
+    values = [(one.mineral, shares.get(one.mineral, 0.0)) for one in found.fractions]
+    fractions = tuple(MineralFraction(mineral, *[share] * 5, float(share > SOME)) for mineral, share in values)  # type: ignore[call-arg]
+    return replace(found, fractions=fractions, in_domain=True, status="modes as stated", ratios=())
+
+
+def _mixed(
+    spectra: "Sequence[Spectrum]",
+    foretold: "Foretold",
+    allowed: "FloatArray",
+    modes: "KnownModes",
+    end_members: "Sequence[EndMember] | None",
+    request: UnmixRequest,
+    progress: Progress | None,
+) -> "Mixed":
+    """What mixtures of end members say; one by one the networks stand in where they say nothing.
+
+    That is where a spectrum is too short, or has one mineral only. With end members of the user it is an error.
+    """
+    import numpy as np
+
+    from lunarsci.spectra.abundance.end_members import OPAQUE
+    from lunarsci.spectra.abundance.estimate import estimate_series
+    from lunarsci.spectra.abundance.learned import MINERALS
+    from lunarsci.spectra.abundance.shares import Mixed
+
+    own = end_members is not None
+    how: dict[str, Any] = {
+        "method": "unmix" if request.method == "both" else request.method,
+        "end_members": end_members,
+        "iron": request.iron,
+    }
+    dark = [OPAQUE] * request.opaque
+    if request.in_series:
+        minerals = [name for k, name in enumerate(MINERALS) if allowed[:, k].any()]
+        present = [[name for k, name in enumerate(MINERALS) if row[k]] + dark for row in allowed]
+        known = [modes.known.get(spectrum.id) for spectrum in spectra]
+        free = [None if told else some for told, some in zip(known, present, strict=True)]
+        return replace(estimate_series(spectra, minerals + dark, present=free, known=known, **how), own=own)
+    parts = []
+    for index, spectrum in enumerate(spectra):
+        minerals = [name for k, name in enumerate(MINERALS) if allowed[index, k]]
+        one = Mixed(foretold.probabilities[index : index + 1], np.ones(1), np.full(1, np.nan))
+        if len(minerals) > 1:
+            try:
+                one = estimate_series([spectrum], minerals + dark, **how)
+            except DataError:
+                if own:
+                    raise
+        parts.append(one)
+        if progress:
+            progress(index + 1, len(spectra))
+    probabilities, strange, rms_ln = (
+        np.concatenate([getattr(one, name) for one in parts]) for name in ("probabilities", "strange", "rms_ln")
     )
-    return [replace(item, status="modes as stated") if told else item for item, told in zip(found, known, strict=True)]
+    return Mixed(probabilities, strange, rms_ln, own=own)
 
 
 def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes":
@@ -313,16 +353,3 @@ def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes"
     if names and not told & set(names):
         raise ParameterError(f"{file.name}: none of its ids is that of a spectrum, such as '{names[0]}'")
     return modes
-
-
-def _minerals(fits: "Sequence[MgmFit]", request: UnmixRequest) -> list[str]:
-    """Those of the fits' assemblages, in the order of `FAMILY_OF`, then the opaque one if allowed.
-
-    Raises ParameterError for a mineral without end members.
-    """
-    from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
-
-    named = {mineral for item in fits for mineral in item.model.assemblage.minerals}
-    if strange := sorted(named - {*FAMILY_OF, "any"}):
-        raise ParameterError(f"{strange[0]} has no end member to mix; leave it out of `assemblage`, or only fit")
-    return [name for name in FAMILY_OF if name in named] + [OPAQUE] * request.opaque

@@ -16,9 +16,8 @@ SEEN = 2.0
 """A band is seen where its strength is this many standard errors off 0; assumed."""
 WEAK = ("OL M1-1", "OPX M1", "CPX M1")
 """Bands that a mineral may lack: its weakest beside others of its own."""
-MISSED = 0.1
-"""A mixture that leaves more of ln R than this, root mean square, misses the spectrum: three times the details by which
-rocks differ from powders (`posterior`); assumed. [-]"""
+SURE_THERE = 0.9
+"""Probability of more than 5 % of a mineral from which it is called surely there; assumed."""
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 
@@ -169,56 +168,34 @@ def _by_bands(record: Mapping[str, Any]) -> tuple[list[str], list[str], list[str
 
 
 def shares_verdict(record: Mapping[str, Any]) -> str:
-    """What the shares of `spectra unmix` say, and which of them, or which ratios, may be quoted."""
-    kind, shares = record["kind"], record["abundance"]
-    if not kind:
-        return f"no shares: {record['status']}"
-    parts = [str(record["choice"]["status"])] if record.get("choice") else []
-    parts += [f"the fit of bands is {text}" for text in _strained(record)] + _undecided(kind)
-    if record["normative"]:
-        parts.append("no shares of minerals: a weathered soil has a composition by regression instead")
-    elif not shares:
-        parts.append(f"no shares: {record['assemblage']} has one mineral, and no other to be mixed with; state more")
-    else:
-        parts += _quotable(record)
-    if kind["name"] == "solid-rock":
-        parts.append("no rock of known mode was there to test shares of rocks on")
-    return "; ".join(parts)
+    """What the shares of `spectra unmix` say, and what of them may be quoted."""
+    if record["kind"]["name"] == "weathered-soil":
+        return "no shares of minerals: a weathered soil has a composition by regression instead"
+    shares = record["abundance"]
+    values = ", ".join(f"{name} {_percent(shares[name])}" for name in MINERALS if name in shares)
+    if not any(shares[name]["fraction"] is not None for name in MINERALS if name in shares):
+        return f"no share to be quoted: {shares['status']}"
+    likely = [name for name in MINERALS if name in shares and (shares[name]["present"] or 0.0) > SURE_THERE]
+    parts = [f"{'' if shares['in_domain'] else 'uncertain; quote the 95 % intervals alone: '}{values}"]
+    parts += [f"surely there: {', '.join(likely)}"] if likely else []
+    ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in shares["ratios"].items()]
+    return "; ".join(parts + ([f"ratios: {', '.join(ratios)}"] if ratios else []))
 
 
-def _undecided(kind: Mapping[str, Any]) -> list[str]:
-    from lunarsci.spectra.mgm.assemblages import SURE
-
-    weights = {name: chance for name, chance in kind["probabilities"].items() if chance > 1 - SURE}
-    if kind["stated"] or max(weights.values(), default=0.0) >= SURE:
-        return []
-    shown = ", ".join(f"{name} {100 * chance:.0f} %" for name, chance in weights.items())
-    return [f"the kind is not decided ({shown}), state `--kind` if you know it"]
-
-
-def _quotable(record: Mapping[str, Any]) -> list[str]:
-    """Shares in domain; else the ratios of a rock; and whether the mixture misses the spectrum."""
-    shares, parts = record["abundance"], []
-    inside = [one for one in record["abundances"].values() if one["in_domain"]]
-    left = shares.get("rms_ln")
-    missed = left is not None and left > MISSED
-    for one in inside:
-        values = [f"{name} {_percent(one[name])}" for name in MINERALS if name in one]
-        said = "with care" if missed and one["method"] == shares.get("method") else "to be quoted"
-        parts.append(f"{said}, by `{one['method']}`, with its interval{_of_what(one)}: {', '.join(values)}")
-    parts += [] if inside else [f"no share to be quoted: {shares['status'].removeprefix('out of domain: ')}"]
-    ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in (shares.get("ratios") or {}).items()]
-    parts += [f"ratios with their intervals: {', '.join(ratios)}"] if ratios else []
-    if missed and left is not None:
-        parts.append(f"the mixture misses the spectrum by {100 * left:.0f} % (rms), level and slope apart")
-    return parts
-
-
-def _of_what(shares: Mapping[str, Any]) -> str:
-    """Of which minerals alone shares are, and which may be there beside."""
-    beside = shares.get("not_weighed")
-    own = [name for name in MINERALS if name in shares]
-    return f", of {', '.join(own)} alone ({', '.join(beside)} not weighed, may be much)" if beside else ""
+def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of many spectra, how many have shares in domain, and in how many each mineral is surely there."""
+    total = len(records)
+    soils = sum(record["kind"]["name"] == "weathered-soil" for record in records)
+    inside = sum(record["abundance"]["in_domain"] for record in records)
+    there = Counter(
+        name
+        for record in records
+        for name in MINERALS
+        if name in record["abundance"] and (record["abundance"][name]["present"] or 0.0) > SURE_THERE
+    )
+    parts = [f"shares likely within 15 %: {inside} of {total} spectra; of the others quote the 95 % intervals"]
+    parts += [f"surely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []
+    return parts + ([f"weathered soils, not unmixed: {soils} of {total} spectra"] if soils else [])
 
 
 def _percent(share: Mapping[str, Any]) -> str:

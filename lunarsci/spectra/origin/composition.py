@@ -136,7 +136,8 @@ class Rock:
     untested: bool = False
 
 
-FIT, BANDS_SCHEMA = "lunarsci/spectra-fit/", "lunarsci/spectra-bands/"
+FITS = ("lunarsci/spectra-fit/", "lunarsci/spectra-unmix/")
+BANDS_SCHEMA = "lunarsci/spectra-bands/"
 LARGEST_RATIO_SIGMA = 1.0
 """A ratio of two shares that is less sure says nothing; assumed."""
 
@@ -149,12 +150,12 @@ def read_rocks(source: InputFile) -> list[Rock]:
     """
     document = _document(source)
     schema = str(document.get("schema", ""))
-    if not schema.startswith((FIT, BANDS_SCHEMA)):
+    if not schema.startswith((*FITS, BANDS_SCHEMA)):
         raise DataError(
             f"{source.name}: schema is '{schema}'; give what `spectra unmix`, `fit` or `bands` wrote with --json"
         )
     records = _records(document, source.name)
-    read = _from_fit if schema.startswith(FIT) else _from_bands
+    read = _from_fit if schema.startswith(FITS) else _from_bands
     rocks = []
     for number, record in enumerate(records):
         try:
@@ -245,8 +246,6 @@ def _scaled(modes: Mapping[str, Value]) -> dict[str, Value]:
 
 
 ERRORS = "share_errors.csv"
-CLASS_OF = {"solid-rock": "dark-rock-powder"}
-"""No solid rock of known modes has been unmixed: its errors are taken to be those of the class that comes nearest."""
 
 
 @cache
@@ -258,7 +257,7 @@ def measured_errors(kind: str) -> Mapping[str, float]:
     squares: dict[str, dict[str, list[float]]] = {}
     for row in table_rows(ERRORS):
         for mineral in MINERALS:
-            if row["class"] == CLASS_OF.get(kind, kind) and row[f"error_{mineral}"]:
+            if row["class"] == kind and row[f"error_{mineral}"]:
                 of_suite = squares.setdefault(mineral, {}).setdefault(row["suite"], [])
                 of_suite.append(float(row[f"error_{mineral}"]) ** 2)
     return {
@@ -272,8 +271,7 @@ def widened(modes: Mapping[str, Value], kind: str) -> tuple[dict[str, Value], st
     errors = measured_errors(kind)
     wide = {mineral: (value, max(sigma, errors.get(mineral, 0.0))) for mineral, (value, sigma) in modes.items()}
     least = ", ".join(f"{mineral} {errors[mineral]:.2f}" for mineral in modes if mineral in errors)
-    of = f"{CLASS_OF[kind]}, no {kind} being known" if kind in CLASS_OF else kind
-    return wide, f"errors at least those measured of unmixed spectra of {of}: {least}"
+    return wide, f"errors at least those measured of unmixed spectra of {kind}: {least}"
 
 
 def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:

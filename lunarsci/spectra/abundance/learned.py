@@ -1,0 +1,241 @@
+"""Shares of minerals as small networks foretell them from ln R, learned from laboratory spectra and mixtures of them.
+
+Each network gives, for each mineral, probabilities of the shares 0, 5, ..., 100 %; their mean is taken. Networks that
+were told which minerals there are give the others none. `spectra_data/make_share_networks.py` trains them.
+
+Any sampling is brought to channels of 20 nm. Where channels are missing, or a spectrum is noisy, spectra are drawn that
+may be behind it, from the normal law of the spectra learned from (a factor analysis), and the networks see each of
+them: Rubin (1987), Multiple Imputation for Nonresponse in Surveys, 10.1002/9780470316696.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import DataError
+from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.tables import SPECTRA_DATA
+
+TABLE = "share_networks.npz"
+MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
+STEP_NM = 20.0
+GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
+"""Channels of the networks: features of minerals are ten times as wide. Assumed."""
+SHARES = np.linspace(0.0, 1.0, 21)
+"""Shares whose probabilities are foretold."""
+GAP_NM = 60.0
+"""Between channels no farther apart than this ln R is taken as straight, a third of the narrowest band of olivine and
+pyroxene; beyond, channels are missing. Assumed."""
+NOISE = 0.02
+"""Noise of ln R at 20 nm up to which networks were trained with it, and see a spectrum as it is."""
+DRAWS = 12
+"""Spectra drawn where some is missing; 100 give the same to 0.01 of a share."""
+SMALLEST = 1e-4
+"""Reflectance below which none counts."""
+LEAST_DEPTH = 0.03
+"""Depth below the hull, in ln R, from which the shape is a band's and not the noise's; assumed."""
+AT_ONCE = 4096
+"""Spectra that go through the networks together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """Layers of one network, (w, b) each, and mean and scale of what goes in.
+
+    Layers but the last end in max(x, 0). `shaped` : whether it sees shapes below the hull.
+    """
+
+    layers: tuple[tuple[Any, Any], ...]
+    mean: Any
+    scale: Any
+    shaped: bool
+
+    def probabilities(self, ln_reflectance: FloatArray, allowed: FloatArray) -> FloatArray:
+        """(n, 4, 21) of ln R (n, 101) and of which minerals there may be, (n, 4)."""
+        x = np.hstack([(features(ln_reflectance, self.shaped) - self.mean) / self.scale, allowed]).astype(np.float32)
+        for number, (weight, bias) in enumerate(self.layers):
+            x = x @ weight + bias
+            if number < len(self.layers) - 1:
+                x = np.maximum(x, 0.0)
+        power = x.reshape(-1, len(MINERALS), SHARES.size)
+        found = np.exp(power - power.max(axis=-1, keepdims=True))
+        return only(found / found.sum(axis=-1, keepdims=True), allowed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """Normal law of ln R of spectra learned from: mean (101,), factors (k, 101), deviation of each channel alone."""
+
+    mean: FloatArray
+    factors: FloatArray
+    own: FloatArray
+
+    def behind(self, seen: FloatArray, there: BoolArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (n, 101) and root of the covariance (101, 101) of what spectra seen (n, t) may be; noise (t,)."""
+        whole = self.factors.T @ self.factors + np.diag(self.own**2)
+        among = whole[np.ix_(there, there)] + np.diag(noise**2)
+        gain = np.linalg.solve(among, whole[there]).T
+        left = whole - gain @ whole[there]
+        sizes, axes = np.linalg.eigh((left + left.T) / 2)
+        return self.mean + (seen - self.mean[there]) @ gain.T, axes * np.sqrt(np.maximum(sizes, 0.0))
+
+    def ln_distance(self, seen: FloatArray, there: BoolArray, noise: FloatArray) -> FloatArray:
+        """Logarithm of the squared distance of spectra seen (n, t) from the mean, by the law, over t; (n,)."""
+        among = self.factors.T[there] @ self.factors[:, there] + np.diag(self.own[there] ** 2 + noise**2)
+        apart = seen - self.mean[there]
+        square = np.sum(apart * np.linalg.solve(among, apart.T).T, axis=1) / there.sum()
+        return np.asarray(np.log(square))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foretold:
+    """Probabilities of `SHARES` of each mineral, (n, 4, 21), and `ln_distance` of the spectra, (n,)."""
+
+    probabilities: FloatArray
+    ln_distance: FloatArray
+
+
+def only(probabilities: FloatArray, allowed: FloatArray) -> FloatArray:
+    """With a share of 0 of the minerals that may not be there."""
+    found = probabilities * allowed[:, :, None]
+    found[:, :, 0] += 1.0 - allowed
+    return np.asarray(found)
+
+
+def below_hull(ln_reflectance: FloatArray) -> FloatArray:
+    """ln R below the upper convex hull of R, (n, c); the hull is wound from node to node in all spectra at once."""
+    reflectance = np.exp(ln_reflectance)
+    rows, last = np.arange(len(reflectance)), reflectance.shape[1] - 1
+    hull, at = np.empty_like(reflectance), np.zeros(len(reflectance), dtype=int)
+    places = np.arange(last + 1)
+    while rows.size:
+        own, start = reflectance[rows], reflectance[rows, at[rows]]
+        ahead = places[None] - at[rows][:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.where(ahead > 0, (own - start[:, None]) / ahead, -np.inf)
+        node = last - np.argmax(slope[:, ::-1], axis=1)
+        best = slope[np.arange(rows.size), node]
+        within = (ahead >= 0) & (places[None] <= node[:, None])
+        line = start[:, None] + best[:, None] * ahead
+        hull[rows] = np.where(within, line, hull[rows])
+        at[rows] = node
+        rows = rows[node < last]
+    return np.asarray(ln_reflectance - np.log(hull))
+
+
+def features(ln_reflectance: FloatArray, shaped: bool) -> FloatArray:
+    """What a network sees of ln R (n, 101): without its level, the level; if `shaped`, slopes and the hull's shape."""
+    level = ln_reflectance.mean(axis=1, keepdims=True)
+    parts = [ln_reflectance - level, 0.5 * level]
+    if shaped:
+        shape = below_hull(ln_reflectance)
+        depth = np.abs(shape).max(axis=1, keepdims=True)
+        slope = 30.0 * np.gradient(ln_reflectance, axis=1)
+        parts += [slope, shape / np.maximum(depth, LEAST_DEPTH), np.log(np.maximum(depth, LEAST_DEPTH / 3))]
+    return np.hstack(parts)
+
+
+@cache
+def embedded_networks() -> tuple[tuple[Network, ...], Background]:
+    """Those of `share_networks.npz`."""
+    with (files(SPECTRA_DATA) / TABLE).open("rb") as file, np.load(file) as found:
+        return unpacked(found)
+
+
+def unpacked(found: Mapping[str, FloatArray]) -> tuple[tuple[Network, ...], Background]:
+    """Networks and background of the arrays of a file."""
+    networks = []
+    for number in range(int(found["networks"])):
+        count = int(found[f"{number}_layers"])
+        layers = tuple(
+            (found[f"{number}_w{k}"].astype(np.float32), found[f"{number}_b{k}"].astype(np.float32))
+            for k in range(count)
+        )
+        mean, scale = (found[f"{number}_{name}"].astype(np.float32) for name in ("mean", "scale"))
+        networks.append(Network(layers, mean, scale, bool(found[f"{number}_shaped"])))
+    law = (found[f"background_{name}"].astype(np.float64) for name in ("mean", "factors", "own"))
+    return tuple(networks), Background(*law)
+
+
+def on_grid(wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Weights (101, c) that make channels of `GRID_NM` of ascending channels (c,), and which of them are there (101,).
+
+    Means where channels lie within 10 nm, else straight between the neighbours up to `GAP_NM` apart.
+    """
+    weights = (np.abs(GRID_NM[:, None] - wavelength_nm) <= STEP_NM / 2).astype(np.float64)
+    there = np.asarray(weights.any(axis=1))
+    weights[there] /= weights[there].sum(axis=1, keepdims=True)
+    for row in np.flatnonzero(~there):
+        after = int(np.searchsorted(wavelength_nm, GRID_NM[row]))
+        if 0 < after < wavelength_nm.size and wavelength_nm[after] - wavelength_nm[after - 1] <= GAP_NM:
+            part = (GRID_NM[row] - wavelength_nm[after - 1]) / (wavelength_nm[after] - wavelength_nm[after - 1])
+            weights[row, after - 1 : after + 1] = 1.0 - part, part
+            there[row] = True
+    return weights, there
+
+
+def foretell(
+    wavelength_nm: FloatArray,
+    reflectance: FloatArray,
+    allowed: FloatArray,
+    noise: FloatArray | None = None,
+    learned: tuple[Sequence[Network], Background] | None = None,
+) -> Foretold:
+    """Shares of spectra on the same channels.
+
+    Parameters
+    ----------
+    wavelength_nm : (c,) ascending. [nm]
+    reflectance : (n, c) above 0. [-]
+    allowed : (n, 4) 1 for minerals that there may be, else 0.
+    noise : (c,) standard deviation of ln R, the same of all spectra. [-]
+
+    Raises DataError where no channel lies from 450 to 2450 nm.
+    """
+    weights, there = on_grid(wavelength_nm)
+    if not there.any():
+        raise DataError("no channel lies from 450 to 2450 nm, so no mineral can be told; give a spectrum of this range")
+    networks, background = learned or embedded_networks()
+    seen = np.log(np.maximum(reflectance, SMALLEST)) @ weights[there].T
+    error = np.zeros(int(there.sum())) if noise is None else np.sqrt(weights[there] ** 2 @ noise**2)
+    distance = background.ln_distance(seen, there, error)
+    if there.all() and error.max() <= NOISE:
+        drawn = seen[None]
+    else:
+        mean, root = background.behind(seen, there, error)
+        normal = np.random.default_rng(0).standard_normal((DRAWS, 1, GRID_NM.size))
+        drawn = mean[None] + np.concatenate([normal, -normal]) @ root.T
+    found = np.zeros((len(seen), len(MINERALS), SHARES.size))
+    for start in range(0, len(seen), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        for one in drawn[:, part]:
+            for network in networks:
+                found[part] += network.probabilities(one, allowed[part])
+    return Foretold(found / (len(drawn) * len(networks)), distance)
+
+
+def foretell_each(
+    spectra: Sequence[Spectrum], allowed: FloatArray, learned: tuple[Sequence[Network], Background] | None = None
+) -> Foretold:
+    """`foretell` of the usable channels of each spectrum, those of one noise together."""
+    groups: dict[tuple[bytes, bytes], list[int]] = {}
+    for index, spectrum in enumerate(spectra):
+        usable, own = spectrum.usable, spectrum.uncertainty
+        error = b"" if own is None else (own[usable] / spectrum.reflectance[usable]).tobytes()
+        groups.setdefault((spectrum.wavelength_nm[usable].tobytes(), error), []).append(index)
+    probabilities = np.zeros((len(spectra), len(MINERALS), SHARES.size))
+    distance = np.zeros(len(spectra))
+    for (channels, error), indices in groups.items():
+        rows = np.array([spectra[k].reflectance[spectra[k].usable] for k in indices])
+        try:
+            noise = np.frombuffer(error) if error else None
+            found = foretell(np.frombuffer(channels), rows, allowed[indices], noise, learned)
+        except DataError as reason:
+            raise DataError(f"{spectra[indices[0]].id}: {reason}") from reason
+        probabilities[indices], distance[indices] = found.probabilities, found.ln_distance
+    return Foretold(probabilities, distance)

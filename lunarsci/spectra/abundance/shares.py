@@ -1,0 +1,300 @@
+"""Shares of a spectrum from two estimates: networks (`learned`), and mixtures of end members (`estimate`).
+
+The networks answer always. Mixtures of end members take part where the minerals are named: their weight w falls with
+what they miss of the spectrum, with the plagioclase that the networks foretell, and with how dark the target is. The
+pooled probabilities p of the shares are made sharper or blunter, and mixed with knowing nothing:
+
+    p' = (1 - d) p^s / sum p^s + d / 21,
+
+    ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w
+
+`share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
+networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.compiled import compiled
+from lunarsci.spectra.abundance.kinds import KindVerdict
+from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+from lunarsci.tables import table_rows
+
+TABLE = "share_calibration.csv"
+GOOD = 0.15
+"""How near all shares must be for a good answer; assumed."""
+LIKELY = 0.7
+"""Probability of each share being so near from which a spectrum is in domain: then 9 in 10 of measured spectra had all
+shares so near (`make_share_calibration.py`)."""
+SOME = 0.05
+"""Share above which a mineral counts as there; assumed."""
+OPEN = (0.1, 0.9)
+"""Probabilities of that between which a mineral is open; assumed."""
+NOTHING = 0.5
+"""Probability of knowing nothing from which no share is named."""
+FINE = np.linspace(0.0, 1.0, 201)
+MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
+RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
+DRAWN = 4000
+"""Draws of shares that ratios are made of."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixed:
+    """What mixtures of end members say: probabilities of `SHARES`, (n, 4, 21); what they miss, (n,); rms of ln R, (n,).
+
+    `series` : whether the spectra were taken together. `own` : whether the end members are the user's, who knows them.
+    """
+
+    probabilities: FloatArray
+    strange: FloatArray
+    rms_ln: FloatArray
+    series: bool = False
+    own: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """Calibrated probabilities of `SHARES` (n, 4, 21) of n spectra, and of knowing nothing, `doubt` (n,).
+
+    `weight` (n,) is that of mixtures of end members.
+    """
+
+    probabilities: FloatArray
+    doubt: FloatArray
+    weight: FloatArray
+
+    @property
+    def mean(self) -> FloatArray:
+        """Shares (n, 4); they sum to 1."""
+        mean = self.probabilities @ SHARES
+        return np.asarray(mean / mean.sum(axis=1, keepdims=True))
+
+    @property
+    def below(self) -> FloatArray:
+        """Probability of less than each of `FINE`, (n, 4, 201)."""
+        return np.asarray(self.probabilities @ _below_each())
+
+    def near(self) -> FloatArray:
+        """Least probability, over the minerals, of a share within `GOOD` of its mean, (n,)."""
+        below, mean = self.below, self.mean
+        ends = [_at(below, np.clip(mean + sign * GOOD, 0.0, 1.0)) for sign in (-1, 1)]
+        return np.asarray((ends[1] - ends[0]).min(axis=1))
+
+    def present(self) -> FloatArray:
+        """Probability of more than `SOME` of each mineral, (n, 4)."""
+        return np.asarray(1.0 - _at(self.below, np.full(self.mean.shape, SOME)))
+
+    def intervals(self, calibration: Mapping[tuple[str, str], float]) -> tuple[FloatArray, FloatArray]:
+        """Shortest intervals of 68 and of 95 %, (n, 4, 2) each."""
+        below = self.below.reshape(-1, FINE.size)
+        found = []
+        for name in ("level68", "level95"):
+            level = np.where(self.weight < 0.5, calibration[name, "alone"], calibration[name, "mixed"])
+            ends = _shortest(below, np.repeat(level, len(MINERALS))).reshape(*self.mean.shape, 2)
+            found.append(np.stack([np.minimum(ends[..., 0], self.mean), np.maximum(ends[..., 1], self.mean)], axis=-1))
+        return found[0], found[1]
+
+
+@cache
+def calibration() -> Mapping[tuple[str, str], float]:
+    """Coefficients by quantity and term."""
+    return {(row["quantity"], row["term"]): float(row["value"]) for row in table_rows(TABLE)}
+
+
+def _below_each() -> FloatArray:
+    """(21, 201): probability of less than each of `FINE` of a share near one of `SHARES`, with a triangle around it."""
+    x = (FINE - SHARES[:, None]) * (SHARES.size - 1)
+    below = np.where(x < 0, 0.5 * np.clip(1 + x, 0, 1) ** 2, 1 - 0.5 * np.clip(1 - x, 0, 1) ** 2)
+    below[0] = 2 * below[0] - 1
+    below[-1] *= 2
+    return np.asarray(np.clip(below, 0.0, 1.0))
+
+
+def _at(below: FloatArray, share: FloatArray) -> FloatArray:
+    """Values of (n, 4, 201) at shares (n, 4)."""
+    place = share * (FINE.size - 1)
+    low = np.minimum(place.astype(int), FINE.size - 2)
+    ends = (np.take_along_axis(below, (low + k)[..., None], axis=-1)[..., 0] for k in (0, 1))
+    first, second = ends
+    return np.asarray(first + (place - low) * (second - first))
+
+
+@compiled
+def _shortest(below: FloatArray, level: FloatArray) -> FloatArray:  # pragma: no cover
+    """(n, 2) ends of the shortest interval that holds a level (n,) of each distribution (n, 201)."""
+    count, last = below.shape[0], below.shape[1] - 1
+    found = np.empty((count, 2))
+    for row in range(count):
+        end, best, at = 0, last + 1, 0
+        for start in range(last + 1):
+            while end < last and below[row, end] - below[row, start] < level[row]:
+                end += 1
+            if below[row, end] - below[row, start] < level[row] - 1e-9:
+                break
+            if end - start < best:
+                best, at = end - start, start
+        if best > last:
+            best, at = last, 0
+        found[row, 0] = at / last if at > 1 else 0.0
+        found[row, 1] = (at + best) / last if at + best < last - 1 else 1.0
+    return found
+
+
+def pooled(
+    foretold: Foretold, mixed: Mixed | None, dark: FloatArray, known: Mapping[tuple[str, str], float]
+) -> tuple[FloatArray, FloatArray]:
+    """Probabilities of both estimates together, (n, 4, 21), and the weight of the end members', (n,)."""
+    if mixed is None:
+        return foretold.probabilities, np.zeros(len(dark))
+    weight = weight_of_mixtures(foretold, mixed, dark, known)
+    part = weight[:, None, None]
+    return (1.0 - part) * foretold.probabilities + part * mixed.probabilities, weight
+
+
+def weight_of_mixtures(foretold: Foretold, mixed: Mixed, dark: FloatArray, known: Mapping[tuple[str, str], float]
+                       ) -> FloatArray:  # fmt: skip
+    """Of the end members' estimate beside the networks', (n,); 1 where the user knows them. [-]"""
+    if mixed.own:
+        return np.ones(len(dark))
+    name = "weight_series" if mixed.series else "weight"
+    terms = weight_terms(foretold, mixed, dark)
+    return _logistic(np.sum([known[name, key] * term for key, term in terms.items()], axis=0))
+
+
+def weight_terms(foretold: Foretold, mixed: Mixed, dark: FloatArray) -> dict[str, FloatArray]:
+    """What the weight depends on."""
+    plagioclase = foretold.probabilities[:, MINERALS.index("plagioclase")] @ SHARES
+    odds = np.log((dark + 1e-3) / (1.0 - dark + 1e-3))
+    return {"constant": np.ones_like(dark), "ln_strange": np.log(mixed.strange), "plagioclase": plagioclase,
+            "ln_odds_dark": odds}  # fmt: skip
+
+
+def _logistic(x: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / (1.0 + np.exp(-np.asarray(x))))
+
+
+def how_dark(kinds: Sequence[KindVerdict]) -> FloatArray:
+    """Probability of a target that is no mixture of powders of minerals, (n,); certain where the kind is stated."""
+    return np.array([
+        float(kind.kind != "powder-mixture") if kind.stated else 1.0 - kind.probabilities["powder-mixture"]
+        for kind in kinds
+    ])  # fmt: skip
+
+
+def sharpened(
+    pooled: FloatArray, allowed: FloatArray, terms: Mapping[str, FloatArray], known: Mapping[tuple[str, str], float]
+) -> tuple[FloatArray, FloatArray]:
+    """The calibrated probabilities and the doubt, as the head of this module has them."""
+    power = np.exp(sum(known["ln_sharpness", key] * term for key, term in terms.items()))
+    doubt = _logistic(np.sum([known["logit_doubt", key] * term for key, term in terms.items()], axis=0))
+    sharp = np.maximum(pooled, 1e-6) ** power[:, None, None]
+    sharp /= sharp.sum(axis=-1, keepdims=True)
+    mixed = (1.0 - doubt)[:, None, None] * sharp + doubt[:, None, None] / SHARES.size
+    return only(mixed, allowed), doubt
+
+
+def terms_of(
+    foretold: Foretold, dark: FloatArray, rock: FloatArray, weight: FloatArray, known: Mapping[tuple[str, str], float]
+) -> dict[str, FloatArray]:
+    """What sharpness and doubt depend on; `strange` counts standard deviations beyond the usual distance."""
+    far = np.maximum((foretold.ln_distance - known["ln_distance", "usual"]) / known["ln_distance", "spread"], 0.0)
+    return {"constant": np.ones_like(dark), "dark": dark, "strange": far, "rock": rock, "mixed": weight}
+
+
+def answer(
+    foretold: Foretold,
+    allowed: FloatArray,
+    dark: FloatArray,
+    rock: FloatArray,
+    mixed: Mixed | None = None,
+    known: Mapping[tuple[str, str], float] | None = None,
+) -> Answer:
+    """Calibrated probabilities of shares of n spectra.
+
+    Parameters
+    ----------
+    foretold : by the networks.
+    allowed : (n, 4) 1 for minerals that there may be, else 0.
+    dark, rock : (n,) probability of no mixture of powders, and of a solid rock. [-]
+    mixed : what mixtures of end members say, if anything.
+    """
+    known = known or calibration()
+    both, weight = pooled(foretold, mixed, dark, known)
+    return Answer(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, known), known), weight)
+
+
+def abundances(
+    names: Sequence[str],
+    method: str,
+    foretold: Foretold,
+    allowed: FloatArray,
+    kinds: Sequence[KindVerdict],
+    mixed: Mixed | None = None,
+) -> list[Abundance]:
+    """Shares of the minerals that there may be, by volume, with intervals and a verdict."""
+    rock = np.array([float(kind.stated and kind.kind == "solid-rock") for kind in kinds])
+    found = answer(foretold, allowed, how_dark(kinds), rock, mixed)
+    mean, near, present = found.mean, found.near(), found.present()
+    ends = np.concatenate(found.intervals(calibration()), axis=-1)
+    results = []
+    for row, name in enumerate(names):
+        told = found.doubt[row] < NOTHING
+        value = mean[row] if told else np.full(len(MINERALS), np.nan)
+        numbers = np.column_stack([value, ends[row], present[row]]).tolist()
+        fractions = tuple(
+            MineralFraction(mineral, *own)
+            for k, (mineral, own) in enumerate(zip(MINERALS, numbers, strict=True))
+            if allowed[row, k]
+        )
+        inside = bool(told and near[row] >= LIKELY and not kinds[row].is_weathered)
+        status = _status(near[row], bool(told), kinds[row], fractions)
+        left = None if mixed is None else float(mixed.rms_ln[row])
+        one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - found.weight[row]))
+        results.append(replace(one, ratios=_ratios(found, row, allowed[row] > 0)) if rock[row] else one)
+    return results
+
+
+def shares_of_rows(
+    foretold: Foretold, allowed: FloatArray, kinds: Sequence[KindVerdict]
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Of many spectra shares (n, 4), ends of their 68 % intervals (n, 4, 2), and whether they are in domain (n,)."""
+    rock = np.array([float(kind.stated and kind.kind == "solid-rock") for kind in kinds])
+    found = answer(foretold, allowed, how_dark(kinds), rock)
+    told = found.doubt < NOTHING
+    mean = np.where(told[:, None], found.mean, np.nan)
+    fresh = np.array([not kind.is_weathered for kind in kinds])
+    return mean, found.intervals(calibration())[0], told & fresh & (found.near() >= LIKELY)
+
+
+def _status(near: float, told: bool, kind: KindVerdict, fractions: Sequence[MineralFraction]) -> str:
+    if not told:
+        return "not determined: unlike all spectra of known shares, so that nothing is known of these minerals"
+    within = f"with a probability of {near:.2f} each share is within {100 * GOOD:.0f} %"
+    parts = [within if near >= LIKELY else f"out of domain: only {within}"]
+    if kind.is_weathered:
+        parts = [f"out of domain: it looks weathered, as no spectrum of known shares does; {parts[0]}"]
+    if len(open_ones := [item.mineral for item in fractions if OPEN[0] < item.present < OPEN[1]]) > 0:
+        parts.append(f"may be absent: {' or '.join(open_ones)}")
+    return "; ".join(parts)
+
+
+def _ratios(found: Answer, row: int, there: BoolArray) -> tuple[MineralFraction, ...]:
+    """Shares of one mineral in several; shares are drawn one by one and brought to a sum of 1."""
+    uniform = np.random.default_rng(0).random((DRAWN, len(MINERALS)))
+    below = found.below[row]
+    drawn = np.column_stack([np.interp(uniform[:, k], below[k], FINE) for k in range(len(MINERALS))]) * there
+    ratios = []
+    for name, (above, among) in RATIOS.items():
+        places = [[MINERALS.index(mineral) for mineral in some] for some in (above, among)]
+        if not there[places[1]].all():
+            continue
+        value = drawn[:, places[0]].sum(axis=1) / np.maximum(drawn[:, places[1]].sum(axis=1), 1e-6)
+        ends = np.quantile(value, [0.16, 0.84, 0.025, 0.975])
+        ratios.append(MineralFraction(name, float(value.mean()), *map(float, ends)))
+    return tuple(ratios)

@@ -1,0 +1,352 @@
+"""Make the other tables of shares: `python make_share_calibration.py FOLDER NETWORKS OUT`.
+
+FOLDER holds `reflectance.csv` and `manifest.csv` in `relab`, `minerals` and `meteorites`; NETWORKS the networks of the
+folds, `fold-K.npz` of `make_share_networks.py`. Each spectrum of known modes is judged by networks and end members that
+knew nothing of its suite, and no other powder of its specimens: with all four minerals, with its minerals named, and
+together with its series. Then the coefficients of `lunarsci.spectra.abundance.shares` are learned: the weight of the
+end members by the continuous ranked probability score, sharpness and doubt by the logarithmic score, the levels of
+intervals by what they hold in spectra of more than one mineral. A suite of m spectra counts as the square root of m.
+
+`share_calibration.csv` has the coefficients; `share_validation.csv` and `share_errors.csv` what comes out, each fold by
+the coefficients of the others. OUT keeps what networks and end members said, `cases.pkl`, which is read where it is
+there.
+"""
+
+import csv
+import pickle
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from lunarsci.spectra_data.make_share_networks import FOLDS, PURE, Powders, fold_of, measured, soft
+from scipy.optimize import minimize
+
+from lunarsci.inputs import read_input
+from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
+from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.kinds import find_kinds
+from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each, unpacked
+from lunarsci.spectra.abundance.shares import (
+    GOOD,
+    LIKELY,
+    SOME,
+    Answer,
+    Mixed,
+    answer,
+    how_dark,
+    pooled,
+    sharpened,
+    terms_of,
+    weight_terms,
+)
+from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.spectrum import Spectrum
+
+ROCKS = ("Chip", "Slab", "Natural")
+"""In the texture of what is no powder."""
+LEAST_SPECTRA = 3
+Known = dict[tuple[str, str], float]
+WEIGHT_TERMS = ("constant", "ln_strange", "plagioclase", "ln_odds_dark")
+TERMS = ("constant", "dark", "strange", "rock", "mixed")
+CENTRE = {("logit_doubt", "constant"): -3.0, ("logit_doubt", "strange"): 1.0}
+"""Where coefficients are drawn to, others to 0: few spectra of known modes are strangers. Assumed."""
+DRAWN_TO = 0.003
+"""How strongly; assumed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """Spectra in one way of asking: which, what was foretold and mixed, what there may be, and the truth."""
+
+    way: str
+    rows: np.ndarray
+    foretold: Foretold
+    mixed: Mixed | None
+    allowed: np.ndarray
+    truth: np.ndarray
+    dark: np.ndarray
+    rock: np.ndarray
+    suite: np.ndarray
+    fold: np.ndarray
+    group: np.ndarray
+
+    def part(self, chosen: np.ndarray) -> "Cases":
+        """Some of them."""
+        own = Foretold(self.foretold.probabilities[chosen], self.foretold.ln_distance[chosen])
+        mixed = None
+        if self.mixed is not None:
+            mixed = Mixed(
+                *(getattr(self.mixed, f)[chosen] for f in ("probabilities", "strange", "rms_ln")), self.mixed.series
+            )
+        rest = (getattr(self, f.name)[chosen] for f in fields(self)[4:])
+        return Cases(self.way, self.rows[chosen], own, mixed, *rest)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Of each spectrum, by its suite."""
+        _, place, count = np.unique(self.suite, return_inverse=True, return_counts=True)
+        return np.asarray(count[place] ** -0.5)
+
+
+def all_spectra(folder: Path) -> list[Spectrum]:
+    """In the order of `measured`."""
+    parts = ("relab", "meteorites", "minerals")
+    return [one for part in parts for one in read_spectra(read_input(str(folder / part / "reflectance.csv")))]
+
+
+def series_of(powders: Powders) -> np.ndarray:
+    """Name of the series that a mixture belongs to: its suite and its sieve; '' of what is no mixture."""
+    mixed = (powders.shares.max(axis=1) < PURE) & (powders.manifest["part"].to_numpy() != "meteorites")
+    sieves = powders.manifest["min_um"].astype(str) + "-" + (powders.manifest["max_um"].astype(float) // 10).astype(str)
+    heads = ["".join(c for c in id[:5] if not id.startswith("pomix")) or id[:6] for id in powders.ids]
+    return np.array([f"{head} {sieve}" if own else "" for head, sieve, own in zip(heads, sieves, mixed, strict=True)])
+
+
+def cases(folder: Path, networks: Path) -> list[Cases]:
+    """All ways of asking."""
+    powders, spectra = measured(folder), all_spectra(folder)
+    fold, count = fold_of(powders.suites), len(spectra)
+    texture = powders.manifest["texture"].fillna("").astype(str)
+    rock = np.array([any(name in text for name in ROCKS) for text in texture], dtype=float)
+    group = np.where(rock > 0, "rock", np.where(powders.manifest["part"] == "meteorites", "meteorite", np.where(
+        (powders.shares > 0.05).sum(axis=1) > 1, "mixture", "mineral")))  # fmt: skip
+    dark = np.maximum(how_dark(find_kinds(spectra)), rock)
+    everything, named = np.ones((count, 4)), (powders.shares > 0).astype(float)
+    foretold = {way: Foretold(np.zeros((count, 4, 21)), np.zeros(count)) for way in ("all", "named")}
+    for k in range(FOLDS):
+        with np.load(networks / f"fold-{k}.npz") as found:
+            learned = unpacked(found)
+        rows = np.flatnonzero(fold == k)
+        for way, allowed in (("all", everything), ("named", named)):
+            one = foretell_each([spectra[row] for row in rows], allowed[rows], learned)
+            foretold[way].probabilities[rows], foretold[way].ln_distance[rows] = one.probabilities, one.ln_distance
+    library = embedded_end_members(on_common_channels(spectra[:1]).wavelength_nm)
+    alone = mixtures_of(
+        powders, spectra, fold, library, [[row] for row in np.flatnonzero(named.sum(axis=1) > 1)], named
+    )
+    names = series_of(powders)
+    groups = [np.flatnonzero(names == name).tolist() for name in dict.fromkeys(names) if name]
+    together_named = np.array(
+        [named[names == name].max(axis=0) if name else own for name, own in zip(names, named, strict=True)]
+    )
+    series = mixtures_of(powders, spectra, fold, library, [g for g in groups if len(g) > 2], together_named)
+    base = (dark, rock, powders.suites, fold, group)
+    whole = Cases("all", np.arange(count), foretold["all"], None, everything, powders.shares, *base)
+    own = Cases("named", np.arange(count), foretold["named"], alone[0], named, powders.shares, *base).part(alone[1])
+    both = Cases("together", np.arange(count), foretold["named"], series[0], together_named, powders.shares, *base)
+    return [whole, own, both.part(series[1])]
+
+
+def mixtures_of(
+    powders: Powders, spectra: Sequence[Spectrum], fold: np.ndarray, library: Sequence, groups: Sequence[list[int]],
+    allowed: np.ndarray,
+) -> tuple[Mixed, np.ndarray]:  # fmt: skip
+    """What end members say of groups of spectra, without any of the suites of the fold and of their specimens."""
+    count = len(spectra)
+    found = Mixed(
+        np.zeros((count, 4, 21)), np.ones(count), np.full(count, np.nan), any(len(group) > 1 for group in groups)
+    )
+    there = np.zeros(count, dtype=bool)
+    for group in groups:
+        ids = {powders.ids[row] for row in np.flatnonzero(fold == fold[group[0]])}
+        specimens = {item.specimen for item in library if item.id in ids} - {""}
+        rest = [item for item in library if item.id not in ids and item.specimen not in specimens]
+        minerals = [name for name, own in zip(MINERALS, allowed[group[0]], strict=True) if own]
+        one = estimate_series([spectra[row] for row in group], minerals, end_members=rest)
+        found.probabilities[group], found.strange[group], found.rms_ln[group] = (
+            one.probabilities,
+            one.strange,
+            one.rms_ln,
+        )
+        there[group] = True
+    return found, there
+
+
+def learn(every: Sequence[Cases], without: int | None = None) -> Known:
+    """Coefficients from all spectra but those of a fold."""
+    some = [one.part(one.fold != without) for one in every]
+    usual = np.quantile(some[0].foretold.ln_distance, [0.16, 0.5, 0.84])
+    known: Known = {("ln_distance", "usual"): usual[1], ("ln_distance", "spread"): (usual[2] - usual[0]) / 2}
+    for one in some:
+        if one.mixed is not None:
+            name = "weight_series" if one.mixed.series else "weight"
+            known |= {(name, term): value for term, value in zip(WEIGHT_TERMS, _weights(one), strict=True)}
+    keys = [(quantity, term) for quantity in ("ln_sharpness", "logit_doubt") for term in TERMS]
+    centre = np.array([CENTRE.get(key, 0.0) for key in keys])
+    parts = [(pooled(one.foretold, one.mixed, one.dark, known), one) for one in some]
+    ready = [
+        (one, shares, terms_of(one.foretold, one.dark, one.rock, weight, known)) for (shares, weight), one in parts
+    ]
+
+    def loss(values: np.ndarray) -> float:
+        own, total, size = dict(zip(keys, values, strict=True)), 0.0, 0.0
+        for one, shares, terms in ready:
+            found, _ = sharpened(shares, one.allowed, terms, own)
+            each = -np.log((found * soft(one.truth)).sum(axis=-1) + 1e-9) * one.allowed
+            total += float((one.weight * each.sum(axis=1)).sum())
+            size += float((one.weight * one.allowed.sum(axis=1)).sum())
+        return total / size + DRAWN_TO * float(((values - centre) ** 2).sum())
+
+    known |= dict(zip(keys, minimize(loss, centre, method="BFGS").x.tolist(), strict=True))
+    for level in (68, 95):
+        for term, way in (("alone", "all"), ("mixed", "named")):
+            known[f"level{level}", term] = _level([one for one in some if one.way == way], known, level)
+    return known
+
+
+def _weights(one: Cases) -> list[float]:
+    terms = weight_terms(one.foretold, one.mixed, one.dark)
+    design = np.column_stack([terms[name] for name in WEIGHT_TERMS])
+    below = [
+        np.cumsum(part, axis=-1) for part in (one.foretold.probabilities, one.mixed.probabilities, soft(one.truth))
+    ]
+
+    def loss(values: np.ndarray) -> float:
+        weight = (1 / (1 + np.exp(-design @ values)))[:, None, None]
+        apart = (1 - weight) * below[0] + weight * below[1] - below[2]
+        return float(
+            (one.weight * (apart**2).sum(axis=(1, 2))).sum() / one.weight.sum() + 0.002 * (values[1:] ** 2).sum()
+        )
+
+    starts = (np.zeros(4), np.array([-2.0, 0, 0, 0]), np.array([2.0, 0, 0, 0]))
+    return min((minimize(loss, start, method="BFGS") for start in starts), key=lambda found: found.fun).x.tolist()
+
+
+def _level(parts: Sequence[Cases], known: Known, level: int) -> float:
+    """At which intervals of more than one mineral hold it."""
+    low, high = 0.3, 0.999
+    for _ in range(12):
+        middle = (low + high) / 2
+        trial = known | {(f"level{k}", term): middle for k in (68, 95) for term in ("alone", "mixed")}
+        held, size = 0.0, 0.0
+        for one in parts:
+            some = one.part(one.group != "mineral")
+            inside = holds(some, answered(some, trial), trial)[0]
+            held += float((some.weight[:, None] * inside * some.allowed).sum())
+            size += float((some.weight[:, None] * some.allowed).sum())
+        low, high = (middle, high) if held / size < level / 100 else (low, middle)
+    return (low + high) / 2
+
+
+def answered(one: Cases, known: Mapping) -> Answer:
+    """The answer of `shares`."""
+    return answer(one.foretold, one.allowed, one.dark, one.rock, one.mixed, known)
+
+
+def holds(one: Cases, found: Answer, known: Mapping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whether intervals of 68 and 95 % hold the truth, (n, 4) each, and their widths (2, n, 4)."""
+    ends = found.intervals(known)
+    inside = [(part[..., 0] - 1e-6 <= one.truth) & (one.truth <= part[..., 1] + 1e-6) for part in ends]
+    return inside[0], inside[1], np.array([part[..., 1] - part[..., 0] for part in ends])
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """Of one way of asking, each fold by what the others taught: arrays by spectrum, (n,), and by mineral, (n, 4)."""
+
+    mean: np.ndarray
+    near: np.ndarray
+    present: np.ndarray
+    held: np.ndarray
+    width: np.ndarray
+
+
+def nested(every: Sequence[Cases]) -> list[Nested]:
+    """Of each way."""
+    found = []
+    laws = {fold: learn(every, fold) for fold in range(FOLDS)}
+    for one in every:
+        count = len(one.rows)
+        own = Nested(*(np.zeros(shape) for shape in ((count, 4), count, (count, 4), (2, count, 4), (2, count, 4))))
+        for fold, known in laws.items():
+            rows = np.flatnonzero(one.fold == fold)
+            if rows.size:
+                part = one.part(one.fold == fold)
+                answer = answered(part, known)
+                own.mean[rows], own.near[rows], own.present[rows] = answer.mean, answer.near(), answer.present()
+                inside68, inside95, own.width[:, rows] = holds(part, answer, known)
+                own.held[:, rows] = inside68, inside95
+        found.append(own)
+    return found
+
+
+def judged(every: Sequence[Cases], found: Sequence[Nested]) -> list[dict[str, str]]:
+    """A row for each way of asking and sort of spectra."""
+    rows = []
+    for one, own in zip(every, found, strict=True):
+        error = np.abs(own.mean - one.truth)
+        good, inside = error.max(axis=1) <= GOOD, own.near >= LIKELY
+        sorts = {name: one.group == name for name in ("mixture", "mineral", "meteorite", "rock")}
+        sorts["mixture or meteorite"] = sorts["mixture"] | sorts["meteorite"]
+        for name, m in sorts.items():
+            if m.sum() < LEAST_SPECTRA:
+                continue
+            there = one.allowed[m] > 0
+            numbers = {
+                "within_15": good[m].mean(),
+                "in_domain": inside[m].mean(),
+                "in_domain_and_good": (good & inside)[m].mean(),
+                "precision": good[m & inside].mean(),
+                **{f"held{level}": own.held[k][m][there].mean() for k, level in enumerate((68, 95))},
+                **{f"width{level}": np.median(own.width[k][m][there]) for k, level in enumerate((68, 95))},
+                "present_error": calibration_error(own.present[m][there], one.truth[m][there] > SOME),
+            }
+            rms = zip(MINERALS, np.sqrt((error[m] ** 2).mean(axis=0)), strict=True)
+            rows.append({"way": one.way, "spectra": name, "count": str(m.sum())}
+                        | {f"rms_{mineral}": f"{value:.3f}" for mineral, value in rms}
+                        | {key: f"{value:.2f}" for key, value in numbers.items()})  # fmt: skip
+    return rows
+
+
+def calibration_error(chance: np.ndarray, true: np.ndarray) -> float:
+    """Over five bins of probability."""
+    bins = np.minimum((chance * 5).astype(int), 4)
+    return float(
+        sum(
+            abs(chance[bins == k].mean() - true[bins == k].mean()) * (bins == k).mean()
+            for k in range(5)
+            if (bins == k).any()
+        )
+    )
+
+
+def write(out: Path, known: Known, every: Sequence[Cases], found: Sequence[Nested], ids: Sequence[str]) -> None:
+    """All tables."""
+    with (out / "share_validation.csv").open("w", newline="") as file:
+        rows = judged(every, found)
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+    with (out / "share_calibration.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["quantity", "term", "value"])
+        writer.writerows([*key, f"{value:.4f}"] for key, value in known.items())
+    with (out / "share_errors.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(
+            ["class", "suite", "id", "in_domain", *(f"error_{m}" for m in MINERALS), *(f"sigma_{m}" for m in MINERALS)]
+        )
+        names = {"mixture": "powder-mixture", "meteorite": "dark-rock-powder", "rock": "solid-rock"}
+        one, own = every[0], found[0]
+        for row in np.flatnonzero(one.group != "mineral"):
+            numbers = [f"{x:.3f}" for x in [*(own.mean - one.truth)[row], *own.width[0][row] / 2]]
+            inside = str(bool(own.near[row] >= LIKELY)).lower()
+            writer.writerow([names[one.group[row]], one.suite[row].rstrip("-"), ids[row], inside, *numbers])
+
+
+def main() -> None:
+    """Write the tables."""
+    folder, networks, out = map(Path, sys.argv[1:4])
+    out.mkdir(parents=True, exist_ok=True)
+    kept = out / "cases.pkl"
+    if not kept.exists():
+        kept.write_bytes(pickle.dumps(cases(folder, networks)))
+    every = pickle.loads(kept.read_bytes())
+    found = nested(every)
+    write(out, learn(every), every, found, measured(folder).ids)
+
+
+if __name__ == "__main__":
+    main()
