@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from lunarsci.spectra_data.make_share_networks import FOLDS, PURE, Powders, fold_of, measured, soft
+from lunarsci.spectra_data.make_share_networks import FOLDS, PURE, LabSpectra, fold_of, measured, soft
 from scipy.optimize import minimize
 
 from lunarsci.inputs import read_input
@@ -32,7 +32,7 @@ from lunarsci.spectra.abundance.shares import (
     GOOD,
     LIKELY,
     SOME,
-    Answer,
+    CalibratedShares,
     Mixed,
     answer,
     how_dark,
@@ -96,7 +96,7 @@ def all_spectra(folder: Path) -> list[Spectrum]:
     return [one for part in parts for one in read_spectra(read_input(str(folder / part / "reflectance.csv")))]
 
 
-def series_of(powders: Powders) -> np.ndarray:
+def series_of(powders: LabSpectra) -> np.ndarray:
     """Name of the series that a mixture belongs to: its suite and its sieve; '' of what is no mixture."""
     mixed = (powders.shares.max(axis=1) < PURE) & (powders.manifest["part"].to_numpy() != "meteorites")
     sieves = powders.manifest["min_um"].astype(str) + "-" + (powders.manifest["max_um"].astype(float) // 10).astype(str)
@@ -140,7 +140,7 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
 
 
 def mixtures_of(
-    powders: Powders, spectra: Sequence[Spectrum], fold: np.ndarray, library: Sequence, groups: Sequence[list[int]],
+    powders: LabSpectra, spectra: Sequence[Spectrum], fold: np.ndarray, library: Sequence, groups: Sequence[list[int]],
     allowed: np.ndarray,
 ) -> tuple[Mixed, np.ndarray]:  # fmt: skip
     """What end members say of groups of spectra, without any of the suites of the fold and of their specimens."""
@@ -230,12 +230,12 @@ def _level(parts: Sequence[Cases], known: Known, level: int) -> float:
     return (low + high) / 2
 
 
-def answered(one: Cases, known: Mapping) -> Answer:
+def answered(one: Cases, known: Mapping) -> CalibratedShares:
     """The answer of `shares`."""
     return answer(one.foretold, one.allowed, one.dark, one.rock, one.mixed, known)
 
 
-def holds(one: Cases, found: Answer, known: Mapping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def holds(one: Cases, found: CalibratedShares, known: Mapping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whether intervals of 68 and 95 % hold the truth, (n, 4) each, and their widths (2, n, 4)."""
     ends = found.intervals(known)
     inside = [(part[..., 0] - 1e-6 <= one.truth) & (one.truth <= part[..., 1] + 1e-6) for part in ends]

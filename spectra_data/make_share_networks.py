@@ -6,8 +6,8 @@ numbers of folds the networks without the suites of fold K are made, as `OUT/fol
 
 Networks see made-up mixtures: one to four measured powders (their single-scattering albedos, in shares drawn from a
 flat law), grains coarser or finer, opaque phases or glass, submicroscopic iron, and what real spectra have beside any
-model: level, slope, bend, details, noise. Mixtures of one powder are that powder with all this. What is drawn has its
-numbers in `Law`, all of them assumed.
+model: level, slope, bend, details, noise. Mixtures of one powder are that powder with all this. `Recipe` has the
+numbers of what is drawn, all of them assumed.
 """
 
 import re
@@ -36,7 +36,7 @@ FACTORS = 24
 
 
 @dataclass(frozen=True)
-class Law:
+class Recipe:
     """How mixtures are drawn, and how networks learn."""
 
     count: int = 30_000
@@ -68,7 +68,7 @@ class Law:
 
 
 @dataclass(frozen=True, eq=False)
-class Powders:
+class LabSpectra:
     """Measured spectra: ids, ln R (n, 101), shares (n, 4), suites, and what their manifest says."""
 
     ids: list[str]
@@ -77,11 +77,13 @@ class Powders:
     suites: np.ndarray
     manifest: pd.DataFrame
 
-    def where(self, chosen: np.ndarray) -> "Powders":
+    def where(self, chosen: np.ndarray) -> "LabSpectra":
         """Some of them."""
         rows = np.flatnonzero(chosen)
         ids = [self.ids[k] for k in rows]
-        return Powders(ids, self.ln_reflectance[rows], self.shares[rows], self.suites[rows], self.manifest.iloc[rows])
+        return LabSpectra(
+            ids, self.ln_reflectance[rows], self.shares[rows], self.suites[rows], self.manifest.iloc[rows]
+        )
 
 
 def suite_of(id: str) -> str:
@@ -89,7 +91,7 @@ def suite_of(id: str) -> str:
     return re.sub(r"\d.*", "", id)
 
 
-def measured(folder: Path) -> Powders:
+def measured(folder: Path) -> LabSpectra:
     """Spectra of known modes of all parts."""
     ids, rows, shares, about = [], [], [], []
     for part in PARTS:
@@ -102,17 +104,17 @@ def measured(folder: Path) -> Powders:
             shares.append(modes / modes.sum())
             about.append(manifest.loc[spectrum.id].to_dict() | {"part": part})
     suites = np.array([suite_of(id) for id in ids])
-    return Powders(ids, np.array(rows), np.array(shares), suites, pd.DataFrame(about, index=ids))
+    return LabSpectra(ids, np.array(rows), np.array(shares), suites, pd.DataFrame(about, index=ids))
 
 
-def library_powders() -> Powders:
+def library_powders() -> LabSpectra:
     """Those of the USGS, from the library of end members; suites by the beginning of the name."""
     own = [item for item in embedded_end_members(GRID_NM) if item.source == "usgs" and item.mineral in MINERALS]
     shares = np.array([[float(item.mineral == mineral) for mineral in MINERALS] for item in own])
     suites = np.array(["USGS-" + item.id.split("_")[0] for item in own])
     ids = [item.id for item in own]
     rows = np.log(np.array([item.reflectance for item in own]))
-    return Powders(ids, rows, shares, suites, pd.DataFrame(index=ids))
+    return LabSpectra(ids, rows, shares, suites, pd.DataFrame(index=ids))
 
 
 def fold_of(suites: np.ndarray) -> np.ndarray:
@@ -128,7 +130,9 @@ def _weights(suites: np.ndarray) -> np.ndarray:
     return np.asarray(weight / weight.sum())
 
 
-def mixtures(powders: Powders, count: int, rng: np.random.Generator, law: Law) -> tuple[np.ndarray, np.ndarray]:
+def mixtures(
+    powders: LabSpectra, count: int, rng: np.random.Generator, recipe: Recipe
+) -> tuple[np.ndarray, np.ndarray]:
     """ln R (count, 101) and shares (count, 4)."""
     mixing = Albedo(HapkeSurface())
     element = mixing.element(np.exp(powders.ln_reflectance))
@@ -136,62 +140,62 @@ def mixtures(powders: Powders, count: int, rng: np.random.Generator, law: Law) -
     pools = [np.flatnonzero(kind == k) for k in range(len(MINERALS))]
     chances = [_weights(powders.suites[pool]) for pool in pools]
     everyone = _weights(powders.suites)
-    number = rng.choice(np.arange(1, len(law.powders) + 1), count, p=law.powders)
+    number = rng.choice(np.arange(1, len(recipe.powders) + 1), count, p=recipe.powders)
     part = rng.gamma(np.ones((count, len(MINERALS)))) * (np.arange(len(MINERALS)) < number[:, None])
     part /= part.sum(axis=1, keepdims=True)
     order = np.argsort(rng.random(part.shape), axis=1)
-    common = rng.normal(0.0, law.common_size, count)
+    common = rng.normal(0.0, recipe.common_size, count)
     mixed, section, shares = np.zeros((count, GRID_NM.size)), np.zeros(count), np.zeros(part.shape)
     for place in range(len(MINERALS)):
         rows = np.flatnonzero(place < number)
-        free = (number[rows] == 1) | (rng.random(rows.size) < law.any_powder)
+        free = (number[rows] == 1) | (rng.random(rows.size) < recipe.any_powder)
         chosen = rng.choice(len(everyone), rows.size, p=everyone)
         for k, (pool, chance) in enumerate(zip(pools, chances, strict=True)):
             own = ~free & (order[rows, place] == k)
             chosen[own] = rng.choice(pool, own.sum(), p=chance)
         t = element[chosen]
         for k, (pool, chance) in enumerate(zip(pools, chances, strict=True)):
-            own = np.flatnonzero((kind[chosen] == k) & (rng.random(rows.size) < law.blended))
+            own = np.flatnonzero((kind[chosen] == k) & (rng.random(rows.size) < recipe.blended))
             between = rng.random(own.size)[:, None]
             t[own] = t[own] * (1 - between) + element[rng.choice(pool, own.size, p=chance)] * between
-        size = rng.normal(0.0, law.own_size, rows.size) * (number[rows] > 1)
+        size = rng.normal(0.0, recipe.own_size, rows.size) * (number[rows] > 1)
         albedo = mixing.mixing(t + (size + common[rows])[:, None])[0]
         across = part[rows, place] * np.exp(-size)
         mixed[rows] += across[:, None] * albedo
         section[rows] += across
         shares[rows] += part[rows, place][:, None] * powders.shares[chosen]
-    darkened = _darkened(mixed / section[:, None], rng, law)
-    return mixing.ln_reflectance(darkened)[0] + _beside(count, rng, law), shares
+    darkened = _darkened(mixed / section[:, None], rng, recipe)
+    return mixing.ln_reflectance(darkened)[0] + _beside(count, rng, recipe), shares
 
 
 def _log_uniform(rng: np.random.Generator, ends: tuple[float, float], count: int) -> np.ndarray:
     return np.asarray(np.exp(rng.uniform(*np.log(ends), count)))[:, None]
 
 
-def _darkened(albedo: np.ndarray, rng: np.random.Generator, law: Law) -> np.ndarray:
+def _darkened(albedo: np.ndarray, rng: np.random.Generator, recipe: Recipe) -> np.ndarray:
     """With opaque phases, or glass, in part of the cross-section, and iron on all grains."""
     count, um = len(albedo), GRID_NM / 1e3
-    share = np.where(rng.random((count, 1)) < law.dark, _log_uniform(rng, law.dark_share, count), 0.0)
-    share = np.where(rng.random((count, 1)) < law.nearly_all_dark, rng.uniform(0.6, 1.0, (count, 1)), share)
-    power = np.where(rng.random((count, 1)) < law.flat, 0.0, rng.uniform(0.0, 1.0, (count, 1)))
-    depth = np.where(rng.random((count, 1)) < law.glass, rng.uniform(0.0, 0.3, (count, 1)), 0.0)
+    share = np.where(rng.random((count, 1)) < recipe.dark, _log_uniform(rng, recipe.dark_share, count), 0.0)
+    share = np.where(rng.random((count, 1)) < recipe.nearly_all_dark, rng.uniform(0.6, 1.0, (count, 1)), share)
+    power = np.where(rng.random((count, 1)) < recipe.flat, 0.0, rng.uniform(0.0, 1.0, (count, 1)))
+    depth = np.where(rng.random((count, 1)) < recipe.glass, rng.uniform(0.0, 0.3, (count, 1)), 0.0)
     band = np.exp(-0.5 * ((um - 1.08) / 0.16) ** 2) + 0.6 * np.exp(-0.5 * ((um - 1.9) / 0.3) ** 2)
-    dark = np.minimum(_log_uniform(rng, law.dark_albedo, count) * um**power * (1 - depth * band), 0.95)
-    iron = np.where(rng.random((count, 1)) < law.iron, np.exp(rng.normal(*law.ln_iron, (count, 1))), 0.0)
+    dark = np.minimum(_log_uniform(rng, recipe.dark_albedo, count) * um**power * (1 - depth * band), 0.95)
+    iron = np.where(rng.random((count, 1)) < recipe.iron, np.exp(rng.normal(*recipe.ln_iron, (count, 1))), 0.0)
     falls = np.where(rng.random((count, 1)) < 0.5, iron_absorption(GRID_NM), 1.0)
     return np.asarray(1.0 / (1.0 / ((1.0 - share) * albedo + share * dark) + iron * falls))
 
 
-def _beside(count: int, rng: np.random.Generator, law: Law) -> np.ndarray:
+def _beside(count: int, rng: np.random.Generator, recipe: Recipe) -> np.ndarray:
     """What ln R of real spectra has beside the model's, and noise."""
     u = GRID_NM / 1e3 - 1.45
-    smooth = (law.level * np.ones_like(u), law.slope * u, law.bend * (u**2 - np.mean(u**2)))
+    smooth = (recipe.level * np.ones_like(u), recipe.slope * u, recipe.bend * (u**2 - np.mean(u**2)))
     apart = (GRID_NM[:, None] - GRID_NM) / 120.0
-    edge = law.edge * np.exp((450.0 - GRID_NM) / 100.0)
-    detail = (law.detail**2 + edge[:, None] * edge) * np.exp(-0.5 * apart**2) + 1e-9 * np.eye(u.size)
+    edge = recipe.edge * np.exp((450.0 - GRID_NM) / 100.0)
+    detail = (recipe.detail**2 + edge[:, None] * edge) * np.exp(-0.5 * apart**2) + 1e-9 * np.eye(u.size)
     drawn = rng.standard_normal((count, 3)) @ np.array(smooth)
     drawn += rng.standard_normal((count, u.size)) @ np.linalg.cholesky(detail).T
-    return np.asarray(drawn + _log_uniform(rng, law.noise, count) * rng.standard_normal((count, u.size)))
+    return np.asarray(drawn + _log_uniform(rng, recipe.noise, count) * rng.standard_normal((count, u.size)))
 
 
 def soft(shares: np.ndarray) -> np.ndarray:
@@ -218,14 +222,20 @@ class Learner:
         self.steps = 0
 
     def learn(
-        self, x: np.ndarray, wanted: np.ndarray, allowed: np.ndarray, rate: float, law: Law, rng: np.random.Generator
+        self,
+        x: np.ndarray,
+        wanted: np.ndarray,
+        allowed: np.ndarray,
+        rate: float,
+        recipe: Recipe,
+        rng: np.random.Generator,
     ) -> None:
         """One step towards probabilities (n, 4, 21) of a batch."""
         seen, kept = [x], []
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = x @ weight + bias
             if k < len(self.weights) - 1:
-                kept.append((rng.random(x.shape, dtype=np.float32) > law.dropped) / np.float32(1 - law.dropped))
+                kept.append((rng.random(x.shape, dtype=np.float32) > recipe.dropped) / np.float32(1 - recipe.dropped))
                 x = np.maximum(x, 0.0) * kept[-1]
                 seen.append(x)
         power = x.reshape(wanted.shape)
@@ -239,7 +249,7 @@ class Learner:
             if k:
                 slope = (slope @ self.weights[k].T) * kept[k - 1] * (seen[k] > 0)
         self.steps += 1
-        decays = [law.decay] * len(self.weights) + [0.0] * len(self.biases)
+        decays = [recipe.decay] * len(self.weights) + [0.0] * len(self.biases)
         values = self.weights + self.biases
         for value, by, one, two, decay in zip(
             values, by_weight + by_bias, self.first, self.second, decays, strict=True
@@ -250,22 +260,22 @@ class Learner:
             value -= np.float32(rate) * (step + decay * value)
 
 
-def trained(powders: Powders, seed: int, shaped: bool, law: Law) -> tuple[Network, np.ndarray]:
+def trained(powders: LabSpectra, seed: int, shaped: bool, recipe: Recipe) -> tuple[Network, np.ndarray]:
     """A network, and the ln R that it learned from."""
     rng = np.random.default_rng(seed)
-    ln_reflectance, shares = mixtures(powders, law.count, rng, law)
+    ln_reflectance, shares = mixtures(powders, recipe.count, rng, recipe)
     x = features(ln_reflectance, shaped)
     mean, scale = x.mean(axis=0), x.std(axis=0) + 1e-3
     x, wanted = ((x - mean) / scale).astype(np.float32), soft(shares)
-    learner = Learner((x.shape[1] + len(MINERALS), *law.hidden, wanted[0].size), rng)
-    total = law.epochs * (law.count // law.batch)
-    for _ in range(law.epochs):
-        order = rng.permutation(law.count)
-        for start in range(0, law.count - law.batch + 1, law.batch):
-            rows = order[start : start + law.batch]
+    learner = Learner((x.shape[1] + len(MINERALS), *recipe.hidden, wanted[0].size), rng)
+    total = recipe.epochs * (recipe.count // recipe.batch)
+    for _ in range(recipe.epochs):
+        order = rng.permutation(recipe.count)
+        for start in range(0, recipe.count - recipe.batch + 1, recipe.batch):
+            rows = order[start : start + recipe.batch]
             allowed = _allowed(shares[rows], rng)
-            rate = law.rate * 0.5 * (1 + np.cos(np.pi * learner.steps / total)) * min(1.0, (learner.steps + 1) / 100)
-            learner.learn(np.hstack([x[rows], allowed]), wanted[rows], allowed, rate, law, rng)
+            rate = recipe.rate * 0.5 * (1 + np.cos(np.pi * learner.steps / total)) * min(1.0, (learner.steps + 1) / 100)
+            learner.learn(np.hstack([x[rows], allowed]), wanted[rows], allowed, rate, recipe, rng)
     layers = tuple(zip(learner.weights, learner.biases, strict=True))
     return Network(layers, mean, scale, shaped), ln_reflectance
 
@@ -279,7 +289,7 @@ def background(ln_reflectance: np.ndarray) -> Background:
     return Background(mean, factors, own)
 
 
-def packed(networks: list[Network], law: Background) -> Iterator[tuple[str, np.ndarray]]:
+def packed(networks: list[Network], recipe: Background) -> Iterator[tuple[str, np.ndarray]]:
     """Arrays of the file; weights in half precision."""
     yield "networks", np.array(len(networks))
     for number, network in enumerate(networks):
@@ -291,21 +301,21 @@ def packed(networks: list[Network], law: Background) -> Iterator[tuple[str, np.n
             yield f"{number}_w{k}", weight.astype(np.float16)
             yield f"{number}_b{k}", bias.astype(np.float16)
     for name in ("mean", "factors", "own"):
-        yield f"background_{name}", getattr(law, name).astype(np.float32)
+        yield f"background_{name}", getattr(recipe, name).astype(np.float32)
 
 
-def made(powders: Powders, seed: int, law: Law) -> dict[str, np.ndarray]:
+def made(powders: LabSpectra, seed: int, recipe: Recipe) -> dict[str, np.ndarray]:
     """Networks and background of some powders, as arrays."""
-    both = [trained(powders, seed + k, shaped, law) for k, shaped in enumerate(NETWORKS)]
+    both = [trained(powders, seed + k, shaped, recipe) for k, shaped in enumerate(NETWORKS)]
     return dict(packed([network for network, _ in both], background(both[0][1])))
 
 
-def joined(one: Powders, other: Powders) -> Powders:
+def joined(one: LabSpectra, other: LabSpectra) -> LabSpectra:
     """All of both."""
     parts = (
         np.concatenate([getattr(one, name), getattr(other, name)]) for name in ("ln_reflectance", "shares", "suites")
     )
-    return Powders(one.ids + other.ids, *parts, pd.concat([one.manifest, other.manifest]))
+    return LabSpectra(one.ids + other.ids, *parts, pd.concat([one.manifest, other.manifest]))
 
 
 def main() -> None:
@@ -315,9 +325,9 @@ def main() -> None:
     known, library = measured(folder), library_powders()
     for fold in folds:
         rest = known.where(fold_of(known.suites) != fold)
-        np.savez_compressed(out / f"fold-{fold}.npz", **made(joined(rest, library), 1000 * (fold + 1), Law()))
+        np.savez_compressed(out / f"fold-{fold}.npz", **made(joined(rest, library), 1000 * (fold + 1), Recipe()))
     if not folds:
-        np.savez_compressed(out / "share_networks.npz", **made(joined(known, library), 0, Law()))
+        np.savez_compressed(out / "share_networks.npz", **made(joined(known, library), 0, Recipe()))
 
 
 if __name__ == "__main__":

@@ -62,6 +62,7 @@ SETTINGS = {
         "regolith/inference/totals.py: NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER",
         "regolith/inference/totals.py: STEP", "regolith/inversion.py: DEEPEST",
         "regolith/physics_discrepancy.py: GRID, REACH", "spectra/abundance/mixing.py: LEAST, MOST",
+        "spectra/abundance/learned.py: GRID_NM", "spectra/abundance/shares.py: FINE",
         "spectra/abundance/nbsr.py: GRID_NM", "spectra/abundance/unmix.py: GAUGE", "spectra/abundance/unmix.py: LIFTED",
         "spectra/abundance/unmix.py: ORIGIN_UM", "spectra/band_polynomial.py: SEARCH",
         "spectra/mgm/fit.py: CONTINUUM_QUANTILE", "spectra/mgm/fit.py: FIRST_STRENGTH",

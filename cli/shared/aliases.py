@@ -71,7 +71,6 @@ ALIASES = (
     Alias(("twin", "plan"), "--belief", ("twin", "plan"), "--soil", ANY, once=True),
     Alias(("twin", "forces"), "--belief", ("twin", "forces"), "--soil", ANY, once=True),
     Alias(("spectra", "fit"), "--start", ("spectra", "fit"), "--start-file", ANY),
-    Alias(("spectra", "unmix"), "--start", ("spectra", "unmix"), "--start-file", ANY),
     Alias(("spectra", "match"), "--map", ("spectra", "match"), "--mineral-map", ANY),
     Alias(("spectra", "match"), "--prior", ("spectra", "match"), "--crater-prior", ANY),
     Alias(("regolith", "infer"), "--prior", ("regolith", "infer"), "--prior-file", ANY),

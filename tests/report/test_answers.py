@@ -147,7 +147,6 @@ def test_what_a_command_refuses_is_neither_in_the_budget_nor_in_the_tables() -> 
 def test_caveats_below_the_tables_of_a_command_are_told() -> None:
     for name, said in {
         "bands": "2 µm band: conic not used",
-        "unmix": "not calibrated on rocks",
         "states": "of the others the track says nothing",
         "loads of states": "each wheel supplies still depends on the assumed soil",
         "identify joint": "priors of priors.toml where none are given",
@@ -332,7 +331,7 @@ def test_a_fit_and_shares_that_contradict_each_other_are_told_on_both_sections()
     )
 
     def mixed(**changes: Any) -> Document:
-        record = {"id": "rock", "source": "rock.csv", "abundances": {"unmix": share | {"in_domain": True} | changes}}
+        record = {"id": "rock", "source": "rock.csv", "abundance": share | {"in_domain": True} | changes}
         return replace(fitted, name="shares.json", result={"spectra": [record]})
 
     told = contradictions([fitted, mixed()])

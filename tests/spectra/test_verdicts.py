@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 import lunarsci
-from lunarsci.spectra.abundance.result import Abundance, MineralFraction
-from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_verdict
-from lunarsci.spectra.library.end_member import CHEMISTRY
+from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_counted, shares_verdict
 from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.mgm.batch import batch_of
 from lunarsci.spectra.mgm.columns import rows_one_by_one
@@ -99,9 +97,6 @@ def test_one_of_two_pyroxenes_is_sure_where_neither_is(fitted: dict[str, Any]) -
         "a pyroxene is sure, which one is open (orthopyroxene 32 %, clinopyroxene 81 %); also open: "
     )
     assert "olivine (30 %)" in said and "no mineral is sure" not in said
-    kind = {"name": "solid-rock", "stated": True, "probabilities": {"solid-rock": 1.0}}
-    one = boulder | {"kind": kind, "normative": None, "abundance": None}
-    assert shares_verdict(one).startswith("a pyroxene is sure, which one is open")
 
 
 def test_what_a_script_takes_agrees_with_the_verdict() -> None:
@@ -176,46 +171,29 @@ def test_a_centre_that_depends_on_the_method_says_so(reference_data: Path) -> No
     assert told > 0
 
 
-def test_no_share_out_of_domain_is_to_be_quoted() -> None:
-    share = {"fraction": 0.49, "low95": 0.1, "high95": 0.89}
-    unmix = {"method": "unmix", "in_domain": False, "status": "out of domain: too uncertain", "orthopyroxene": share}
-    nbsr = {"method": "nbsr", "in_domain": True, "status": "line", "orthopyroxene": share | {"fraction": 0.4}}
+def test_what_of_shares_may_be_quoted_is_said() -> None:
+    share = {"fraction": 0.49, "low95": 0.1, "high95": 0.89, "present": 0.97}
+    shares: dict[str, Any] = {"in_domain": False, "status": "out of domain: too uncertain", "orthopyroxene": share}
     record: dict[str, Any] = {
-        "kind": {"name": "not-determined", "stated": False, "probabilities": {"rock": 0.76, "soil": 0.24}}
+        "kind": {"name": "not-determined"},
+        "normative": None,
+        "abundance": shares | {"ratios": {}},
     }
-    record |= {"normative": None, "abundance": unmix, "abundances": {"unmix": unmix}, "status": "converged"}
-    assert "no share to be quoted: too uncertain" in shares_verdict(record)
-    assert "not decided (rock 76 %, soil 24 %), state `--kind`" in shares_verdict(record)
-    assert "misses" not in shares_verdict(record)
-    ratio = {"fraction": 0.28, "low95": 0.0, "high95": 0.75}
-    rock = shares_verdict(record | {"abundance": unmix | {"ratios": {"olivine_in_mafic": ratio}, "rms_ln": 0.19}})
-    assert "ratios with their intervals: olivine in mafic 28 % (95 %: 0 to 75)" in rock
-    assert "the mixture misses the spectrum by 19 % (rms)" in rock
-    both = shares_verdict(record | {"abundances": {"unmix": unmix, "nbsr": nbsr}})
-    assert "by `nbsr`, with its interval: orthopyroxene 40 % (95 %: 10 to 89)" in both and "49" not in both
-
-    good = unmix | {"in_domain": True, "status": "line"}
-    for left, said in ((0.05, "to be quoted, by `unmix`"), (0.19, "with care, by `unmix`")):
-        own = good | {"rms_ln": left}
-        assert said in shares_verdict(record | {"abundance": own, "abundances": {"unmix": own}})
-
-
-def test_a_share_to_be_quoted_says_of_which_minerals_alone_it_is() -> None:
-    spread = (0.8, 0.7, 0.9, 0.6, 1.0)
-    found = [
-        Abundance("a", "unmix", tuple(MineralFraction(name, *spread) for name in names), None, True, "line", None)
-        for names in (("olivine", "orthopyroxene", "clinopyroxene"), tuple(CHEMISTRY))
+    told = "orthopyroxene 49 % (95 %: 10 to 89)"
+    assert shares_verdict(record) == f"uncertain; quote the 95 % intervals alone: {told}; surely there: orthopyroxene"
+    ratio = {"olivine_in_mafic": {"fraction": 0.28, "low95": 0.0, "high95": 0.75}}
+    rock = record | {"abundance": shares | {"in_domain": True, "ratios": ratio}}
+    assert shares_verdict(rock).startswith(told)
+    assert shares_verdict(rock).endswith("; ratios: olivine in mafic 28 % (95 %: 0 to 75)")
+    open_one = record | {"abundance": shares | {"orthopyroxene": share | {"fraction": None}, "status": "nothing known"}}
+    assert shares_verdict(open_one) == "no share to be quoted: nothing known"
+    soil = record | {"kind": {"name": "weathered-soil"}}
+    assert shares_verdict(soil).startswith("no shares of minerals")
+    assert shares_counted([record, rock, soil]) == [
+        "shares likely within 15 %: 1 of 3 spectra; of the others quote the 95 % intervals",
+        "surely there: orthopyroxene in 3",
+        "weathered soils, not unmixed: 1 of 3 spectra",
     ]
-    record: dict[str, Any] = {"kind": {"name": "powder-mixture", "stated": True}, "normative": None}
-    kind = record["kind"] | {"probabilities": {}}
-    mafic, all_four = (
-        shares_verdict(record | {"kind": kind, "abundance": own, "abundances": {"unmix": own}, "status": "converged"})
-        for own in (item.to_dict() for item in found)
-    )
-    assert (
-        "of olivine, orthopyroxene, clinopyroxene alone (plagioclase not weighed, may be much): olivine 80 %" in mafic
-    )
-    assert "weighed" not in all_four
 
 
 def test_centres_that_no_such_mineral_has_strain_a_fit() -> None:

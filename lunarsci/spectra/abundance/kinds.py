@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.tables import table_rows
@@ -246,9 +246,32 @@ def find_kinds(
     return _verdicts(features, noise, stated, model or embedded_kinds())
 
 
-def kinds_of_rows(wavelength_nm: FloatArray, reflectance: FloatArray, stated: Kind | None = None) -> list[KindVerdict]:
-    """As `find_kinds`, of spectra (n, c) above 0 on the same channels (c,). [nm, -]"""
-    return _verdicts(*features_of_rows(wavelength_nm, reflectance), stated, embedded_kinds())
+def kinds_of_rows(
+    wavelength_nm: FloatArray, reflectance: FloatArray, stated: Kind | None = None
+) -> tuple[IntArray, FloatArray, BoolArray]:
+    """Of spectra (n, c) above 0 on the same channels (c,) what `find_kinds` says, as arrays. [nm, -]
+
+    Returns the place in `KINDS`, -1 where it is open; the probability of no mixture of powders; whether it is taken as
+    weathered; (n,) each.
+    """
+    law, count = embedded_kinds(), len(reflectance)
+    features, noise = features_of_rows(wavelength_nm, reflectance)
+    chance = law.probabilities(features, noise)
+    place, dark, weathered = _named_rows(law, features, chance)
+    if stated is None:
+        return place, dark, weathered
+    own = KINDS.index(stated)
+    return np.full(count, own), np.full(count, float(own > 0)), np.full(count, stated == "weathered-soil")
+
+
+def _named_rows(law: KindModel, features: FloatArray, chance: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:
+    """Place in `KINDS` or -1, probability of no mixture of powders, and whether weathered, (n,) each."""
+    shares = np.column_stack([chance[:, [own == kind for own in law.kinds]].sum(axis=1) for kind in KINDS])
+    likely = shares.argmax(axis=1)
+    sure = shares.max(axis=1) >= np.array([SURE[kind] for kind in KINDS])[likely]
+    sure &= np.isfinite(features).sum(axis=1) >= LEAST_FEATURES
+    place = np.where(sure, likely, -1)
+    return place, 1.0 - shares[:, 0], (place == KINDS.index("weathered-soil")) | (_weathered(law, chance) >= WEATHERED)
 
 
 def _verdicts(features: FloatArray, noise: FloatArray, stated: Kind | None, law: KindModel) -> list[KindVerdict]:
@@ -281,13 +304,9 @@ def _verdict(
 
 def dark_or_weathered(features: FloatArray, noise: FloatArray) -> BoolArray:
     """(n,) whether spectra of such features, (n, 9), are of a dark rock's powder or weathered, as `find_kinds` says."""
-    law, enough = embedded_kinds(), np.isfinite(features).sum(axis=1) >= LEAST_FEATURES
-    chance = law.probabilities(features, noise)
-    shares = np.column_stack([chance[:, [own == kind for own in law.kinds]].sum(axis=1) for kind in KINDS])
-    likely = shares.argmax(axis=1)
-    sure = shares.max(axis=1) >= np.array([SURE[kind] for kind in KINDS])[likely]
-    named = enough & sure & (likely != KINDS.index("powder-mixture"))
-    return np.asarray(named | (_weathered(law, chance) >= WEATHERED))
+    law = embedded_kinds()
+    place, _, weathered = _named_rows(law, features, law.probabilities(features, noise))
+    return np.asarray((place > 0) | weathered)
 
 
 def _weathered(law: KindModel, chance: FloatArray) -> FloatArray:

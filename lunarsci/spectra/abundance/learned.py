@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
@@ -24,19 +23,19 @@ from lunarsci.tables import SPECTRA_DATA
 TABLE = "share_networks.npz"
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 STEP_NM = 20.0
+"""Between channels of the networks: features of minerals are ten times as wide. Assumed."""
 GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
-"""Channels of the networks: features of minerals are ten times as wide. Assumed."""
 SHARES = np.linspace(0.0, 1.0, 21)
-"""Shares whose probabilities are foretold."""
+"""Shares whose probabilities are foretold: mixtures are seldom weighed better than to 5 %. Assumed."""
 GAP_NM = 60.0
 """Between channels no farther apart than this ln R is taken as straight, a third of the narrowest band of olivine and
 pyroxene; beyond, channels are missing. Assumed."""
 NOISE = 0.02
-"""Noise of ln R at 20 nm up to which networks were trained with it, and see a spectrum as it is."""
+"""Noise of ln R at 20 nm up to which networks see a spectrum as it is; measured: they were trained with up to that."""
 DRAWS = 12
-"""Spectra drawn where some is missing; 100 give the same to 0.01 of a share."""
+"""Pairs of spectra drawn where some is missing; assumed enough."""
 SMALLEST = 1e-4
-"""Reflectance below which none counts."""
+"""Reflectance below which none counts; assumed."""
 LEAST_DEPTH = 0.03
 """Depth below the hull, in ln R, from which the shape is a band's and not the noise's; assumed."""
 AT_ONCE = 4096
@@ -50,14 +49,14 @@ class Network:
     Layers but the last end in max(x, 0). `shaped` : whether it sees shapes below the hull.
     """
 
-    layers: tuple[tuple[Any, Any], ...]
-    mean: Any
-    scale: Any
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    mean: FloatArray
+    scale: FloatArray
     shaped: bool
 
     def probabilities(self, ln_reflectance: FloatArray, allowed: FloatArray) -> FloatArray:
         """(n, 4, 21) of ln R (n, 101) and of which minerals there may be, (n, 4)."""
-        x = np.hstack([(features(ln_reflectance, self.shaped) - self.mean) / self.scale, allowed]).astype(np.float32)
+        x = np.hstack([(features(ln_reflectance, self.shaped) - self.mean) / self.scale, allowed])
         for number, (weight, bias) in enumerate(self.layers):
             x = x @ weight + bias
             if number < len(self.layers) - 1:
@@ -153,10 +152,10 @@ def unpacked(found: Mapping[str, FloatArray]) -> tuple[tuple[Network, ...], Back
     for number in range(int(found["networks"])):
         count = int(found[f"{number}_layers"])
         layers = tuple(
-            (found[f"{number}_w{k}"].astype(np.float32), found[f"{number}_b{k}"].astype(np.float32))
+            (found[f"{number}_w{k}"].astype(np.float64), found[f"{number}_b{k}"].astype(np.float64))
             for k in range(count)
         )
-        mean, scale = (found[f"{number}_{name}"].astype(np.float32) for name in ("mean", "scale"))
+        mean, scale = (found[f"{number}_{name}"].astype(np.float64) for name in ("mean", "scale"))
         networks.append(Network(layers, mean, scale, bool(found[f"{number}_shaped"])))
     law = (found[f"background_{name}"].astype(np.float64) for name in ("mean", "factors", "own"))
     return tuple(networks), Background(*law)

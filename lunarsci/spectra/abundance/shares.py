@@ -14,7 +14,7 @@ networks and end members that knew nothing of their suite; and the levels at whi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -29,19 +29,19 @@ TABLE = "share_calibration.csv"
 GOOD = 0.15
 """How near all shares must be for a good answer; assumed."""
 LIKELY = 0.7
-"""Probability of each share being so near from which a spectrum is in domain: then 9 in 10 of measured spectra had all
-shares so near (`make_share_calibration.py`)."""
+"""Probability of each share being so near from which a spectrum is in domain; measured: then 9 in 10 had all shares so
+near, of spectra of suites left out (`share_validation.csv`)."""
 SOME = 0.05
 """Share above which a mineral counts as there; assumed."""
 OPEN = (0.1, 0.9)
 """Probabilities of that between which a mineral is open; assumed."""
 NOTHING = 0.5
-"""Probability of knowing nothing from which no share is named."""
+"""Probability of knowing nothing from which no share is named; assumed."""
 FINE = np.linspace(0.0, 1.0, 201)
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
 DRAWN = 4000
-"""Draws of shares that ratios are made of."""
+"""Draws of shares that ratios are made of; assumed enough."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +58,8 @@ class Mixed:
     own: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
+@dataclass(frozen=True, eq=False)
+class CalibratedShares:
     """Calibrated probabilities of `SHARES` (n, 4, 21) of n spectra, and of knowing nothing, `doubt` (n,).
 
     `weight` (n,) is that of mixtures of end members.
@@ -69,13 +69,13 @@ class Answer:
     doubt: FloatArray
     weight: FloatArray
 
-    @property
+    @cached_property
     def mean(self) -> FloatArray:
         """Shares (n, 4); they sum to 1."""
         mean = self.probabilities @ SHARES
         return np.asarray(mean / mean.sum(axis=1, keepdims=True))
 
-    @property
+    @cached_property
     def below(self) -> FloatArray:
         """Probability of less than each of `FINE`, (n, 4, 201)."""
         return np.asarray(self.probabilities @ _below_each())
@@ -91,14 +91,16 @@ class Answer:
         return np.asarray(1.0 - _at(self.below, np.full(self.mean.shape, SOME)))
 
     def intervals(self, calibration: Mapping[tuple[str, str], float]) -> tuple[FloatArray, FloatArray]:
-        """Shortest intervals of 68 and of 95 %, (n, 4, 2) each."""
+        """Shortest intervals of 68 and of 95 %, the first within the second, (n, 4, 2) each."""
         below = self.below.reshape(-1, FINE.size)
         found = []
         for name in ("level68", "level95"):
             level = np.where(self.weight < 0.5, calibration[name, "alone"], calibration[name, "mixed"])
             ends = _shortest(below, np.repeat(level, len(MINERALS))).reshape(*self.mean.shape, 2)
             found.append(np.stack([np.minimum(ends[..., 0], self.mean), np.maximum(ends[..., 1], self.mean)], axis=-1))
-        return found[0], found[1]
+        inner, outer = found
+        low, high = np.minimum(outer[..., 0], inner[..., 0]), np.maximum(outer[..., 1], inner[..., 1])
+        return inner, np.stack([low, high], axis=-1)
 
 
 @cache
@@ -214,7 +216,7 @@ def answer(
     rock: FloatArray,
     mixed: Mixed | None = None,
     known: Mapping[tuple[str, str], float] | None = None,
-) -> Answer:
+) -> CalibratedShares:
     """Calibrated probabilities of shares of n spectra.
 
     Parameters
@@ -226,7 +228,7 @@ def answer(
     """
     known = known or calibration()
     both, weight = pooled(foretold, mixed, dark, known)
-    return Answer(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, known), known), weight)
+    return CalibratedShares(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, known), known), weight)
 
 
 def abundances(
@@ -261,15 +263,13 @@ def abundances(
 
 
 def shares_of_rows(
-    foretold: Foretold, allowed: FloatArray, kinds: Sequence[KindVerdict]
+    foretold: Foretold, allowed: FloatArray, dark: FloatArray, rock: FloatArray, weathered: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Of many spectra shares (n, 4), ends of their 68 % intervals (n, 4, 2), and whether they are in domain (n,)."""
-    rock = np.array([float(kind.stated and kind.kind == "solid-rock") for kind in kinds])
-    found = answer(foretold, allowed, how_dark(kinds), rock)
+    found = answer(foretold, allowed, dark, rock)
     told = found.doubt < NOTHING
     mean = np.where(told[:, None], found.mean, np.nan)
-    fresh = np.array([not kind.is_weathered for kind in kinds])
-    return mean, found.intervals(calibration())[0], told & fresh & (found.near() >= LIKELY)
+    return mean, found.intervals(calibration())[0], told & ~weathered & (found.near() >= LIKELY)
 
 
 def _status(near: float, told: bool, kind: KindVerdict, fractions: Sequence[MineralFraction]) -> str:
@@ -284,7 +284,7 @@ def _status(near: float, told: bool, kind: KindVerdict, fractions: Sequence[Mine
     return "; ".join(parts)
 
 
-def _ratios(found: Answer, row: int, there: BoolArray) -> tuple[MineralFraction, ...]:
+def _ratios(found: CalibratedShares, row: int, there: BoolArray) -> tuple[MineralFraction, ...]:
     """Shares of one mineral in several; shares are drawn one by one and brought to a sum of 1."""
     uniform = np.random.default_rng(0).random((DRAWN, len(MINERALS)))
     below = found.below[row]

@@ -77,16 +77,16 @@ class UnmixProduct:
             if not usable.any():
                 continue
             channels, part = wavelength_nm[usable], reflectance[np.ix_(rows, usable)]
-            kinds = kinds_of_rows(channels, part, None if self.kind == "auto" else self.kind)
+            kind, dark, weathered = kinds_of_rows(channels, part, None if self.kind == "auto" else self.kind)
             allowed = np.ones((rows.size, len(MINERALS)))
-            mean, ends, inside = shares_of_rows(foretell(channels, part, allowed), allowed, kinds)
-            soil = np.array([kind.kind == "weathered-soil" for kind in kinds])
+            rock = np.full(rows.size, float(self.kind == "solid-rock"))
+            mean, ends, inside = shares_of_rows(foretell(channels, part, allowed), allowed, dark, rock, weathered)
+            soil = kind == KINDS.index("weathered-soil")
             for k, mineral in enumerate(MINERALS):
                 for name, own in (("", mean[:, k]), ("_low", ends[:, k, 0]), ("_high", ends[:, k, 1])):
                     values[f"share_{mineral}{name}"][rows] = np.where(soil, np.nan, own)
             values["shares_in_domain"][rows] = inside
-            names = list[str](KINDS)
-            values["kind"][rows] = [names.index(one.kind) if one.kind in names else NO_CODE for one in kinds]
+            values["kind"][rows] = np.where(kind < 0, NO_CODE, kind)
         return values
 
 

@@ -268,7 +268,7 @@ def _shares(
         for mineral in modes.absent.get(spectrum.id, ()):
             row[MINERALS.index(mineral)] = 0.0
         if mineral_shares := modes.known.get(spectrum.id):
-            row[:] = [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
+            row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
     foretold = foretell_each(spectra, allowed)
     mixed = _mixed(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
     found = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed)

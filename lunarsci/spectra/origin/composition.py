@@ -207,7 +207,7 @@ def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
 
 
 def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | None:
-    """Shares and half their 68 % intervals, which `spectra unmix` calibrates by kind.
+    """Shares and their standard deviations, by the intervals that `spectra unmix` calibrates.
 
     One that is not determined counts with the middle and half the width of its interval; where none is, nothing is
     known. Out of the domain errors are at least those that were measured of the kind.
@@ -233,10 +233,11 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
 
 
 def _interval(item: Mapping[str, Any]) -> Value:
-    """Fraction, or the middle of its 68 % interval, and half of that."""
+    """Fraction, or the middle of its 68 % interval, and half of that, or a quarter of the 95 % one where that is more."""
     low, high = float(item["low"]), float(item["high"])
+    wide = float(item.get("high95", high)) - float(item.get("low95", low))
     value = item.get("fraction")
-    return (low + high) / 2 if value is None else float(value), (high - low) / 2
+    return (low + high) / 2 if value is None else float(value), max((high - low) / 2, wide / 4)
 
 
 def _scaled(modes: Mapping[str, Value]) -> dict[str, Value]:

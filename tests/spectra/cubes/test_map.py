@@ -252,7 +252,7 @@ def test_shares_and_matches_of_pixels_are_those_of_the_single_commands(envi: Any
         found = opened(tmp_path / "map.nc").isel(line=1, sample=0)
         row = pixel(cube, "0,1")
         spectrum = row.cube.wavelength_nm, row.reflectance
-        shares = unmix([spectrum], **how).to_dict()["spectra"][0]["abundance"]
+        shares = unmix([spectrum]).to_dict()["spectra"][0]["abundance"]
         results = [bands([spectrum]), fit([spectrum], **how)]
         matched = match(results, craters=str(craters), site="-45.44,177.56").to_dict()["rocks"][0]
     for mineral in ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase"):
