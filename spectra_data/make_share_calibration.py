@@ -2,10 +2,10 @@
 
 FOLDER holds `reflectance.csv` and `manifest.csv` in `relab`, `minerals` and `meteorites`; NETWORKS the networks of the
 folds, `fold-K.npz` of `make_share_networks.py`. Each spectrum of known modes is judged by networks and end members that
-knew nothing of its suite, and no other powder of its specimens: with all four minerals, with its minerals named, and
-together with its series. Then the coefficients of `lunarsci.spectra.abundance.shares` are learned: the weight of the
-end members by the continuous ranked probability score, sharpness and doubt by the logarithmic score, the levels of
-intervals by what they hold in spectra of more than one mineral. A suite of m spectra counts as the square root of m.
+knew nothing of its suite, and no other powder of its specimens: with all four minerals, with its minerals named,
+together with its series, and cut. Then the coefficients of `lunarsci.spectra.abundance.shares` are learned: the weight
+of the end members by the continuous ranked probability score, sharpness and doubt by the logarithmic score, the levels
+of intervals by what they hold in spectra of more than one mineral. A suite of m spectra counts as the square root of m.
 
 `share_calibration.csv` has the coefficients; `share_validation.csv` and `share_errors.csv` what comes out, each fold by
 the coefficients of the others. OUT keeps what networks and end members said, `cases.pkl`, which is read where it is
@@ -47,9 +47,11 @@ from lunarsci.spectra.spectrum import Spectrum
 ROCKS = ("Chip", "Slab", "Natural")
 """In the texture of what is no powder."""
 LEAST_SPECTRA = 3
+CUTS_NM = ((0, 1000), (0, 1300), (0, 1700), (700, 2500), (1000, 2500), (800, 1700))
+"""Ranges that spectra are cut to, one after the other, so that what is missing weighs as it should."""
 Known = dict[tuple[str, str], float]
 WEIGHT_TERMS = ("constant", "ln_strange", "plagioclase", "ln_odds_dark")
-TERMS = ("constant", "dark", "strange", "rock", "mixed")
+TERMS = ("constant", "dark", "strange", "rock", "mixed", "missing")
 CENTRE = {("logit_doubt", "constant"): -3.0, ("logit_doubt", "strange"): 1.0}
 """Where coefficients are drawn to, others to 0: few spectra of known modes are strangers. Assumed."""
 DRAWN_TO = 0.003
@@ -74,7 +76,8 @@ class Cases:
 
     def part(self, chosen: np.ndarray) -> "Cases":
         """Some of them."""
-        own = Foretold(self.foretold.probabilities[chosen], self.foretold.ln_distance[chosen])
+        names = ("probabilities", "ln_distance", "missing")
+        own = Foretold(*(getattr(self.foretold, name)[chosen] for name in names))
         mixed = None
         if self.mixed is not None:
             mixed = Mixed(
@@ -114,14 +117,17 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
         (powders.shares > 0.05).sum(axis=1) > 1, "mixture", "mineral")))  # fmt: skip
     dark = np.maximum(how_dark(find_kinds(spectra)), rock)
     everything, named = np.ones((count, 4)), (powders.shares > 0).astype(float)
-    foretold = {way: Foretold(np.zeros((count, 4, 21)), np.zeros(count)) for way in ("all", "named")}
+    cut_ones = [cut(spectrum, CUTS_NM[row % len(CUTS_NM)]) for row, spectrum in enumerate(spectra)]
+    seen = {"all": (spectra, everything), "named": (spectra, named), "cut": (cut_ones, everything)}
+    foretold = {way: Foretold(np.zeros((count, 4, 21)), np.zeros(count), np.zeros(count)) for way in seen}
     for k in range(FOLDS):
         with np.load(networks / f"fold-{k}.npz") as found:
             learned = unpacked(found)
         rows = np.flatnonzero(fold == k)
-        for way, allowed in (("all", everything), ("named", named)):
-            one = foretell_each([spectra[row] for row in rows], allowed[rows], learned)
-            foretold[way].probabilities[rows], foretold[way].ln_distance[rows] = one.probabilities, one.ln_distance
+        for way, (some, allowed) in seen.items():
+            one = foretell_each([some[row] for row in rows], allowed[rows], learned)
+            for name in ("probabilities", "ln_distance", "missing"):
+                getattr(foretold[way], name)[rows] = getattr(one, name)
     library = embedded_end_members(on_common_channels(spectra[:1]).wavelength_nm)
     alone = mixtures_of(
         powders, spectra, fold, library, [[row] for row in np.flatnonzero(named.sum(axis=1) > 1)], named
@@ -134,9 +140,17 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
     series = mixtures_of(powders, spectra, fold, library, [g for g in groups if len(g) > 2], together_named)
     base = (dark, rock, powders.suites, fold, group)
     whole = Cases("all", np.arange(count), foretold["all"], None, everything, powders.shares, *base)
+    short = (np.maximum(how_dark(find_kinds(cut_ones)), rock), *base[1:])
+    less = Cases("cut", np.arange(count), foretold["cut"], None, everything, powders.shares, *short)
     own = Cases("named", np.arange(count), foretold["named"], alone[0], named, powders.shares, *base).part(alone[1])
     both = Cases("together", np.arange(count), foretold["named"], series[0], together_named, powders.shares, *base)
-    return [whole, own, both.part(series[1])]
+    return [whole, own, both.part(series[1]), less]
+
+
+def cut(spectrum: Spectrum, ends_nm: tuple[int, int]) -> Spectrum:
+    """Only what lies in a range."""
+    there = (spectrum.wavelength_nm >= ends_nm[0]) & (spectrum.wavelength_nm <= ends_nm[1])
+    return Spectrum(spectrum.id, spectrum.wavelength_nm[there], spectrum.reflectance[there])
 
 
 def mixtures_of(

@@ -135,9 +135,3 @@ def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArr
         **chemistry,
         **sizes,
     )
-
-
-def without_siblings(library: Sequence[EndMember], ids: Sequence[str]) -> tuple[EndMember, ...]:
-    """The library without the end members whose ids are given, and without all powders of their specimens."""
-    specimens = {item.specimen for item in library if item.id in ids} - {""}
-    return tuple(item for item in library if item.id not in ids and item.specimen not in specimens)

@@ -93,10 +93,12 @@ class Background:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Foretold:
-    """Probabilities of `SHARES` of each mineral, (n, 4, 21), and `ln_distance` of the spectra, (n,)."""
+    """Probabilities of `SHARES` of each mineral, (n, 4, 21); of the spectra `ln_distance` (`Background`) and the part
+    of `GRID_NM` that is `missing`, (n,)."""
 
     probabilities: FloatArray
     ln_distance: FloatArray
+    missing: FloatArray
 
 
 def only(probabilities: FloatArray, allowed: FloatArray) -> FloatArray:
@@ -215,7 +217,7 @@ def foretell(
         for one in drawn[:, part]:
             for network in networks:
                 found[part] += network.probabilities(one, allowed[part])
-    return Foretold(found / (len(drawn) * len(networks)), distance)
+    return Foretold(found / (len(drawn) * len(networks)), distance, np.full(len(seen), 1.0 - there.mean()))
 
 
 def foretell_each(
@@ -228,7 +230,7 @@ def foretell_each(
         error = b"" if own is None else (own[usable] / spectrum.reflectance[usable]).tobytes()
         groups.setdefault((spectrum.wavelength_nm[usable].tobytes(), error), []).append(index)
     probabilities = np.zeros((len(spectra), len(MINERALS), SHARES.size))
-    distance = np.zeros(len(spectra))
+    distance, missing = np.zeros(len(spectra)), np.zeros(len(spectra))
     for (channels, error), indices in groups.items():
         rows = np.array([spectra[k].reflectance[spectra[k].usable] for k in indices])
         try:
@@ -237,4 +239,5 @@ def foretell_each(
         except DataError as reason:
             raise DataError(f"{spectra[indices[0]].id}: {reason}") from reason
         probabilities[indices], distance[indices] = found.probabilities, found.ln_distance
-    return Foretold(probabilities, distance)
+        missing[indices] = found.missing
+    return Foretold(probabilities, distance, missing)

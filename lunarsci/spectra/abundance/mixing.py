@@ -21,7 +21,7 @@ in `Albedo` and 0.4-0.6 in `Absorbance`.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -152,10 +152,6 @@ class MixingLaw(Protocol):
         """As it stands in results."""
 
     @property
-    def surface(self) -> HapkeSurface:
-        """Geometry under which a surface of known albedo is seen."""
-
-    @property
     def size_exponent(self) -> float:
         """By how much t grows with the logarithm of the grain size."""
 
@@ -171,12 +167,6 @@ class MixingLaw(Protocol):
 
     def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ln R of x, and d ln R / dx."""
-
-    def of_albedo(self, albedo: FloatArray) -> FloatArray:
-        """x of a surface of this single-scattering albedo."""
-
-    def to_albedo(self, mixed: FloatArray) -> FloatArray:
-        """Single-scattering albedo of x."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,14 +196,6 @@ class Albedo:
         """See `MixingLaw`."""
         return self.surface.ln_reflectance(np.clip(mixed, LEAST, MOST))
 
-    def of_albedo(self, albedo: FloatArray) -> FloatArray:
-        """See `MixingLaw`."""
-        return albedo
-
-    def to_albedo(self, mixed: FloatArray) -> FloatArray:
-        """See `MixingLaw`."""
-        return np.clip(mixed, LEAST, MOST)
-
 
 @dataclass(frozen=True, eq=False)
 class Absorbance:
@@ -225,7 +207,6 @@ class Absorbance:
     name: str = "absorbance"
     size_exponent: float = 0.5
     section: float = 0.0
-    surface: HapkeSurface = field(default_factory=HapkeSurface)
 
     def element(self, reflectance: FloatArray) -> FloatArray:
         """See `MixingLaw`."""
@@ -239,14 +220,6 @@ class Absorbance:
     def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `MixingLaw`."""
         return -mixed, np.full_like(mixed, -1.0)
-
-    def of_albedo(self, albedo: FloatArray) -> FloatArray:
-        """See `MixingLaw`."""
-        return -self.surface.ln_reflectance(np.clip(albedo, LEAST, MOST))[0]
-
-    def to_albedo(self, mixed: FloatArray) -> FloatArray:
-        """See `MixingLaw`."""
-        return np.clip(self.surface.albedo(np.exp(-mixed)), LEAST, MOST)
 
 
 METHODS = ("unmix", "hapke", "absorbance")

@@ -153,17 +153,6 @@ def grains(sizes: Sequence[GrainSize]) -> tuple[FloatArray, FloatArray]:
     return np.array([item.ln_size for item in sizes]), apart[:, apart.any(axis=0)]
 
 
-def grain_sizes(minerals: Sequence[str], end_members: Sequence[EndMember]) -> dict[str, GrainSize]:
-    """By mineral, of those that have end members."""
-    own = {name: [item for item in end_members if item.mineral == name] for name in minerals}
-    return {name: grain_size(members) for name, members in own.items() if members}
-
-
-def unsized(minerals: Sequence[str], end_members: Sequence[EndMember]) -> list[str]:
-    """Minerals whose end members say too little of their grain size."""
-    return [name for name, item in grain_sizes(minerals, end_members).items() if item.sigma == UNKNOWN_SIZE]
-
-
 def reflectance_at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
     """Reflectance between the channels where it is above 0, NaN beyond them."""
     there = item.reflectance > 0

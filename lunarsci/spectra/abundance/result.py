@@ -5,7 +5,7 @@ The picture has one row for each spectrum and one panel for each mineral.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,13 +96,6 @@ def refused(id: str, method: str, minerals: Sequence[str], reason: str) -> Abund
     """Shares that may be anything, since a method does not apply to a spectrum."""
     fractions = tuple(open_share(mineral) for mineral in minerals)
     return Abundance(id, method, fractions, False, f"not determined: {reason}", None)
-
-
-def without_centres(found: Abundance, reason: str) -> Abundance:
-    """The same intervals, out of domain, and no value named in them; ratios may be anything."""
-    fractions = tuple(replace(item, fraction=math.nan) for item in found.fractions)
-    ratios = tuple(open_share(item.mineral) for item in found.ratios)
-    return replace(found, fractions=fractions, ratios=ratios, in_domain=False, status=f"not determined: {reason}")
 
 
 PER_PAGE = 40

@@ -6,7 +6,7 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 
     p' = (1 - d) p^s / sum p^s + d / 21,
 
-    ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w
+    ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w + c5 missing
 
 `share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
 networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
@@ -206,7 +206,8 @@ def terms_of(
 ) -> dict[str, FloatArray]:
     """What sharpness and doubt depend on; `strange` counts standard deviations beyond the usual distance."""
     far = np.maximum((foretold.ln_distance - known["ln_distance", "usual"]) / known["ln_distance", "spread"], 0.0)
-    return {"constant": np.ones_like(dark), "dark": dark, "strange": far, "rock": rock, "mixed": weight}
+    return {"constant": np.ones_like(dark), "dark": dark, "strange": far, "rock": rock, "mixed": weight,
+            "missing": foretold.missing}  # fmt: skip
 
 
 def answer(

@@ -233,7 +233,7 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
 
 
 def _interval(item: Mapping[str, Any]) -> Value:
-    """Fraction, or the middle of its 68 % interval, and half of that, or a quarter of the 95 % one where that is more."""
+    """Fraction, or the middle of its 68 % interval, and half of that, or a quarter of the 95 % one if that is more."""
     low, high = float(item["low"]), float(item["high"])
     wide = float(item.get("high95", high)) - float(item.get("low95", low))
     value = item.get("fraction")

@@ -62,7 +62,9 @@ def test_sharpness_and_doubt_are_as_written() -> None:
 
 
 def test_end_members_of_the_user_count_alone_and_others_by_their_fit() -> None:
-    foretold = Foretold(at({20: 1.0}, {0: 1.0}, {0: 1.0}, {0: 1.0}), np.array([calibration()["ln_distance", "usual"]]))
+    foretold = Foretold(
+        at({20: 1.0}, {0: 1.0}, {0: 1.0}, {0: 1.0}), np.array([calibration()["ln_distance", "usual"]]), np.zeros(1)
+    )
     other = at({0: 1.0}, {20: 1.0}, {0: 1.0}, {0: 1.0})
     found = {}
     for name, mixed in {
