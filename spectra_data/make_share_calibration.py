@@ -344,8 +344,9 @@ def write(out: Path, known: Known, every: Sequence[Cases], found: Sequence[Neste
         )
         names = {"mixture": "powder-mixture", "meteorite": "dark-rock-powder", "rock": "solid-rock"}
         one, own = every[0], found[0]
+        sigma = np.maximum(own.width[0] / 2, own.width[1] / 4)
         for row in np.flatnonzero(one.group != "mineral"):
-            numbers = [f"{x:.3f}" for x in [*(own.mean - one.truth)[row], *own.width[0][row] / 2]]
+            numbers = [f"{x:.3f}" for x in [*(own.mean - one.truth)[row], *sigma[row]]]
             inside = str(bool(own.near[row] >= LIKELY)).lower()
             writer.writerow([names[one.group[row]], one.suite[row].rstrip("-"), ids[row], inside, *numbers])
 

@@ -100,7 +100,7 @@ class RealError(NamedTuple):
     sigma: np.ndarray
 
 
-def real_errors(kinds: Sequence[str] = ("powder-mixture", "ordinary-chondrite", "dark-rock-powder")) -> list[RealError]:
+def real_errors(kinds: Sequence[str] = ("powder-mixture", "dark-rock-powder", "solid-rock")) -> list[RealError]:
     """Of spectra in which all four minerals were named, each judged without its suite."""
     rows = [row for row in table_rows(ERRORS) if row["class"] in kinds and all(row[f"error_{m}"] for m in MINERALS)]
     return [
@@ -118,7 +118,7 @@ def simulate_real(
     """
     rng = np.random.default_rng(seed)
     sources = rng.choice(len(priors), size=count, p=priors)
-    kinds = ("powder-mixture", "ordinary-chondrite", "dark-rock-powder")
+    kinds = ("powder-mixture", "dark-rock-powder", "solid-rock")
     known = [(kind, one) for kind in kinds for one in real_errors([kind])]
     rocks = []
     for number, source in enumerate(sources):

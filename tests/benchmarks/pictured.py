@@ -345,7 +345,7 @@ def plane() -> "Figure":
 
 @cache
 def unmixed() -> Any:
-    return lunarsci.unmix([spectrum(), dull()], starts=1)
+    return lunarsci.unmix([spectrum(), dull()])
 
 
 def library(count: int = 3) -> "Figure":
@@ -535,7 +535,7 @@ def plane_of(count: int) -> "Figure":
 def shares(count: int) -> "Figure":
     from lunarsci.spectra.abundance.result import share_pages
 
-    [own, *_] = [found[0] for found in unmixed().abundances.values()]
+    own = unmixed().shares[0]
     return next(iter(share_pages([replace(own, id=f"{k} {LONG}") for k in range(count)])))
 
 

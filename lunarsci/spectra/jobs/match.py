@@ -57,7 +57,7 @@ class MatchRequest:
 
     modes: str | None = None
     bands: str | None = None
-    kind: Literal["powder-mixture", "ordinary-chondrite", "dark-rock-powder", "solid-rock"] | None = None
+    kind: Literal["powder-mixture", "dark-rock-powder", "solid-rock"] | None = None
     name: str = "rock"
     site: str | tuple[float, ...] | None = None
     use: Literal["both", "modes", "bands"] = "both"
