@@ -345,7 +345,13 @@ def plane() -> "Figure":
 
 @cache
 def unmixed() -> Any:
-    return lunarsci.unmix([spectrum(), dull()])
+    from lunarsci.spectra.abundance.end_members import embedded_end_members
+    from lunarsci.spectra.spectrum import Spectrum
+
+    channels = np.arange(450.0, 2451.0, 10.0)
+    ends = {item.id: item.reflectance for item in embedded_end_members(channels)}
+    powder = Spectrum("SYNTHETIC powder", channels, 0.5 * ends["AG-TJM-008"] + 0.5 * ends["PE-CMP-030"])
+    return lunarsci.unmix([powder, dull()])
 
 
 def library(count: int = 3) -> "Figure":
@@ -441,7 +447,7 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "indices": lambda: measured("indices").plot(),
     "fit": lambda: measured("fit").plot(),
     "shares": lambda: unmixed().plot(),
-    "norm": lambda: unmixed().plot(2),
+    "norm": lambda: unmixed().plot(1),
     "match": lambda: matched().plot(),
     "calibration": lambda: calibrated().plot(),
     "simulation": lambda: seen().plot(),

@@ -233,11 +233,11 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
 
 
 def _interval(item: Mapping[str, Any]) -> Value:
-    """Fraction, or the middle of its 68 % interval, and half of that, or a quarter of the 95 % one if that is more."""
+    """Fraction, or the middle of its 68 % interval; half of that, or of the way to the farther end of the 95 % one."""
     low, high = float(item["low"]), float(item["high"])
-    wide = float(item.get("high95", high)) - float(item.get("low95", low))
-    value = item.get("fraction")
-    return (low + high) / 2 if value is None else float(value), max((high - low) / 2, wide / 4)
+    value = (low + high) / 2 if item.get("fraction") is None else float(item["fraction"])
+    far = max(float(item.get("high95", high)) - value, value - float(item.get("low95", low)))
+    return value, max((high - low) / 2, far / 2)
 
 
 def _scaled(modes: Mapping[str, Value]) -> dict[str, Value]:
