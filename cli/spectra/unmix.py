@@ -23,7 +23,7 @@ NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_w
 OPTIONS = {
     "assemblage": option(
         "The minerals that there are, and no others, joined by hyphens: OL, OPX, CPX, PLG. Shares are then better by a "
-        "third, since mixtures of end members take part. Without it all four are weighed.",
+        "fifth, since mixtures of end members take part. Without it all four are weighed.",
         panel=KNOWN,
         metavar="NAMES",
     ),
