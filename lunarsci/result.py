@@ -63,7 +63,8 @@ UNITS = {
 """Unit by the last part of a key, the longest first; that of `stiffness_kpa_m_n` depends on the exponent, so none."""
 _MINERAL, _OF = "(olivine|orthopyroxene|clinopyroxene|plagioclase)", "(_(low|high|sigma)(68|95)?)?$"
 MEANT = (
-    (re.compile(f"^[a-z0-9]+_{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
+    (re.compile(f"^([a-z0-9]+_)?{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
+    (re.compile(f"^{_MINERAL}_present$"), "", "probability of more than 5 % of the mineral"),
     (re.compile(f"^{_MINERAL}_in_(mafic|pyroxene){_OF}"), "", "ratio of minerals, as a fraction of 1"),
     (re.compile("^(fo|fs|wo)_"), "%", "composition of the mineral in mol %"),
 )

@@ -20,14 +20,14 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from lunarsci.spectra_data.make_share_networks import FOLDS, PURE, LabSpectra, fold_of, measured, soft
+from lunarsci.spectra_data.make_share_networks import FOLDS, PARTS, PURE, LabSpectra, fold_of, measured
 from scipy.optimize import minimize
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import find_kinds
-from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each, unpacked
+from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each, shared_out, unpacked
 from lunarsci.spectra.abundance.shares import (
     GOOD,
     LIKELY,
@@ -95,8 +95,7 @@ class Cases:
 
 def all_spectra(folder: Path) -> list[Spectrum]:
     """In the order of `measured`."""
-    parts = ("relab", "meteorites", "minerals")
-    return [one for part in parts for one in read_spectra(read_input(str(folder / part / "reflectance.csv")))]
+    return [one for part in PARTS for one in read_spectra(read_input(str(folder / part / "reflectance.csv")))]
 
 
 def series_of(powders: LabSpectra) -> np.ndarray:
@@ -198,7 +197,7 @@ def learn(every: Sequence[Cases], without: int | None = None) -> Known:
         own, total, size = dict(zip(keys, values, strict=True)), 0.0, 0.0
         for one, shares, terms in ready:
             found, _ = sharpened(shares, one.allowed, terms, own)
-            each = -np.log((found * soft(one.truth)).sum(axis=-1) + 1e-9) * one.allowed
+            each = -np.log((found * shared_out(one.truth)).sum(axis=-1) + 1e-9) * one.allowed
             total += float((one.weight * each.sum(axis=1)).sum())
             size += float((one.weight * one.allowed.sum(axis=1)).sum())
         return total / size + DRAWN_TO * float(((values - centre) ** 2).sum())
@@ -214,7 +213,8 @@ def _weights(one: Cases) -> list[float]:
     terms = weight_terms(one.foretold, one.mixed, one.dark)
     design = np.column_stack([terms[name] for name in WEIGHT_TERMS])
     below = [
-        np.cumsum(part, axis=-1) for part in (one.foretold.probabilities, one.mixed.probabilities, soft(one.truth))
+        np.cumsum(part, axis=-1)
+        for part in (one.foretold.probabilities, one.mixed.probabilities, shared_out(one.truth))
     ]
 
     def loss(values: np.ndarray) -> float:

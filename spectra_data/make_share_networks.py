@@ -22,7 +22,16 @@ import pandas as pd
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.learned import GRID_NM, MINERALS, SHARES, Background, Network, features, on_grid
+from lunarsci.spectra.abundance.learned import (
+    GRID_NM,
+    MINERALS,
+    SMALLEST,
+    Background,
+    Network,
+    features,
+    on_grid,
+    shared_out,
+)
 from lunarsci.spectra.abundance.mixing import Albedo, HapkeSurface, iron_absorption
 from lunarsci.spectra.readers import read_spectra
 
@@ -100,7 +109,7 @@ def measured(folder: Path) -> LabSpectra:
             weights, _ = on_grid(spectrum.wavelength_nm)
             modes = manifest.loc[spectrum.id, list(COLUMNS.values())].to_numpy(float)
             ids.append(spectrum.id)
-            rows.append(weights @ np.log(np.maximum(spectrum.reflectance, 1e-3)))
+            rows.append(weights @ np.log(np.maximum(spectrum.reflectance, SMALLEST)))
             shares.append(modes / modes.sum())
             about.append(manifest.loc[spectrum.id].to_dict() | {"part": part})
     suites = np.array([suite_of(id) for id in ids])
@@ -198,12 +207,6 @@ def _beside(count: int, rng: np.random.Generator, recipe: Recipe) -> np.ndarray:
     return np.asarray(drawn + _log_uniform(rng, recipe.noise, count) * rng.standard_normal((count, u.size)))
 
 
-def soft(shares: np.ndarray) -> np.ndarray:
-    """(n, 4, 21) of shares (n, 4): between the two nearest of `SHARES`, so that the mean is the share."""
-    apart = np.abs(shares[:, :, None] - SHARES) * (SHARES.size - 1)
-    return np.asarray(np.maximum(1.0 - apart, 0.0), dtype=np.float32)
-
-
 def _allowed(shares: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Half know which minerals may be there: those that are, and any others."""
     named = (shares > 0.005) | (rng.random(shares.shape) < 0.5) | (rng.random((len(shares), 1)) < 0.5)
@@ -266,7 +269,7 @@ def trained(powders: LabSpectra, seed: int, shaped: bool, recipe: Recipe) -> tup
     ln_reflectance, shares = mixtures(powders, recipe.count, rng, recipe)
     x = features(ln_reflectance, shaped)
     mean, scale = x.mean(axis=0), x.std(axis=0) + 1e-3
-    x, wanted = ((x - mean) / scale).astype(np.float32), soft(shares)
+    x, wanted = ((x - mean) / scale).astype(np.float32), shared_out(shares).astype(np.float32)
     learner = Learner((x.shape[1] + len(MINERALS), *recipe.hidden, wanted[0].size), rng)
     total = recipe.epochs * (recipe.count // recipe.batch)
     for _ in range(recipe.epochs):

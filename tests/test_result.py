@@ -281,8 +281,10 @@ def test_the_help_of_a_function_names_every_option(name: str) -> None:
 
 def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
     row = {
-        "unmix_olivine": 0.3,
-        "unmix_olivine_low": None,
+        "olivine": 0.3,
+        "olivine_low": None,
+        "nbsr_orthopyroxene": 0.4,
+        "olivine_present": 0.9,
         "olivine_in_mafic_high95": 0.5,
         "fo_mean": 70.0,
         "rms_ln": 0.1,
@@ -294,12 +296,13 @@ def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
             return {}
 
         def rows(self) -> Sequence[Mapping[str, Any]]:
-            return [row, row | {"unmix_olivine_low": 0.2}]
+            return [row, row | {"olivine_low": 0.2}]
 
     table = Shares().to_table()
     told = {name: (table[name].unit, table[name].info.description) for name in table.colnames}
-    for name in ("unmix_olivine", "unmix_olivine_low", "olivine_in_mafic_high95"):
+    for name in ("olivine", "olivine_low", "nbsr_orthopyroxene", "olivine_in_mafic_high95"):
         assert told[name][0] == units.dimensionless_unscaled and "fraction of 1" in told[name][1]
     assert told["fo_mean"] == (units.percent, "composition of the mineral in mol %")
+    assert told["olivine_present"] == (units.dimensionless_unscaled, "probability of more than 5 % of the mineral")
     assert told["rms_ln"][1] is None
-    assert table["unmix_olivine"][0] == 0.3
+    assert table["olivine"][0] == 0.3

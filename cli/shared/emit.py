@@ -31,8 +31,8 @@ NAMED = 5
 MOST_ANSWERED = 1000
 """Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
-OF_FITS = "lunarsci/spectra-fit/1"
-"""Results, of `spectra fit` and `unmix`, of which each spectrum says itself whether it is to be trusted."""
+OF_SPECTRA = {"lunarsci/spectra-fit/1": "fit_doubt", "lunarsci/spectra-unmix/1": "shares_doubt"}
+"""Results of which each spectrum says itself whether it is to be trusted, and what in `verdicts` tells it."""
 
 
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
@@ -219,11 +219,13 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
 def _doubt_kept(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
     """Why a value of a stored result is not to be trusted: below one of many fits as that one is not, else as all."""
     kept = str((stored.get("provenance") or {}).get("untrusted") or "")
-    if not kept or stored.get("schema") != OF_FITS or len(steps) < 2 or steps[0] != "spectra":
+    teller = OF_SPECTRA.get(str(stored.get("schema")))
+    if not kept or teller is None or len(steps) < 2 or steps[0] != "spectra":
         return kept
-    from lunarsci.spectra.jobs.verdicts import fit_doubt
+    from lunarsci.spectra.jobs import verdicts
 
-    return fit_doubt(stored["result"]["spectra"][int(steps[1])])
+    doubt: str = getattr(verdicts, teller)(stored["result"]["spectra"][int(steps[1])])
+    return doubt
 
 
 def _could_be(step: str, above: Sequence[str], top: Any, report: Report) -> bool:

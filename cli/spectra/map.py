@@ -48,7 +48,9 @@ OPTIONS = {
     "every": option("Every n-th line and sample only.", panel=PIXELS, min=1, metavar="N"),
     "band_continuum": option("Continuum of the bands, as --continuum of `spectra bands`.", panel=SETTINGS),
     "smooth_nm": option("Smoothing window of the bands in nm.", panel=SETTINGS, min=0),
-    "assemblage": option("Minerals of fit and unmix, joined by hyphens: OL, OPX, CPX, PLG.", panel=SETTINGS),
+    "assemblage": option(
+        "Minerals of fit, joined by hyphens: OL, OPX, CPX, PLG; unmix weighs all four.", panel=SETTINGS
+    ),
     "continuum": option("Continuum of the fit, as --continuum of `spectra fit`.", panel=SETTINGS),
     "model_error": option("Model error of ln R; left out: that expected of each spectrum.", panel=SETTINGS),
     "starts": option("Starting points of a fit.", panel=SETTINGS, min=1),

@@ -177,6 +177,20 @@ def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -
     assert "normative_feo_wt,normative_feo_low_wt" in shown.out
 
 
+def test_a_stored_share_is_trusted_as_its_own_spectrum_is(run: Run, mixtures: Path, soil: Path, tmp_path: Path) -> None:
+    """A soil beside a powder: the soil leaves with 3, the powder with 0, and all of them together with 3."""
+    kept = tmp_path / "both.json"
+    powder = tmp_path / "powder.csv"
+    powder.write_text(mixtures.read_text())
+    assert run("spectra", "unmix", powder, soil, "-o", kept).code == 3
+    records = json.loads(kept.read_text())["result"]["spectra"]
+    for number, record in enumerate(records):
+        asked = run("info", kept, "--field", f"result.spectra.{number}.kind.weathered")
+        assert asked.code == (3 if record["kind"]["name"] == "weathered-soil" else 0)
+    assert [record["kind"]["name"] for record in records].count("weathered-soil") == 1
+    assert run("info", kept, "--field", "result.spectra").code == 3
+
+
 def test_a_rock_has_shares_with_wide_intervals_and_ratios_beside_published_ones(run: Run, tmp_path: Path) -> None:
     values = (0.055 + 0.09 * (NM - 450.0) / 1000.0) * (1 - 0.25 * np.exp(-0.5 * ((NM - 960.0) / 90.0) ** 2))
     deep = written(tmp_path / "rock.csv", {"rock": values})

@@ -10,7 +10,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
-from lunarsci.spectra.abundance.learned import MINERALS, SHARES
+from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
 from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.shares import Mixed
@@ -97,8 +97,7 @@ def _mixed(found: Sequence[SharesPosterior], places: Sequence[int], model_error:
     probabilities = np.zeros((draws.shape[1], len(MINERALS), SHARES.size))
     probabilities[:, :, 0] = 1.0
     for k, place in enumerate(places):
-        apart = np.abs(shares[:, :, k, None] - SHARES) * (SHARES.size - 1)
-        probabilities[:, place] = np.maximum(1.0 - apart, 0.0).mean(axis=0)
+        probabilities[:, place] = shared_out(shares[:, :, k]).mean(axis=0)
     strange = square / model_error**2 + strain / found[0].ln_residual.shape[1]
     return Mixed(probabilities, np.asarray(strange), np.sqrt(square), series)
 

@@ -243,7 +243,9 @@ def find_kinds(
         return []
     taken = [spectral_features(spectrum) for spectrum in spectra]
     features, noise = (np.array([item[k] for item in taken]) for k in (0, 1))
-    return _verdicts(features, noise, stated, model or embedded_kinds())
+    law = model or embedded_kinds()
+    chance, likeness = law.probabilities(features, noise), law.likeness(features)
+    return [_verdict(law, *row, stated) for row in zip(features, chance, likeness, strict=True)]
 
 
 def kinds_of_rows(
@@ -272,11 +274,6 @@ def _named_rows(law: KindModel, features: FloatArray, chance: FloatArray) -> tup
     sure &= np.isfinite(features).sum(axis=1) >= LEAST_FEATURES
     place = np.where(sure, likely, -1)
     return place, 1.0 - shares[:, 0], (place == KINDS.index("weathered-soil")) | (_weathered(law, chance) >= WEATHERED)
-
-
-def _verdicts(features: FloatArray, noise: FloatArray, stated: Kind | None, law: KindModel) -> list[KindVerdict]:
-    chance, likeness = law.probabilities(features, noise), law.likeness(features)
-    return [_verdict(law, *row, stated) for row in zip(features, chance, likeness, strict=True)]
 
 
 def _verdict(

@@ -54,9 +54,9 @@ class Network:
     scale: FloatArray
     shaped: bool
 
-    def probabilities(self, ln_reflectance: FloatArray, allowed: FloatArray) -> FloatArray:
-        """(n, 4, 21) of ln R (n, 101) and of which minerals there may be, (n, 4)."""
-        x = np.hstack([(features(ln_reflectance, self.shaped) - self.mean) / self.scale, allowed])
+    def probabilities(self, features: FloatArray, allowed: FloatArray) -> FloatArray:
+        """(n, 4, 21) of what it sees of n spectra (`features`) and of which minerals there may be, (n, 4)."""
+        x = np.hstack([(features - self.mean) / self.scale, allowed])
         for number, (weight, bias) in enumerate(self.layers):
             x = x @ weight + bias
             if number < len(self.layers) - 1:
@@ -148,6 +148,11 @@ def embedded_networks() -> tuple[tuple[Network, ...], Background]:
         return unpacked(found)
 
 
+def shared_out(shares: FloatArray) -> FloatArray:
+    """Weights (…, 21) of `SHARES` of shares (…): of the two nearest, so that their mean is the share."""
+    return np.asarray(np.maximum(1.0 - np.abs(shares[..., None] - SHARES) * (SHARES.size - 1), 0.0))
+
+
 def unpacked(found: Mapping[str, FloatArray]) -> tuple[tuple[Network, ...], Background]:
     """Networks and background of the arrays of a file."""
     networks = []
@@ -194,7 +199,7 @@ def foretell(
     wavelength_nm : (c,) ascending. [nm]
     reflectance : (n, c) above 0. [-]
     allowed : (n, 4) 1 for minerals that there may be, else 0.
-    noise : (c,) standard deviation of ln R, the same of all spectra. [-]
+    noise : (n, c) standard deviation of ln R; up to `NOISE` at 20 nm it is not looked at. [-]
 
     Raises DataError where no channel lies from 450 to 2450 nm.
     """
@@ -203,41 +208,50 @@ def foretell(
         raise DataError("no channel lies from 450 to 2450 nm, so no mineral can be told; give a spectrum of this range")
     networks, background = learned or embedded_networks()
     seen = np.log(np.maximum(reflectance, SMALLEST)) @ weights[there].T
-    error = np.zeros(int(there.sum())) if noise is None else np.sqrt(weights[there] ** 2 @ noise**2)
-    distance = background.ln_distance(seen, there, error)
-    if there.all() and error.max() <= NOISE:
-        drawn = seen[None]
-    else:
-        mean, root = background.behind(seen, there, error)
-        normal = np.random.default_rng(0).standard_normal((DRAWS, 1, GRID_NM.size))
-        drawn = mean[None] + np.concatenate([normal, -normal]) @ root.T
-    found = np.zeros((len(seen), len(MINERALS), SHARES.size))
-    for start in range(0, len(seen), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
-        for one in drawn[:, part]:
-            for network in networks:
-                found[part] += network.probabilities(one, allowed[part])
-    return Foretold(found / (len(drawn) * len(networks)), distance, np.full(len(seen), 1.0 - there.mean()))
+    error = np.zeros_like(seen) if noise is None else np.sqrt(noise**2 @ (weights[there] ** 2).T)
+    quiet = error.max(axis=1) <= NOISE
+    found, distance = np.zeros((len(seen), len(MINERALS), SHARES.size)), np.zeros(len(seen))
+    for rows in (np.flatnonzero(quiet), *np.flatnonzero(~quiet)[:, None]):
+        own = np.zeros(seen.shape[1]) if rows.size == 0 or quiet[rows[0]] else error[rows[0]]
+        distance[rows] = background.ln_distance(seen[rows], there, own)
+        drawn = seen[rows][:, None]
+        if not there.all() or own.any():
+            mean, root = background.behind(seen[rows], there, own)
+            normal = np.random.default_rng(0).standard_normal((DRAWS, GRID_NM.size))
+            drawn = mean[:, None] + np.concatenate([normal, -normal]) @ root.T
+        count = max(1, AT_ONCE // drawn.shape[1])
+        for start in range(0, rows.size, count):
+            part = slice(start, start + count)
+            found[rows[part]] = _mean_of(networks, drawn[part], allowed[rows[part]])
+    return Foretold(found, distance, np.full(len(seen), 1.0 - there.mean()))
+
+
+def _mean_of(networks: Sequence[Network], drawn: FloatArray, allowed: FloatArray) -> FloatArray:
+    """Over networks and draws (n, d, 101) of each spectrum, (n, 4, 21)."""
+    flat, count = drawn.reshape(-1, drawn.shape[-1]), drawn.shape[1]
+    seen = {shaped: features(flat, shaped) for shaped in {network.shaped for network in networks}}
+    may = np.repeat(allowed, count, axis=0)
+    found = np.mean([network.probabilities(seen[network.shaped], may) for network in networks], axis=0)
+    return np.asarray(found.reshape(len(drawn), count, *found.shape[1:]).mean(axis=1))
 
 
 def foretell_each(
     spectra: Sequence[Spectrum], allowed: FloatArray, learned: tuple[Sequence[Network], Background] | None = None
 ) -> Foretold:
-    """`foretell` of the usable channels of each spectrum, those of one noise together."""
-    groups: dict[tuple[bytes, bytes], list[int]] = {}
+    """`foretell` of the usable channels of each spectrum, those of the same channels together."""
+    groups: dict[bytes, list[int]] = {}
     for index, spectrum in enumerate(spectra):
-        usable, own = spectrum.usable, spectrum.uncertainty
-        error = b"" if own is None else (own[usable] / spectrum.reflectance[usable]).tobytes()
-        groups.setdefault((spectrum.wavelength_nm[usable].tobytes(), error), []).append(index)
+        groups.setdefault(spectrum.wavelength_nm[spectrum.usable].tobytes(), []).append(index)
     probabilities = np.zeros((len(spectra), len(MINERALS), SHARES.size))
     distance, missing = np.zeros(len(spectra)), np.zeros(len(spectra))
-    for (channels, error), indices in groups.items():
-        rows = np.array([spectra[k].reflectance[spectra[k].usable] for k in indices])
+    for channels, indices in groups.items():
+        some = [spectra[k] for k in indices]
+        rows = np.array([one.reflectance[one.usable] for one in some])
+        errors = [np.zeros(rows.shape[1]) if one.uncertainty is None else one.uncertainty[one.usable] for one in some]
         try:
-            noise = np.frombuffer(error) if error else None
-            found = foretell(np.frombuffer(channels), rows, allowed[indices], noise, learned)
+            found = foretell(np.frombuffer(channels), rows, allowed[indices], np.array(errors) / rows, learned)
         except DataError as reason:
-            raise DataError(f"{spectra[indices[0]].id}: {reason}") from reason
+            raise DataError(f"{some[0].id}: {reason}") from reason
         probabilities[indices], distance[indices] = found.probabilities, found.ln_distance
         missing[indices] = found.missing
     return Foretold(probabilities, distance, missing)

@@ -37,7 +37,7 @@ class MapRequest:
     products : of `PRODUCTS`, joined by commas.
     roi, mask, every : which pixels, see `lunarsci.spectra.cubes.regions.region_of`.
     band_continuum, smooth_nm : of bands, as `continuum` and `smooth_nm` of `lunarsci.bands`.
-    assemblage, continuum, model_error, starts : of fit and unmix, as `lunarsci.fit` has them.
+    assemblage, continuum, model_error, starts : of fit, as `lunarsci.fit` has them.
     neighbours, contest_every : whether a fit starts from those of its neighbours and takes theirs where they are
         lower; every how many lines and samples all starts are tried. Without, all are tried everywhere.
     kind : of unmix, as `lunarsci.unmix` has it.

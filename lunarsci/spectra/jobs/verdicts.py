@@ -182,6 +182,12 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     return "; ".join(parts + ([f"ratios: {', '.join(ratios)}"] if ratios else []))
 
 
+def shares_doubt(record: Mapping[str, Any]) -> str:
+    """Why the shares of one spectrum are not to be trusted; '' if they may be."""
+    status = str(record["abundance"]["status"])
+    return f"{record['id']} is not to be trusted: {status}" if status.startswith("not determined") else ""
+
+
 def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
     """Of many spectra, how many have shares in domain, and in how many each mineral is surely there."""
     total = len(records)

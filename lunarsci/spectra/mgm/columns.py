@@ -207,16 +207,13 @@ def _band_rows(record: Mapping[str, Any], common: dict[str, Any]) -> list[dict[s
 
 
 def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
-    """`unmix_olivine`, `unmix_olivine_low`, …, whether the method applies, and `olivine_in_mafic`, … of rocks."""
+    """`nbsr_in_domain`, `nbsr_orthopyroxene`, `nbsr_orthopyroxene_low` and the like."""
     columns: dict[str, Any] = {}
     for modes in found:
         columns[f"{modes.method}_in_domain"] = modes.in_domain
         for share in modes.fractions:
             name = f"{modes.method}_{share.mineral}"
             columns |= {name: share.fraction, f"{name}_low": share.low, f"{name}_high": share.high}
-        for ratio in modes.ratios:
-            ends = {f"{ratio.mineral}_{end}": getattr(ratio, end) for end in ("low", "high", "low95", "high95")}
-            columns |= {ratio.mineral: ratio.fraction, **ends}
     return columns
 
 
