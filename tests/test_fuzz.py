@@ -112,7 +112,7 @@ def test_every_reader_gives_a_result_or_a_line(inputs: int, fuzz: ModuleType, pr
         for seed in reader.seeds[:1]:
             assert fuzz.tried(reader, folder, seed) == ("read", ""), name
         found = fuzz.tries(reader, inputs, 7, folder, seconds=max(SECONDS, inputs / 60))
-        assert found.refusals, name
+        assert found.refusals or found.inputs < inputs, name
         broken |= {f"{name}: {what}": data[:200] for what, data in found.broken.items()}
     assert broken == {}
 

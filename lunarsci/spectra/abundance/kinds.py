@@ -299,13 +299,6 @@ def _verdict(
     return KindVerdict(kind, shares, weathered, stranger, stated is not None, tuple(reasons))
 
 
-def dark_or_weathered(features: FloatArray, noise: FloatArray) -> BoolArray:
-    """(n,) whether spectra of such features, (n, 9), are of a dark rock's powder or weathered, as `find_kinds` says."""
-    law = embedded_kinds()
-    place, _, weathered = _named_rows(law, features, law.probabilities(features, noise))
-    return np.asarray((place > 0) | weathered)
-
-
 def _weathered(law: KindModel, chance: FloatArray) -> FloatArray:
     """Probability of a surface that space has weathered, (n,), of probabilities (n, k). [-]"""
     return np.asarray(chance[:, [name in ("soil", "rover-rock") for name in law.components]].sum(axis=1))

@@ -184,10 +184,10 @@ class MgmFits(Result):
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
         from lunarsci.spectra.abundance.kinds import TABLE as KINDS
-        from lunarsci.spectra.abundance.nbsr import LIKENESS, TABLE
+        from lunarsci.spectra.abundance.nbsr import TABLE
         from lunarsci.spectra.mgm.assemblages import TABLES
 
-        return [*TABLES, TABLE, LIKENESS, KINDS], [MGM, NBSR]
+        return [*TABLES, TABLE, KINDS], [MGM, NBSR]
 
     @property
     def untrusted(self) -> str:

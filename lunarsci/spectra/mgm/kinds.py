@@ -20,7 +20,7 @@ def kinds_of(points: FloatArray, model: MgmModel) -> IndexArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartModel:
-    """A model without the bands that do not absorb in a kind, its prior the marginal one of the others.
+    """A model without the bands that do not absorb in a kind, its prior that of the others at strengths 0 of these.
 
     A band that does not absorb has no data: its centre and width are those that the prior expects from the others.
 
@@ -44,7 +44,9 @@ class PartModel:
         inside = np.repeat((kind >> np.arange(bands)) & 1 == 1, 3)
         index = np.concatenate([np.arange(m), m + np.flatnonzero(inside)])
         rest = m + np.flatnonzero(~inside)
-        covariance = np.linalg.inv(model.precision[m:, m:])
+        held = ~inside & (np.arange(inside.size) % 3 == 2)
+        covariance = np.zeros((inside.size, inside.size))
+        covariance[np.ix_(~held, ~held)] = np.linalg.inv(model.precision[m:, m:][np.ix_(~held, ~held)])
         own = np.linalg.inv(covariance[np.ix_(inside, inside)])
         precision = np.array(model.precision[np.ix_(index, index)])
         precision[m:, m:] = own

@@ -178,10 +178,10 @@ def mgm_model(
     name: str = "OL-OPX-CPX",
     continuum: MgmContinuum = DEFAULT_CONTINUUM,
     compositions: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    coupled: bool = False,
 ) -> MgmModel:
     """The model of an assemblage: priors from its tables, bounds four prior standard deviations wide, strengths <= 0.
+
+    The bands of one mineral come together: their strengths are correlated a priori.
 
     Parameters
     ----------
@@ -189,17 +189,11 @@ def mgm_model(
     continuum : one of `MGM_CONTINUA`.
     compositions : `fo`, `fs`, `wo` to mean and standard deviation, instead of the table's. [mol %]
 
-    coupled : whether the strengths of one mineral's bands are correlated a priori, by the table's loadings: a choice of
-        assemblage needs to know that a mineral's bands come together; a fit should not let one band set another that
-        the data do not show.
-
     Raises
     ------
     ParameterError for unknown names, and compositions outside 0-100 or that the assemblage does not have.
     """
     chosen = assemblage(name)
-    if not coupled:
-        chosen = replace(chosen, bands=tuple(replace(band, strength_loading=0.0) for band in chosen.bands))
     degrees = continuum_basis(continuum, np.array([1000.0])).shape[1]
     beliefs = {item.key: (item.mean, item.sigma) for item in chosen.compositions}
     shifts = _checked(beliefs, dict(compositions or {}), chosen.name)

@@ -171,7 +171,7 @@ def choose(
     Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572; Kennedy & O'Hagan (2001), J. R.
     Stat. Soc. B 63, 425, 10.1111/1467-9868.00294 (model discrepancy).
     """
-    models = [mgm_model(name, continuum, stated_for(name, compositions), coupled=True) for name in families]
+    models = [mgm_model(name, continuum, stated_for(name, compositions)) for name in families]
     names = [model.assemblage.name for model in models]
     if len(names) < 2 or len(set(names)) < len(names):
         raise ParameterError("a choice needs two or more assemblages, each once")

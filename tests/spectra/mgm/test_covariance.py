@@ -88,7 +88,10 @@ def test_errors_are_widened_by_chi_square_over_its_degrees_of_freedom(scatter: f
     data = MgmData("made", grid, np.exp(ln), np.full(grid.size, noise**-2), np.zeros((0, grid.size)), 0.0)
     [fit] = fit_data([data], model, 1)
     design = np.vstack([np.vander((grid - 1500) / 1100, 3, increasing=True).T, shapes]) / noise
-    prior = np.diag([0.0] * 3 + [band.strength_sigma**-2 for band in bands])
+    loads = np.array([band.strength_sigma * band.strength_loading for band in bands])
+    together = np.outer(loads, loads) * [[one.mineral == other.mineral for other in bands] for one in bands]
+    np.fill_diagonal(together, [band.strength_sigma**2 for band in bands])
+    prior = np.pad(np.linalg.inv(together), ((3, 0), (3, 0)))
     inverse = np.linalg.inv(design @ design.T + prior)
     chi2 = float(((ln / noise - design.T @ inverse @ design @ ln / noise) ** 2).sum())
     determined = float(np.trace(inverse @ design @ design.T))

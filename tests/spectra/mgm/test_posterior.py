@@ -92,11 +92,11 @@ def test_a_strength_at_its_bound_follows_the_truncated_normal_law(peak: float) -
     """`peak` is where the law would have its maximum without the bound, in standard deviations; beyond 0 or before."""
     model = only(mgm_model("OPX", "none"), f"{OPX}_strength")
     [band] = [band for band in model.assemblage.bands if band.key == OPX]
-    gaussian = shape(band.center_nm, band.fwhm_nm)
-    precision = (gaussian**2).sum() / NOISE**2 + band.strength_sigma**-2
+    gaussian, own = shape(band.center_nm, band.fwhm_nm), model.index(f"{OPX}_strength")
+    precision = (gaussian**2).sum() / NOISE**2 + model.precision[own, own]
     fit = fitted(model, gaussian * peak * precision**0.5 / ((gaussian**2).sum() / NOISE**2))
     law = truncnorm(-np.inf, -peak, loc=peak * precision**-0.5, scale=precision**-0.5)
-    posterior = sample_posterior(fit, draws=8000)
+    posterior = sample_posterior(fit, draws=16000)
     draws = posterior.draws[:, model.index(f"{OPX}_strength")]
     assert draws.max() <= 0
     shares = [np.mean(draws <= law.ppf(p)) for p in (0.05, 0.16, 0.5, 0.84, 0.95)]
