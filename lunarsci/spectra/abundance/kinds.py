@@ -38,10 +38,6 @@ Assumed."""
 VISIBLE_BLUE = 0.35
 """`visible` is ln R at 565 nm less this share of `blue`, both relative to 750 nm: what the slope does not explain.
 Assumed."""
-LAB_TO_LAB = {"level": 0.2} | dict.fromkeys([name for name in WINDOWS_NM if name != "level"], 0.04) | {"visible": 0.02}
-"""Standard deviation of each feature between instruments, packings and geometries; assumed."""
-SHRINKAGE = 0.15
-"""Weight of the mean variances of all components, without correlation, in each covariance; assumed."""
 FREEDOM = 10.0
 """Degrees of freedom of the tails; assumed."""
 LEAST_FEATURES = 6
@@ -103,7 +99,7 @@ class KindModel:
     Attributes
     ----------
     components : (k,) names; `kinds` the kind of each.
-    mean, covariance : (k, 9) and (k, 9, 9), `LAB_TO_LAB` included.
+    mean, covariance : (k, 9) and (k, 9, 9).
     """
 
     components: tuple[str, ...]
@@ -150,28 +146,6 @@ def embedded_kinds() -> KindModel:
     covariance = np.array([[[float(row[name]) for name in names] for row in part] for part in rows.values()])
     kinds: list[Kind] = [next(kind for kind in KINDS if kind == part[0]["kind"]) for part in rows.values()]
     return KindModel(tuple(rows), tuple(kinds), mean, covariance)
-
-
-def learn_kinds(
-    features: FloatArray, components: Sequence[str], suites: Sequence[str], kinds: Mapping[str, Kind]
-) -> KindModel:
-    """Laws from features (n, 9) of spectra of known components; a suite of m spectra counts as sqrt(m) of them."""
-    named, from_suite = np.array(components), np.array(suites)
-    found = [_moments(features[named == name], from_suite[named == name]) for name in kinds]
-    mean, raw = np.array([item[0] for item in found]), np.array([item[1] for item in found])
-    pooled = np.diag(np.diagonal(raw.mean(axis=0)))
-    measured = np.diag(np.square([LAB_TO_LAB[name] for name in WINDOWS_NM]))
-    return KindModel(tuple(kinds), tuple(kinds.values()), mean, (1 - SHRINKAGE) * raw + SHRINKAGE * pooled + measured)
-
-
-def _moments(features: FloatArray, suites: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weighted mean (9,) and covariance (9, 9); features that are NaN do not count."""
-    _, place, count = np.unique(suites, return_inverse=True, return_counts=True)
-    there = np.isfinite(features)
-    weight = count[place][:, None] ** -0.5 * there
-    mean = np.sum(weight * np.where(there, features, 0.0), axis=0) / weight.sum(axis=0)
-    apart = np.where(there, features - mean, 0.0)
-    return mean, (weight * apart).T @ apart / (weight.T @ there.astype(float))
 
 
 def spectral_features(spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:

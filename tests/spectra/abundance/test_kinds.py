@@ -14,13 +14,13 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.kinds import (
     FREEDOM,
+    KINDS,
     KindModel,
-    dark_or_weathered,
     embedded_kinds,
     features_of_rows,
     find_kind,
     find_kinds,
-    learn_kinds,
+    kinds_of_rows,
     spectral_features,
 )
 from lunarsci.spectra.readers import read_spectra
@@ -63,19 +63,19 @@ def test_features_and_their_errors_by_hand() -> None:
     assert errors[1:] == pytest.approx(np.hypot(0.004 / 0.1 / np.sqrt(counts), level))
 
 
-def test_dark_or_weathered_rows_are_those_that_each_is_found_to_be() -> None:
+def test_rows_are_what_each_is_found_to_be() -> None:
     band = np.exp(-0.5 * ((CHANNELS - 930.0) / 90.0) ** 2) + 0.8 * np.exp(-0.5 * ((CHANNELS - 1900.0) / 220.0) ** 2)
     rows = np.stack([
         red().reflectance, 0.45 * np.exp(-0.6 * band), 0.05 + 0.0 * band, 0.3 * np.exp(-0.9 * band),
         2.0 * red().reflectance, 0.15 * np.exp(-0.3 * band),
     ])  # fmt: skip
     rows = rows * (1.0 + 1e-4 * np.random.default_rng(0).normal(size=rows.shape))
-    errors = 1e-4 * rows
-    found = dark_or_weathered(*features_of_rows(CHANNELS, rows, errors))
-    told = find_kinds([Spectrum(str(k), CHANNELS, *pair) for k, pair in enumerate(zip(rows, errors, strict=True))])
-    named = ("dark-rock-powder", "weathered-soil", "solid-rock")
-    assert found.tolist() == [one.kind in named or one.is_weathered for one in told]
-    assert found[0] and 0 < found.sum() < len(found)
+    place, dark, weathered = kinds_of_rows(CHANNELS, rows)
+    told = find_kinds([Spectrum(str(k), CHANNELS, row) for k, row in enumerate(rows)])
+    assert [(*KINDS, "not-determined")[k] for k in place] == [one.kind for one in told]
+    assert dark == pytest.approx([1.0 - one.probabilities["powder-mixture"] for one in told], abs=1e-6)
+    assert weathered.tolist() == [one.is_weathered for one in told]
+    assert weathered[0] and 0 < weathered.sum() < len(weathered)
 
 
 def test_many_are_as_each() -> None:
@@ -137,7 +137,7 @@ def without(left_out: str, data: Path) -> KindModel:
     columns = [
         [getattr(item, name) for item, ok in zip(known, kept, strict=True) if ok] for name in ("component", "suite")
     ]
-    return learn_kinds(values[kept], columns[0], columns[1], make_kinds.COMPONENTS)
+    return make_kinds.learn_kinds(values[kept], columns[0], columns[1], make_kinds.COMPONENTS)
 
 
 @cache

@@ -8,18 +8,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 from lunarsci.spectra_data import make_kinds, make_normative
+from lunarsci.spectra_data.make_normative import RIDGE, learn_regression, plagioclase_norm_wt
 
 from lunarsci.spectra.abundance.kinds import find_kind
-from lunarsci.spectra.abundance.normative import (
-    FEATURES,
-    MOLAR_MASS,
-    RIDGE,
-    embedded_regressions,
-    learn_regression,
-    normative,
-    plagioclase_norm_wt,
-    silicate_norm,
-)
+from lunarsci.spectra.abundance.normative import FEATURES, embedded_regressions, normative
 from lunarsci.spectra.spectrum import Spectrum
 
 FOLDER = Path(__file__).parents[3] / "spectra_data"
@@ -30,27 +22,6 @@ def test_pure_feldspars_are_all_plagioclase() -> None:
     """Anorthite has 36.65 wt % Al2O3; albite 19.44 and 11.82 wt % Na2O (formula weights)."""
     assert plagioclase_norm_wt(36.65, 0.0) == pytest.approx(100.0, abs=0.05)
     assert plagioclase_norm_wt(19.44, 11.82) == pytest.approx(100.0, abs=0.05)
-
-
-def test_minerals_mixed_by_mole_are_found_by_the_norm() -> None:
-    """Anorthite, diopside, enstatite and forsterite in moles, weighed as oxides, and 1 % of other oxides."""
-    moles = {"an": 1.0, "di": 0.5, "en": 1.2, "fo": 0.4}
-    oxides = {
-        "al2o3": moles["an"],
-        "cao": moles["an"] + moles["di"],
-        "mgo": moles["di"] + moles["en"] + 2 * moles["fo"],
-        "sio2": 2 * moles["an"] + 2 * moles["di"] + moles["en"] + moles["fo"],
-    }
-    weights = {name: value * MOLAR_MASS[name] for name, value in oxides.items()}
-    scale = 99.0 / sum(weights.values())
-    stated = {name: scale * weights.get(name, 0.0) for name in ("feo", "tio2", "mgo", "cao", "al2o3")}
-    volume = {"an": 278.2 / 2.72, "di": 0.5 * 216.55 / 3.35, "en": 1.2 * 100.39 / 3.45, "fo": 0.4 * 140.69 / 3.55}
-    total = sum(volume.values())
-    found = silicate_norm(stated, na2o_wt=0.0)
-    assert found["plagioclase"] == pytest.approx(volume["an"] / total, abs=0.002)
-    assert found["diopside"] == pytest.approx(volume["di"] / total, abs=0.002)
-    assert found["hypersthene"] == pytest.approx(volume["en"] / total, abs=0.002)
-    assert found["olivine"] == pytest.approx(volume["fo"] / total, abs=0.002)
 
 
 def test_the_regression_is_penalised_least_squares() -> None:
@@ -75,12 +46,11 @@ def test_intervals_of_the_regression_hold_two_thirds() -> None:
         for new in rng.normal(size=(20, 2)) * [0.2, 3.0] + [1.0, -4.0]:
             one = law.estimate(new)
             truth = 10.0 + new @ [20.0, -2.0] + rng.normal()
-            held += [] if one is None else [one.low <= truth <= one.high]
-    assert len(held) > 900
+            held.append(one.low <= truth <= one.high)
     assert np.mean(held) == pytest.approx(0.68, abs=0.05)
 
 
-def test_what_is_no_soil_and_what_lies_beyond_has_no_composition() -> None:
+def test_what_is_no_soil_has_no_composition_and_what_lies_beyond_a_wide_one() -> None:
     bright = Spectrum("bright", CHANNELS, 0.6 - 0.3 * np.exp(-0.5 * ((CHANNELS - 930) / 80) ** 2))
     found = normative(bright, find_kind(bright))
     assert dict(found.values) == {}
@@ -89,14 +59,14 @@ def test_what_is_no_soil_and_what_lies_beyond_has_no_composition() -> None:
     assert find_kind(black).is_weathered
     beyond = normative(black, find_kind(black, "weathered-soil"))
     assert not beyond.in_domain
-    assert "not determined" in beyond.status
-    assert beyond.to_dict()["feo_wt"] is None
+    assert "out of domain" in beyond.status
+    assert beyond.values["feo_wt"].high95 - beyond.values["feo_wt"].low95 > 10
 
 
 @pytest.mark.reference
 def test_missions_left_out(reference_data: Path) -> None:
-    """The three soils of Apollo 16, the only highland, lie beyond the others and are refused; of the eight others
-    plagioclase errs by 9.8 wt %, FeO by 3.0, most in 71061. That misses 9 and 2.5."""
+    """The three soils of Apollo 16, the only highland, lie beyond the others and have wide errors; of the others within
+    what was learned plagioclase errs by 10.4 wt %, FeO by 3.1, most in 71061. That misses 9 and 2.5."""
     spectra, known = make_normative.soils(reference_data / "spectra")
     features, missions = make_normative.table_of(spectra), known["mission"].to_numpy()
     rms, held = {}, []
@@ -107,15 +77,14 @@ def test_missions_left_out(reference_data: Path) -> None:
             law = learn_regression(features[name][~out], truth[~out], list(missions[~out]), keys)
             for row, value in zip(features[name][out], truth[out], strict=True):
                 one = law.estimate(row)
-                if one is not None:
-                    errors.append(law.at(row[None])[0][0] - value)
-                    held.append((one.low <= value <= one.high, one.low95 <= value <= one.high95))
+                errors += [law.at(row[None])[0][0] - value] if one.within else []
+                held.append((one.low <= value <= one.high, one.low95 <= value <= one.high95))
         rms[name] = (len(errors), float(np.sqrt(np.mean(np.square(errors)))))
-    assert [rms[name][0] for name in ("plagioclase_wt", "feo_wt")] == [8, 8]
-    assert rms["plagioclase_wt"][1] == pytest.approx(9.8, abs=0.1)
-    assert rms["feo_wt"][1] == pytest.approx(3.0, abs=0.05)
+    assert [rms[name][0] for name in ("plagioclase_wt", "feo_wt")] == [7, 7]
+    assert rms["plagioclase_wt"][1] == pytest.approx(10.4, abs=0.1)
+    assert rms["feo_wt"][1] == pytest.approx(3.1, abs=0.05)
     assert rms["tio2_wt"][1] == pytest.approx(1.9, abs=0.05)
-    assert np.mean(held, axis=0) == pytest.approx([0.85, 0.88], abs=0.02)
+    assert np.mean(held, axis=0) == pytest.approx([0.76, 0.91], abs=0.02)
     alone = [find_kind(item) for item in spectra]
     assert sum(normative(item, kind).in_domain for item, kind in zip(spectra, alone, strict=True)) == 11
 
