@@ -102,7 +102,7 @@ def main(folder: Path) -> None:
     out.writerow([*head, "sigma", "freedom", "farthest"])
     for name, keys in FEATURES.items():
         law = learn_regression(features[name], known[name].to_numpy(), list(known["mission"]), keys)
-        whole = [f"{law.sigma:.4f}", f"{law.freedom:g}", f"{law.farthest + 5e-6:.5f}"]
+        whole = [f"{law.sigma:.4f}", f"{law.freedom:g}", f"{1.001 * law.farthest:.5f}"]  # more than rounding takes
         for row, key in enumerate(("constant", *keys)):
             scale = (law.mean[row - 1], law.scale[row - 1]) if row else (0.0, 1.0)
             numbers = [*scale, law.coefficients[row], *law.spread[row]]
