@@ -115,7 +115,7 @@ def chemistries(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
     return {key: found[key] for key in KEYS if key in found}
 
 
-_CENTRED = frozenset(key for key in KEYS if key not in ("ol_dunn", "opx_cloutis") and "chondrite" not in key)
+_CENTRED = frozenset(KEYS) - {"ol_dunn", "opx_cloutis", "fs_chondrite", "fa_chondrite", "ol_chondrite"}
 
 
 def errors_nm(band: BandColumns) -> FloatArray:

@@ -43,7 +43,9 @@ class ChondriteLaw:
 
     def composition(self, bands: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of bands (m, 2) and their errors, NaN for none: `COMPOSITION` and its standard errors, (m, 3) each."""
-        gain, apart = self._gain(bands, errors)
+        apart, inner = self._apart(bands, np.nan_to_num(errors))
+        across = np.broadcast_to(self.covariance[:2, 2:], (len(bands), 2, len(COMPOSITION)))
+        gain = np.asarray(np.linalg.solve(inner, across), np.float64).transpose(0, 2, 1)
         covariance = self.covariance[2:, 2:] - gain @ self.covariance[:2, 2:]
         value = self.mean[2:] + (gain @ apart[..., None])[..., 0]
         return value, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -52,25 +54,15 @@ class ChondriteLaw:
         """Share of ordinary chondrites whose bands lie farther from the mean than (m, 2), 1 of no bands, (m,)."""
         from scipy.special import chdtrc
 
-        inner, apart = self._inner(bands, np.zeros_like(bands)), self._apart(bands)
+        apart, inner = self._apart(bands, np.zeros_like(bands))
         square = np.sum(apart * np.linalg.solve(inner, apart[..., None])[..., 0], axis=1)
         return np.asarray(chdtrc(np.maximum(np.isfinite(bands).sum(axis=1), 1), square))
 
-    def _apart(self, bands: FloatArray) -> FloatArray:
-        return np.where(np.isfinite(bands), bands - self.mean[:2], 0.0)
-
-    def _inner(self, bands: FloatArray, errors: FloatArray) -> FloatArray:
-        """S_xx + E, (m, 2, 2); 1 for a band that is not there."""
+    def _apart(self, bands: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x - m_x, (m, 2), and S_xx + E, (m, 2, 2); a band that is not there has an endless error."""
         there = np.isfinite(bands)
-        both = there[:, :, None] & there[:, None, :]
-        own = np.where(there, np.nan_to_num(errors) ** 2, 1.0)[:, None, :] * np.eye(2)
-        return np.asarray(np.where(both, self.covariance[:2, :2], 0.0) + own)
-
-    def _gain(self, bands: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K (m, 3, 2) and x - m_x (m, 2)."""
-        across = np.where(np.isfinite(bands)[:, :, None], self.covariance[:2, 2:], 0.0)
-        gain = np.asarray(np.linalg.solve(self._inner(bands, errors), across), np.float64)
-        return gain.transpose(0, 2, 1), self._apart(bands)
+        own = np.where(there, errors**2, 1e12)[:, None, :] * np.eye(2)
+        return np.where(there, bands - self.mean[:2], 0.0), self.covariance[:2, :2] + own
 
 
 def learn_law(known: FloatArray, rocks: Sequence[str], groups: Sequence[str]) -> ChondriteLaw:
@@ -121,7 +113,7 @@ def bands_of_chondrites(bands: Mapping[str, BandColumns]) -> tuple[FloatArray, F
 
 
 def chondrites(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
-    """What the law of ordinary chondrites says."""
+    """What the law of ordinary chondrites says: `fa_chondrite`, `fs_chondrite`, `ol_chondrite`."""
     found, errors = bands_of_chondrites(bands)
     law = embedded_law()
     values, sigmas = law.composition(found, errors)
@@ -150,14 +142,14 @@ def chondrite_record(found: Mapping[str, Estimates], row: int) -> dict[str, Any]
     first = found["fa_chondrite"]
     if not first.present[row]:
         return None
-    names = {"fa": "fa_chondrite", "fs": "fs_chondrite", "olivine_in_mafic": "ol_chondrite"}
-    values = {name: _with_intervals(found[key].of(row)) for name, key in names.items()}
+    most = {"fa": 100.0, "fs": 100.0, "olivine_in_mafic": 1.0}
+    values = {name: _with_intervals(one.of(row), most[name]) for name, one in zip(most, found.values(), strict=True)}
     return values | {"in_domain": not first.reason[row], "status": first.reason[row] or "if an ordinary chondrite"}
 
 
-def _with_intervals(one: CompositionEstimate) -> dict[str, float]:
+def _with_intervals(one: CompositionEstimate, most: float) -> dict[str, float]:
     from scipy.special import ndtri
 
-    most, wide = (1.0 if one.unit == "-" else 100.0), float(ndtri(0.975))
+    wide = float(ndtri(0.975))
     ends = {"low": -1.0, "high": 1.0, "low95": -wide, "high95": wide}
     return {"value": one.value} | {key: min(max(one.value + k * one.sigma, 0.0), most) for key, k in ends.items()}
