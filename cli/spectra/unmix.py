@@ -28,7 +28,8 @@ OPTIONS = {
         metavar="NAMES",
     ),
     "kind": option(
-        "What is looked at: powder-mixture, minerals ground and mixed; dark-rock-powder, a rock with opaques, ground; "
+        "What is looked at: powder-mixture, minerals ground and mixed; dark-rock-powder, a rock with opaques, ground, "
+        "such as a chondrite; "
         "weathered-soil, which is not unmixed; solid-rock, which must be stated, since a rock looks like the soil "
         "beside it. auto weighs each kind by its probability.",
         panel=KNOWN,
@@ -81,7 +82,7 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 def result_tables(found: UnmixedSpectra) -> list[TextTable]:
     """The shares, the ratios of rocks, the composition of soils, and what they say."""
     told = verdict_table(found.records, shares_verdict, shares_counted)
-    return [*share_tables(found), *ratio_table(found), *normative_table(found), *told]
+    return [*share_tables(found), *ratio_table(found), *chondrite_table(found), *normative_table(found), *told]
 
 
 def share_tables(found: UnmixedSpectra) -> list[TextTable]:
@@ -119,6 +120,17 @@ def ratio_table(found: UnmixedSpectra) -> list[TextTable]:
     return [TextTable(headers, rows, title="ratios of mafic minerals", notes=[BOULDERS])] if rows else []
 
 
+def chondrite_table(found: UnmixedSpectra) -> list[TextTable]:
+    """Olivine and iron of those whose bands may be an ordinary chondrite's."""
+    likely = [(one["id"], own) for one in found.records if (own := one["chondrite"]) and own["in_domain"]]
+    rows = [
+        [id, *(_ranged(own[name]) for name in ("fa", "fs")), _ranged(own["olivine_in_mafic"], 100)]
+        for id, own in likely
+    ]
+    headers = ["spectrum", "Fa [mol %]", "Fs [mol %]", "olivine in mafic minerals [%]"]
+    return [TextTable(headers, rows, title="from the bands, if an ordinary chondrite")] if rows else []
+
+
 def normative_table(found: UnmixedSpectra) -> list[TextTable]:
     """Composition of weathered soils, where there are any."""
     records = [record for record in found.records if record["normative"]]
@@ -134,8 +146,8 @@ def _statuses(records: Sequence[Mapping[str, Mapping[str, str]]]) -> list[str]:
     return counted([record["normative"]["status"] for record in records], len(records), "spectra", names)
 
 
-def _ranged(item: Mapping[str, float] | None) -> str:
+def _ranged(item: Mapping[str, float] | None, unit: float = 1.0) -> str:
     if item is None:
         return "-"
-    ends = f"68 %: {item['low']:.0f} to {item['high']:.0f}; 95 %: {item['low95']:.0f} to {item['high95']:.0f}"
-    return f"{item['value']:.0f} ({ends})"
+    value, low, high, low95, high95 = (unit * item[key] for key in ("value", "low", "high", "low95", "high95"))
+    return f"{value:.0f} (68 %: {low:.0f} to {high:.0f}; 95 %: {low95:.0f} to {high95:.0f})"

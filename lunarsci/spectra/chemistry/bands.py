@@ -7,7 +7,7 @@ the 1 um centre depends on Fs, and which of four gives Fs from the 2 um centre o
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,8 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.spectra.band_status import BandResult
 from lunarsci.spectra.bands import BandColumns, SpectrumBands, columns_of
+from lunarsci.spectra.chemistry.chondrite import area_ratio, bands_of_chondrites, chondrites
+from lunarsci.spectra.chemistry.estimates import CompositionEstimate, Estimates
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, Anchor, Regression, Texts, anchors, objections, regressions
 from lunarsci.spectra.continuum import CONIC
 
@@ -61,42 +63,12 @@ def _line_for(values: FloatArray, lines: Sequence[Regression]) -> IntArray:
     return np.where(fits.any(axis=0), np.argmax(fits, axis=0), -1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompositionEstimate:
-    """A quantity by one regression.
-
-    Attributes
-    ----------
-    quantity : `fs`, `wo`, `en`, `fo`, `fa`; `ol_share` and `opx_share` of olivine and pyroxene together.
-    unit : `mol %`, or `-` for a share.
-    value, sigma : with its standard deviation: error of the band and scatter of the regression. [unit]
-    in_range : whether the regression may be used here, as far as the bands can tell.
-    reason : why not; empty where it may.
-    domain : rocks that the regression was made for, which bands cannot tell: nobody but the user knows.
-    caveat : what is not in the error.
-    source : entry of `sources.toml`.
-    """
-
-    quantity: str
-    unit: str
-    value: float
-    sigma: float
-    in_range: bool
-    reason: str
-    domain: str
-    caveat: str
-    source: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """The attributes by name."""
-        return asdict(self)
-
-
 KEYS = (
     *("fs_gaffey", "wo_gaffey", "en_gaffey"),
     *("fs_burbine_bc1000", "fs_burbine_bc2000", "wo_burbine_bc1000", "wo_burbine_bc2000"),
     *("fs_trend_bc1000", "fs_trend_bc2000"),
     *("fs_dunn", "fa_dunn", "ol_dunn"),
+    *("fs_chondrite", "fa_chondrite", "ol_chondrite"),
     *("opx_cloutis", "fo_bc1000"),
 )
 """What `chemistry` may hold, in this order."""
@@ -106,58 +78,8 @@ NM_PER_KELVIN = {"bc2000": 0.2, "bc1000": 0.0}
 RATIO_PER_KELVIN = -0.00075
 """The same of the area ratio, Sanchez et al. (2012): at room temperature it is ratio + 0.00075 T - 0.23."""
 
+NO_AREAS = "needs the areas of both bands under hull or linear (--continuum)"
 Predictors = Mapping[str, tuple[Any, Any]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Estimates:
-    """A quantity of m spectra by one regression; as `CompositionEstimate`, with arrays (m,).
-
-    `present` says where its bands are there; elsewhere the others mean nothing.
-    """
-
-    quantity: str
-    unit: str
-    present: BoolArray
-    value: FloatArray
-    sigma: FloatArray
-    reason: Texts
-    domain: Texts
-    caveat: Texts
-    source: Texts
-
-    @property
-    def in_range(self) -> BoolArray:
-        """Whether the regression may be used."""
-        return np.asarray(self.reason == "", bool)
-
-    @property
-    def first_usable(self) -> int | None:
-        """The first spectrum of which it may be used, None for none."""
-        rows = np.flatnonzero(self.present & self.in_range)
-        return int(rows[0]) if rows.size else None
-
-    def columns(self) -> dict[str, Any]:
-        """The attributes of `CompositionEstimate` by name, as columns of records."""
-        from lunarsci.records import coded
-
-        texts = {name: coded(getattr(self, name)) for name in ("reason", "domain", "caveat", "source")}
-        own = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}
-        return own | {"in_range": self.in_range} | texts
-
-    def of(self, row: int) -> CompositionEstimate:
-        """That of one spectrum."""
-        return CompositionEstimate(
-            quantity=self.quantity,
-            unit=self.unit,
-            value=float(self.value[row]),
-            sigma=float(self.sigma[row]),
-            in_range=not self.reason[row],
-            reason=self.reason[row],
-            domain=self.domain[row],
-            caveat=self.caveat[row],
-            source=self.source[row],
-        )
 
 
 def chemistry(measured: SpectrumBands) -> dict[str, CompositionEstimate]:
@@ -179,25 +101,21 @@ def chemistries(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
     predictors = {
         "bc1000": (one.center_nm, errors_nm(one)),
         "bc2000": (np.where(there, two.center_nm, np.nan), errors_nm(two)),
-        "bar": _area_ratio(one, two),
+        "bar": area_ratio(one, two),
     }
-    found = estimates(predictors, ratio)
+    found = estimates(predictors, ratio) | chondrites(bands)
+    for line in regressions().values():
+        if line.place == "chondrite":
+            doubt, own = found["fa_chondrite"].reason, found[line.key].reason
+            own[:] = np.where(doubt != "", doubt, own)
+            own[np.isnan(bands_of_chondrites(bands)[0][:, 1])] = NO_AREAS
     used = (there & (one.continuum == CONIC)) | (np.isfinite(two.center_nm) & (two.continuum == CONIC))
     for key in _CENTRED & found.keys():
         found[key].caveat[used] += "; made under a continuum of straight lines, not under the conic as here"
-    return found
+    return {key: found[key] for key in KEYS if key in found}
 
 
-_CENTRED = frozenset(key for key in KEYS if key not in ("ol_dunn", "opx_cloutis"))
-
-
-def _area_ratio(one: BandColumns, two: BandColumns) -> tuple[FloatArray, FloatArray]:
-    """Area of the 2 um band over that of the 1 um band, and its standard error; NaN where either is not above 0."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        good = (one.area_nm > 0) & (two.area_nm > 0)
-        ratio = np.where(good, two.area_nm / one.area_nm, np.nan)
-        parts = [np.nan_to_num(e / b.area_nm) for b in (one, two) for e in (b.area_sigma_nm, b.area_calibration_nm)]
-    return ratio, ratio * np.sqrt(sum(part**2 for part in parts))
+_CENTRED = frozenset(KEYS) - {"ol_dunn", "opx_cloutis", "fs_chondrite", "fa_chondrite", "ol_chondrite"}
 
 
 def errors_nm(band: BandColumns) -> FloatArray:

@@ -33,8 +33,8 @@ class Regression:
     inverse : whether it was made the other way round: x = c0 + c1 y instead of y = c0 + c1 x + c2 x^2.
     coefficients : c0, c1, c2.
     error : standard deviation about it that its authors give, of y, or of x where it is inverse.
-    error_relab : root mean square error of y on the RELAB minerals for which it says that it may be used; 0 where there
-        are fewer than five.
+    error_relab : root mean square error of y on the minerals of RELAB, or its ordinary chondrites, for which it says
+        that it may be used; 0 where there are fewer than five.
     low, high : range of y it was made for.
     excluded : range of y within that where it does not hold, or None.
     when : range of another quantity it was made for, the upper end not included; infinite where open.
@@ -135,7 +135,7 @@ OPX_MOST_FS = 55.0
 OPX_MOST_NM = 2065.0
 """2 um centre of synthetic ferrosilite, the most that an orthopyroxene has; measured as the line was."""
 OLIVINE_SHIFT_NM = 8.0
-"""Olivine moves the 1 um centre of a chondrite above that of its pyroxene by at least this much; assumed."""
+"""Olivine moves the 1 um centre of a mixture above that of its pyroxene by at least this much; assumed."""
 WEAK_SHARE = 0.1
 """Depth of the 2 um band over that of the 1 um band below which the rock may be olivine; assumed. Of 26 olivines one
 exceeds it, by a trace of pyroxene."""
@@ -163,12 +163,13 @@ def objections(place: str, bc1000_nm: FloatArray, bc2000_nm: FloatArray, depth_r
 
     Parameters
     ----------
-    place : `pyroxene`, `orthopyroxene`, `hed`, `olivine`, `chondrite`, `mixture`, or `any`.
+    place : `pyroxene`, `orthopyroxene`, `hed`, `olivine`, `mixture`, or `any`; of a `chondrite` the law of
+        `lunarsci.spectra.chemistry.chondrite` judges.
     bc1000_nm, bc2000_nm : band centres, (m,); NaN where there is no such band. [nm]
     depth_ratio : depth of the 2 um band over that of the 1 um band, 0 where there is none, (m,). [-]
     """
     found = np.full(bc1000_nm.shape, "", object)
-    if place == "any":
+    if place in ("any", "chondrite"):
         return found
     if place == "olivine":
         low, high = OLIVINE_NM
@@ -208,7 +209,7 @@ def _no_hed(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
 
 
 def _no_mixture(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
-    """What is no mixture of olivine and low-calcium pyroxene, a chondrite's or another."""
+    """What is no mixture of olivine and low-calcium pyroxene."""
     found = _said(bc2000_nm > OPX_MOST_NM, "the 2 µm band is that of clinopyroxene")
     found[bc1000_nm > OLIVINE_NM[0]] = "the 1 µm band is that of olivine or augite"
     found[_off_trend(bc1000_nm, bc2000_nm) < OLIVINE_SHIFT_NM] = "the two centres are those of pyroxene without olivine"
@@ -224,7 +225,6 @@ _JUDGES = {
     "orthopyroxene": _no_orthopyroxene,
     "hed": _no_hed,
     "mixture": _no_mixture,
-    "chondrite": _no_mixture,
 }
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lunarsci.record_blocks import RecordsInBlocks
     from lunarsci.records import Records
     from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
-    from lunarsci.spectra.chemistry.bands import Estimates
+    from lunarsci.spectra.chemistry.estimates import Estimates
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
 
 
@@ -27,6 +27,7 @@ REGRESSIONS = {
     "gaffey-2002": "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",
     "burbine-2007": "Burbine et al. (2009), Meteorit. Planet. Sci. 44, 1331, 10.1111/j.1945-5100.2009.tb01225.x (HED)",
     "dunn-2010": "Dunn et al. (2010), Icarus 208, 789, 10.1016/j.icarus.2010.02.016 (chondrites)",
+    "chondrite-bands": "Korda et al. (2023), Astron. Astrophys. 669, A101, 10.1051/0004-6361/202243886 (chondrites)",
     "cloutis-1986": "Cloutis et al. (1986), J. Geophys. Res. 91, 11641, 10.1029/JB091iB11p11641 (area ratio)",
     "opx-band-trend": "Klima et al. (2007), Meteorit. Planet. Sci. 42, 235, 10.1111/j.1945-5100.2007.tb00230.x (opx)",
     "olivine-bc1000": "King & Ridley (1987), J. Geophys. Res. 92, 11457, 10.1029/JB092iB11p11457 (the trend)",
@@ -51,6 +52,7 @@ METHODS = {
     "burbine": "Burbine 2009",
     "trend": "synthetic opx",
     "dunn": "Dunn 2010",
+    "chondrite": "recalibrated",
     "cloutis": "Cloutis 1986",
     "bc1000": "1 µm centre",
 }
@@ -112,10 +114,11 @@ class MeasuredBands(Result):
     @property
     def made_from(self) -> MadeFrom:
         from lunarsci.constants import PAPER, SMOOTHING
+        from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
         from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
         from lunarsci.tables import table_hashes
 
-        tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE)
+        tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE, CHONDRITES)
         sources = [PAPER, SMOOTHING, *self._regressions, *CHEMISTRY]
         return MadeFrom(inputs=self.batch.inputs, tables=tables, sources=sources)
 

@@ -115,6 +115,7 @@ class UnmixedSpectra(Result):
     batch, request : the spectra, and what was asked.
     shares, kinds : of each spectrum.
     normatives : composition of those that are weathered, by position.
+    chondrites : of powders of dark rocks, by position, what their bands say if they are ordinary chondrites.
     failures, files : inputs that gave no spectrum, one sentence each; what else was read beside the spectra.
     """
 
@@ -124,6 +125,7 @@ class UnmixedSpectra(Result):
     shares: "Sequence[Abundance]"
     kinds: "Sequence[KindVerdict]"
     normatives: "Mapping[int, Normative]" = field(default_factory=dict)
+    chondrites: Mapping[int, dict[str, Any] | None] = field(default_factory=dict)
     failures: Sequence[Failure] = ()
     files: "Sequence[InputFile]" = ()
 
@@ -135,10 +137,12 @@ class UnmixedSpectra(Result):
         from lunarsci.spectra.abundance.mixing import IRON_TABLE
         from lunarsci.spectra.abundance.normative import TABLE as SOIL
         from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
+        from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
         from lunarsci.tables import table_hashes
 
         mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
-        used = {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils}
+        used = {CHONDRITES: bool(self.chondrites)}
+        used |= {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils}
         sources = [LEARNED, *(LAWS[self.request.method] if mixes else ())]
         sources += [*([WEATHERING] if iron else ()), *(SOILS if soils else ())]
         return MadeFrom(
@@ -166,7 +170,8 @@ class UnmixedSpectra(Result):
         soils = self.normatives
         return [
             {"source": origin, "id": found.id, "kind": kind.to_dict(), "abundance": found.to_dict(),
-             "normative": soils[index].to_dict() if index in soils else None}
+             "normative": soils[index].to_dict() if index in soils else None,
+             "chondrite": self.chondrites.get(index)}
             for index, (origin, found, kind) in enumerate(zip(self.batch.origins, self.shares, self.kinds, strict=True))
         ]  # fmt: skip
 
@@ -195,6 +200,13 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(item, Mapping):
             stem = f"normative_{name.removesuffix('_wt')}"
             row |= {f"{stem}_wt": item["value"], f"{stem}_low_wt": item["low"], f"{stem}_high_wt": item["high"]}
+    for name, item in (record["chondrite"] or {}).items():
+        if isinstance(item, Mapping):
+            row |= {f"chondrite_{name}": item["value"]} | {
+                f"chondrite_{name}_{end}": item[end] for end in list(item)[1:]
+            }
+        elif name == "in_domain":
+            row["chondrite_in_domain"] = item
     return row
 
 
@@ -242,9 +254,22 @@ def unmix(
         shares=[found[index] for index in range(len(kinds))],
         kinds=kinds,
         normatives={index: normative(batch.spectra[index], kinds[index]) for index in weathered},
+        chondrites=_chondrites(batch.spectra, kinds),
         failures=batch.failures_among({}),
         files=[file for file in (library, known) if file],
     )
+
+
+def _chondrites(spectra: "Sequence[Spectrum]", kinds: "Sequence[KindVerdict]") -> dict[int, dict[str, Any] | None]:
+    from lunarsci.spectra.bands import measure_batch
+    from lunarsci.spectra.chemistry.chondrite import chondrite_record, chondrites
+
+    dark = [index for index, kind in enumerate(kinds) if kind.kind == "dark-rock-powder"]
+    if not dark:
+        return {}
+    measured = measure_batch([spectra[index] for index in dark], continuum_name="hull")
+    found = chondrites(measured.arrays.bands)
+    return {index: chondrite_record(found, row) for row, index in enumerate(dark)}
 
 
 def _shares(
