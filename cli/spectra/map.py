@@ -72,7 +72,8 @@ OPTIONS = {
     "kind": option("Kind of target of unmix; auto: found in each pixel.", panel=SETTINGS),
     "both": option(
         "Of unmix: mix end members too in every pixel, and write shares by both methods beside those that networks "
-        "learned (share_olivine_both and so on), as `spectra unmix --assemblage` gives them. Slow: some 20 pixels a "
+        "learned (share_olivine_both and so on), as `spectra unmix --assemblage` gives them. Name the "
+        "minerals: where nothing is known of them networks alone are better. Slow: some 20 pixels a "
         "second and core.",
         panel=SETTINGS,
     ),

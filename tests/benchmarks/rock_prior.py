@@ -48,7 +48,7 @@ def known_modes(folder: Path, networks: Path) -> None:
         alone = answer(foretold, allowed, dark, np.ones(rows.size))
         error = drawn_rocks((True,) * 4).mean(axis=0) - truth
         print(f"{name} ({rows.size}), mean of the prior alone: rms {_percent(np.sqrt((error**2).mean(axis=0)))}")
-        for prior, one in zip(PRIORS, (alone, with_rocks(alone, allowed)), strict=True):
+        for prior, one in zip(PRIORS, (alone, with_rocks(alone)), strict=True):
             error, ends = one.mean - truth, one.intervals(calibration())
             held = [((part[..., 0] <= truth + 1e-6) & (truth <= part[..., 1] + 1e-6)).mean() for part in ends]
             width = [np.median(part[..., 1] - part[..., 0]) for part in ends]

@@ -61,14 +61,14 @@ class Mixed:
 class CalibratedShares:
     """Calibrated probabilities of `SHARES` (n, 4, 21) of n spectra, and of knowing nothing, `doubt` (n,).
 
-    `weight` (n,) is that of mixtures of end members. With the prior of returned rocks `together` (n, KEPT, 4) are
-    shares drawn with all minerals together, and `returned` (n,) the probabilities that the rocks are like those.
+    `weight` (n,) is that of mixtures of end members. With the prior of returned rocks `alone` is the answer without it,
+    and `returned` (n,) are the probabilities that the rocks are like those.
     """
 
     probabilities: FloatArray
     doubt: FloatArray
     weight: FloatArray
-    together: FloatArray | None = None
+    alone: "CalibratedShares | None" = None
     returned: FloatArray | None = None
 
     @cached_property
@@ -93,12 +93,19 @@ class CalibratedShares:
         return np.asarray(1.0 - _at(self.below, np.full(self.mean.shape, SOME)))
 
     def drawn(self, row: int) -> FloatArray:
-        """Shares (KEPT, 4) of one spectrum, minerals together or one by one; these sum to 1 on the mean alone."""
-        if self.together is not None:
-            return np.asarray(self.together[row])
+        """Shares (KEPT, 4) of one spectrum: of rocks, or each mineral by itself, so that they sum to 1 on the mean."""
+        if self.alone is not None and self.returned is not None:
+            own = self.alone
+            rocks, _ = posterior(own.probabilities[row], own.doubt[row], own.there(row))
+            like_them = np.linspace(0.0, 1.0, KEPT, endpoint=False)[:, None] < self.returned[row]
+            return np.where(like_them, rocks, own.drawn(row))
         uniform = np.random.default_rng(0).random((KEPT, len(MINERALS)))
         each = [np.interp(uniform[:, k], self.below[row, k], FINE) for k in range(len(MINERALS))]
-        return np.column_stack(each) * (self.probabilities[row, :, 0] < 1.0)
+        return np.column_stack(each) * self.there(row)
+
+    def there(self, row: int) -> tuple[bool, ...]:
+        """Which minerals there may be in a spectrum."""
+        return tuple((self.probabilities[row, :, 0] < 1.0).tolist())
 
     def intervals(self, calibration: Mapping[tuple[str, str], float]) -> tuple[FloatArray, FloatArray]:
         """Shortest intervals of 68 and of 95 %, the first within the second, (n, 4, 2) each."""
@@ -242,19 +249,16 @@ def answer(
     return CalibratedShares(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, known), known), weight)
 
 
-def with_rocks(own: CalibratedShares, allowed: FloatArray) -> CalibratedShares:
+def with_rocks(own: CalibratedShares) -> CalibratedShares:
     """The answer where spectra are of rocks like those that were returned, unless they are like none of them.
 
     Nothing is left of the doubt: where the spectra say nothing it is the prior.
     """
-    count, both = len(allowed), own.probabilities.copy()
-    together, returned = np.empty((count, KEPT, len(MINERALS))), np.empty(count)
-    like_them = np.linspace(0.0, 1.0, KEPT, endpoint=False)[:, None]
-    for row, there in enumerate(map(tuple, allowed > 0)):
-        rocks, returned[row] = posterior(own.probabilities[row], own.doubt[row], there)
+    both, returned = own.probabilities.copy(), np.empty(len(own.doubt))
+    for row in range(len(returned)):
+        rocks, returned[row] = posterior(own.probabilities[row], own.doubt[row], own.there(row))
         both[row] += returned[row] * (shared_out(rocks).mean(axis=0) - both[row])
-        together[row] = np.where(like_them < returned[row], rocks, own.drawn(row))
-    return CalibratedShares(both, np.zeros(count), own.weight, together, returned)
+    return CalibratedShares(both, np.zeros_like(returned), own.weight, own, returned)
 
 
 def abundances(
@@ -269,7 +273,7 @@ def abundances(
     """Shares of the minerals that there may be, by volume, with intervals and a verdict."""
     rock = np.array([float(kind.stated and kind.kind == "solid-rock") for kind in kinds])
     own = answer(foretold, allowed, how_dark(kinds), rock, mixed)
-    found = with_rocks(own, allowed) if prior == PRIOR else own
+    found = with_rocks(own) if prior == PRIOR else own
     trusted = own.near() >= LIKELY
     mean, near, present = found.mean, found.near(), found.present()
     ends = np.concatenate(found.intervals(calibration()), axis=-1)

@@ -45,7 +45,7 @@ def test_intervals_of_rocks_from_the_prior_hold_and_are_narrower() -> None:
     rng = np.random.default_rng(7)
     truth = drawn_rocks(ALL)[rng.choice(len(drawn_rocks(ALL)), 120)]
     own = CalibratedShares(seen(truth + rng.normal(0, 0.15, truth.shape), 0.15), np.zeros(120), np.zeros(120))
-    found = with_rocks(own, np.ones((120, 4)))
+    found = with_rocks(own)
     inner, outer = found.intervals(LEVELS)
     held = [((ends[..., 0] <= truth) & (truth <= ends[..., 1])).mean() for ends in (inner, outer)]
     assert 0.66 < held[0] < 0.85 and 0.93 < held[1] <= 1.0
@@ -57,7 +57,7 @@ def test_intervals_of_rocks_from_the_prior_hold_and_are_narrower() -> None:
 def test_a_rock_unlike_all_that_were_returned_keeps_its_shares() -> None:
     """Clinopyroxene alone, well seen; no rock of the table is one."""
     own = CalibratedShares(seen(np.array([[0.0, 0.0, 1.0, 0.0]]), 0.03), np.zeros(1), np.zeros(1))
-    found = with_rocks(own, np.ones((1, 4)))
+    found = with_rocks(own)
     assert found.returned is not None and found.returned[0] < 0.1
     assert found.mean[0] == pytest.approx(own.mean[0], abs=0.05)
 
