@@ -49,7 +49,10 @@ OPTIONS = {
     "band_continuum": option("Continuum of the bands, as --continuum of `spectra bands`.", panel=SETTINGS),
     "smooth_nm": option("Smoothing window of the bands in nm.", panel=SETTINGS, min=0),
     "assemblage": option(
-        "Minerals of fit, joined by hyphens: OL, OPX, CPX, PLG; unmix weighs all four.", panel=SETTINGS
+        "The minerals that there are, joined by hyphens: OL, OPX, CPX, PLG. unmix weighs these and no others, without "
+        "it all four; fit has their bands, without it those of OL-OPX-CPX.",
+        panel=SETTINGS,
+        metavar="NAMES",
     ),
     "continuum": option("Continuum of the fit, as --continuum of `spectra fit`.", panel=SETTINGS),
     "model_error": option("Model error of ln R; left out: that expected of each spectrum.", panel=SETTINGS),
@@ -67,6 +70,13 @@ OPTIONS = {
         max=32,
     ),
     "kind": option("Kind of target of unmix; auto: found in each pixel.", panel=SETTINGS),
+    "both": option(
+        "Of unmix: mix end members too in every pixel, and write shares by both methods beside those that networks "
+        "learned (share_olivine_both and so on), as `spectra unmix --assemblage` gives them. Name the "
+        "minerals: where nothing is known of them networks alone are better. Slow: some 20 pixels a "
+        "second and core.",
+        panel=SETTINGS,
+    ),
     "craters": option("Table of craters of match, as --craters of `spectra match`.", panel=SETTINGS, metavar="FILE"),
     "single_precision": option("Write values with 24 bits instead of 53: half the size.", panel=SETTINGS),
     "wavelengths": option(

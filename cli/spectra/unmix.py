@@ -35,6 +35,11 @@ OPTIONS = {
         panel=KNOWN,
         metavar="KIND",
     ),
+    "prior": option(
+        "What is expected before the spectrum is seen: powders, mixtures as the networks learned from; lunar-rocks, "
+        "rocks as were returned from the Moon, of which a solid rock (--kind solid-rock) is likely one.",
+        panel=KNOWN,
+    ),
     "together": option(
         "Take all spectra as mixtures of the same powders, which are then found far better than one by one.",
         panel=KNOWN,

@@ -21,7 +21,9 @@ from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.result import MadeFrom, Result
+from lunarsci.spectra.abundance.rock_prior import PRIOR
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
+from lunarsci.spectra.jobs.unmix import UnmixedSpectra, unmix
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
@@ -108,13 +110,14 @@ def _ground_ahead(seed: int) -> SeenGround | None:
 
 @dataclass(frozen=True, slots=True)
 class StudiedRock:
-    """The synthetic rock as the spectrometer's products, the calibrated spectrum, and what two methods find in it."""
+    """The synthetic rock as the spectrometer's products, the calibrated spectrum, and what three methods find in it."""
 
     products: dict[str, bytes]
     truth: Truth
     calibration: Calibration
     bands: SpectrumBands
     fit: MgmFit
+    shares: UnmixedSpectra
 
 
 def _rock(seed: int) -> StudiedRock:
@@ -130,7 +133,8 @@ def _rock(seed: int) -> StudiedRock:
     [fit] = fit_spectra([spectrum], mgm_model())
     if not isinstance(fit, MgmFit):
         raise RuntimeError(fit.status)
-    return StudiedRock(products, simulation.truth, calibration, measure_bands(spectrum), fit)
+    shares = unmix(spectrum, kind="solid-rock", prior=PRIOR)
+    return StudiedRock(products, simulation.truth, calibration, measure_bands(spectrum), fit, shares)
 
 
 def _rock_findings(the_rock: StudiedRock) -> list[dict[str, Any]]:
@@ -153,6 +157,10 @@ def _rock_findings(the_rock: StudiedRock) -> list[dict[str, Any]]:
             opx, cpx = _strengths(the_rock.truth, number)
             name = f"rock: OPX / (OPX + CPX) band strength at {number} µm"
             found.append(_finding(name, ratio.opx, ratio.sigma, opx / (opx + cpx), "-", "fit.png"))
+    for share in the_rock.shares.shares[0].fractions:
+        name, error = f"rock: share of {share.mineral} by volume", (share.high - share.low) / 2
+        truth = float(getattr(the_rock.truth.composition, share.mineral))
+        found.append(_finding(name, share.fraction, error, truth, "-", "shares.png"))
     return found
 
 
@@ -214,8 +222,9 @@ class Demonstration(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        tables = table_hashes(*default_settings().tables, *TABLES) | self.drive.scene.tables
-        return MadeFrom(tables=tables, sources=[PAPER, MGM, NBSR], seed=self.seed)
+        shares = self.rock.shares.made_from
+        tables = table_hashes(*default_settings().tables, *TABLES) | dict(shares.tables) | self.drive.scene.tables
+        return MadeFrom(tables=tables, sources=[PAPER, MGM, NBSR, *shares.sources], seed=self.seed)
 
     def to_dict(self) -> dict[str, Any]:
         return {"findings": self.rows(), "synthetic": True, "pictures": sorted(self.pictures)}
@@ -275,7 +284,7 @@ def demo(seed: int = 0, *, say: Callable[[str], None] = lambda step: None) -> De
     seen = _ground_ahead(seed)
     if seen is None:
         say("    left out: pictures need OpenCV; pip install 'lunarsci[images]'")
-    say("2/4 a synthetic rock: calibration, bands and Modified Gaussian Model")
+    say("2/4 a synthetic rock: calibration, bands, Modified Gaussian Model and shares of minerals")
     rock = _rock(seed)
     say("3/4 a drive of 9.8 m on synthetic terrain, over 81 soils")
     drive = _drive(seed)
@@ -335,6 +344,9 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
 
         return picture("fit.png", fit_pages([the_rock.fit]))
 
+    def shares() -> bytes:
+        return picture("shares.png", the_rock.shares.figures())
+
     def path() -> bytes:
         from lunarsci.twin.figures.prediction import path_fan
 
@@ -347,4 +359,11 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
         with styled():
             return picture("soil.png", [characteristic_curves(soil, synthetic=True)])
 
-    return {"calibration.png": calibration, "bands.png": bands, "fit.png": fit, "drive.png": path, "soil.png": curves}
+    return {
+        "calibration.png": calibration,
+        "bands.png": bands,
+        "fit.png": fit,
+        "shares.png": shares,
+        "drive.png": path,
+        "soil.png": curves,
+    }

@@ -55,6 +55,19 @@ def test_all_four_minerals_are_weighed_where_none_is_named(run: Run, mixtures: P
     assert all(shares["learned"] < 1.0 and "plagioclase" not in shares for shares in named.values())
 
 
+def test_the_prior_of_returned_rocks_is_named_and_its_modes_are_cited(run: Run, mixtures: Path) -> None:
+    done = run("spectra", "unmix", mixtures, "--kind", "solid-rock", "--prior", "lunar-rocks", "--json", "--quiet")
+    document = json.loads(done.out)
+    for record in document["result"]["spectra"]:
+        shares = record["abundance"]
+        assert shares["prior"] == "lunar-rocks" and 0 < shares["returned"] < 1
+        assert "prior of returned rocks" in shares["status"] and "published" in shares
+    assert "lunar_rock_modes.csv" in {table["name"] for table in document["provenance"]["tables"]}
+    assert any("Lunar Sample Compendium" in source for source in document["provenance"]["sources"])
+    plain = found(run, mixtures, "--quiet")
+    assert {(shares["prior"], shares["returned"]) for shares in plain.values()} == {("powders", None)}
+
+
 def test_spectra_together_are_found_and_differ_from_one_by_one(run: Run, mixtures: Path) -> None:
     together = found(run, mixtures, *NAMED, "--together")
     alone = found(run, mixtures, *NAMED)

@@ -45,6 +45,8 @@ class Abundance:
     rms_ln : misfit of ln R, root mean square, None for a method that fits none. [-]
     learned : weight of the networks' estimate beside that of mixed end members; None of other methods. [-]
     ratios : of a solid rock, shares of one mineral in several.
+    prior : of the shares; of `unmix`, the powders that networks learned from where none is named, None of others.
+    returned : with the prior of returned lunar rocks, the probability that this is one like them. [-]
     """
 
     id: str
@@ -55,6 +57,8 @@ class Abundance:
     rms_ln: float | None
     learned: float | None = None
     ratios: tuple[MineralFraction, ...] = ()
+    prior: str | None = None
+    returned: float | None = None
 
     @property
     def determined(self) -> bool:
@@ -78,6 +82,8 @@ class Abundance:
             "status": self.status,
             "rms_ln": self.rms_ln,
             "learned": self.learned,
+            "prior": self.prior,
+            "returned": self.returned,
             "ratios": {item.mineral: _values(item) for item in self.ratios},
             "published": BOULDERS if self.ratios else None,
         } | shares

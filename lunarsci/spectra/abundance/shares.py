@@ -21,8 +21,9 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.spectra.abundance.kinds import KindVerdict
-from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only
+from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only, shared_out
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+from lunarsci.spectra.abundance.rock_prior import KEPT, PRIOR, posterior
 from lunarsci.tables import table_rows
 
 TABLE = "share_calibration.csv"
@@ -40,8 +41,6 @@ NOTHING = 0.5
 FINE = np.linspace(0.0, 1.0, 201)
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
-DRAWN = 4000
-"""Draws of shares that ratios are made of; assumed enough."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +61,15 @@ class Mixed:
 class CalibratedShares:
     """Calibrated probabilities of `SHARES` (n, 4, 21) of n spectra, and of knowing nothing, `doubt` (n,).
 
-    `weight` (n,) is that of mixtures of end members.
+    `weight` (n,) is that of mixtures of end members. With the prior of returned rocks `alone` is the answer without it,
+    and `returned` (n,) are the probabilities that the rocks are like those.
     """
 
     probabilities: FloatArray
     doubt: FloatArray
     weight: FloatArray
+    alone: "CalibratedShares | None" = None
+    returned: FloatArray | None = None
 
     @cached_property
     def mean(self) -> FloatArray:
@@ -89,6 +91,21 @@ class CalibratedShares:
     def present(self) -> FloatArray:
         """Probability of more than `SOME` of each mineral, (n, 4)."""
         return np.asarray(1.0 - _at(self.below, np.full(self.mean.shape, SOME)))
+
+    def drawn(self, row: int) -> FloatArray:
+        """Shares (KEPT, 4) of one spectrum: of rocks, or each mineral by itself, so that they sum to 1 on the mean."""
+        if self.alone is not None and self.returned is not None:
+            own = self.alone
+            rocks, _ = posterior(own.probabilities[row], own.doubt[row], own.there(row))
+            like_them = np.linspace(0.0, 1.0, KEPT, endpoint=False)[:, None] < self.returned[row]
+            return np.where(like_them, rocks, own.drawn(row))
+        uniform = np.random.default_rng(0).random((KEPT, len(MINERALS)))
+        each = [np.interp(uniform[:, k], self.below[row, k], FINE) for k in range(len(MINERALS))]
+        return np.column_stack(each) * self.there(row)
+
+    def there(self, row: int) -> tuple[bool, ...]:
+        """Which minerals there may be in a spectrum."""
+        return tuple((self.probabilities[row, :, 0] < 1.0).tolist())
 
     def intervals(self, calibration: Mapping[tuple[str, str], float]) -> tuple[FloatArray, FloatArray]:
         """Shortest intervals of 68 and of 95 %, the first within the second, (n, 4, 2) each."""
@@ -232,6 +249,18 @@ def answer(
     return CalibratedShares(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, known), known), weight)
 
 
+def with_rocks(own: CalibratedShares) -> CalibratedShares:
+    """The answer where spectra are of rocks like those that were returned, unless they are like none of them.
+
+    Nothing is left of the doubt: where the spectra say nothing it is the prior.
+    """
+    both, returned = own.probabilities.copy(), np.empty(len(own.doubt))
+    for row in range(len(returned)):
+        rocks, returned[row] = posterior(own.probabilities[row], own.doubt[row], own.there(row))
+        both[row] += returned[row] * (shared_out(rocks).mean(axis=0) - both[row])
+    return CalibratedShares(both, np.zeros_like(returned), own.weight, own, returned)
+
+
 def abundances(
     names: Sequence[str],
     method: str,
@@ -239,10 +268,13 @@ def abundances(
     allowed: FloatArray,
     kinds: Sequence[KindVerdict],
     mixed: Mixed | None = None,
+    prior: str = "powders",
 ) -> list[Abundance]:
     """Shares of the minerals that there may be, by volume, with intervals and a verdict."""
     rock = np.array([float(kind.stated and kind.kind == "solid-rock") for kind in kinds])
-    found = answer(foretold, allowed, how_dark(kinds), rock, mixed)
+    own = answer(foretold, allowed, how_dark(kinds), rock, mixed)
+    found = with_rocks(own) if prior == PRIOR else own
+    trusted = own.near() >= LIKELY
     mean, near, present = found.mean, found.near(), found.present()
     ends = np.concatenate(found.intervals(calibration()), axis=-1)
     results = []
@@ -255,19 +287,37 @@ def abundances(
             for k, (mineral, own) in enumerate(zip(MINERALS, numbers, strict=True))
             if allowed[row, k]
         )
-        inside = bool(told and near[row] >= LIKELY and not kinds[row].is_weathered)
+        inside = bool(told and trusted[row] and near[row] >= LIKELY and not kinds[row].is_weathered)
         status = _status(near[row], bool(told), kinds[row], fractions)
         left = None if mixed is None else float(mixed.rms_ln[row])
-        one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - found.weight[row]))
-        results.append(replace(one, ratios=_ratios(found, row, allowed[row] > 0)) if rock[row] else one)
+        one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - found.weight[row]),
+                        prior=prior)  # fmt: skip
+        if found.returned is not None:
+            one = _with_prior(one, float(found.returned[row]), mean[row] - own.mean[row], own.doubt[row] >= NOTHING)
+        results.append(replace(one, ratios=_ratios(found.drawn(row), allowed[row] > 0)) if rock[row] else one)
     return results
 
 
+def _with_prior(one: Abundance, returned: float, moved: FloatArray, alone: bool) -> Abundance:
+    """What the prior of returned rocks did: `moved` (4,) the shares; `alone` where the spectrum says nothing."""
+    k = int(np.argmax(np.abs(moved)))
+    status = one.status if one.in_domain or "out of domain" in one.status else f"out of domain: {one.status}"
+    said = f"prior of returned rocks (like them with a probability of {returned:.2f}): {MINERALS[k]} moves by "
+    said += f"{100 * moved[k]:+.0f} %"
+    said += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
+    return replace(one, prior=PRIOR, returned=returned, status=f"{status}; {said}")
+
+
 def shares_of_rows(
-    foretold: Foretold, allowed: FloatArray, dark: FloatArray, rock: FloatArray, weathered: BoolArray
+    foretold: Foretold,
+    allowed: FloatArray,
+    dark: FloatArray,
+    rock: FloatArray,
+    weathered: BoolArray,
+    mixed: Mixed | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Of many spectra shares (n, 4), ends of their 68 % intervals (n, 4, 2), and whether they are in domain (n,)."""
-    found = answer(foretold, allowed, dark, rock)
+    found = answer(foretold, allowed, dark, rock, mixed)
     told = found.doubt < NOTHING
     mean = np.where(told[:, None], found.mean, np.nan)
     return mean, found.intervals(calibration())[0], told & ~weathered & (found.near() >= LIKELY)
@@ -285,11 +335,8 @@ def _status(near: float, told: bool, kind: KindVerdict, fractions: Sequence[Mine
     return "; ".join(parts)
 
 
-def _ratios(found: CalibratedShares, row: int, there: BoolArray) -> tuple[MineralFraction, ...]:
-    """Shares of one mineral in several; shares are drawn one by one and brought to a sum of 1."""
-    uniform = np.random.default_rng(0).random((DRAWN, len(MINERALS)))
-    below = found.below[row]
-    drawn = np.column_stack([np.interp(uniform[:, k], below[k], FINE) for k in range(len(MINERALS))]) * there
+def _ratios(drawn: FloatArray, there: BoolArray) -> tuple[MineralFraction, ...]:
+    """Shares of one mineral in several, of shares that were drawn, (n, 4)."""
     ratios = []
     for name, (above, among) in RATIOS.items():
         places = [[MINERALS.index(mineral) for mineral in some] for some in (above, among)]

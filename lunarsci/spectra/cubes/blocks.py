@@ -21,13 +21,13 @@ LONG_HOURS = 1 / 60
 
 
 class Product(Protocol):
-    """Some layers that are measured together; it goes to other processes, so it is small.
-
-    `slow` is whether it works on one spectrum after the other.
-    """
+    """Some layers that are measured together; it goes to other processes, so it is small."""
 
     name: ClassVar[str]
-    slow: ClassVar[bool]
+
+    @property
+    def slow(self) -> bool:
+        """Whether it works on one spectrum after the other."""
 
     @property
     def layers(self) -> Sequence[Layer]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from lunarsci.errors import RequestError
 from lunarsci.result import MadeFrom, Result, request_of
 from lunarsci.spectra.jobs.bands import SMOOTH_NM
-from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE, Progress
+from lunarsci.spectra.jobs.fit import Progress
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 if TYPE_CHECKING:
@@ -37,10 +37,13 @@ class MapRequest:
     products : of `PRODUCTS`, joined by commas.
     roi, mask, every : which pixels, see `lunarsci.spectra.cubes.regions.region_of`.
     band_continuum, smooth_nm : of bands, as `continuum` and `smooth_nm` of `lunarsci.bands`.
-    assemblage, continuum, model_error, starts : of fit, as `lunarsci.fit` has them.
+    assemblage : the minerals of fit, OL-OPX-CPX where it is left out, and those that unmix weighs, and no
+        others; all four where it is left out.
+    continuum, model_error, starts : of fit, as `lunarsci.fit` has them.
     neighbours, contest_every : whether a fit starts from those of its neighbours and takes theirs where they are
         lower; every how many lines and samples all starts are tried. Without, all are tried everywhere.
     kind : of unmix, as `lunarsci.unmix` has it.
+    both : whether unmix mixes end members too, in further layers, as `lunarsci.unmix` does where minerals are named.
     craters : of match, as `lunarsci.match` has them.
     single_precision : whether values are written with 24 bits instead of 53.
     wavelengths, wavelength_unit, scale, ignore, saturated, locations : of the cube, where it does not say: a file of
@@ -54,13 +57,14 @@ class MapRequest:
     every: int = 1
     band_continuum: Literal["conic", "hull", "linear"] = "conic"
     smooth_nm: float = SMOOTH_NM
-    assemblage: str = DEFAULT_ASSEMBLAGE
+    assemblage: str | None = None
     continuum: MgmContinuum = DEFAULT_CONTINUUM
     model_error: float | None = None
     starts: int = 4
     neighbours: bool = True
     contest_every: int = 8
     kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
+    both: bool = False
     craters: str | None = None
     single_precision: bool = False
     wavelengths: str | None = None
@@ -79,6 +83,8 @@ class MapRequest:
             raise RequestError(f"`scale` is {self.scale:g}; reflectances are numbers divided by it, so it is above 0")
         if not 1 <= self.contest_every <= ROWS:
             raise RequestError(f"`contest_every` is {self.contest_every}; give 1 to {ROWS}")
+        if self.both and "unmix" not in self.wanted:
+            raise RequestError("`both` is of unmix; name it in `products`")
         if self.every < 1:
             raise RequestError(f"`every` is {self.every}; give 1 or more")
 
@@ -146,6 +152,7 @@ class CubeMap(Result):
                 "every": self.made.region.step,
             },
             "pixels": dict(self.counts),
+            "unmix": unmix_record(self.request),
             "layers": self.rows(),
         }
 
@@ -313,6 +320,21 @@ def made_from(cube: "Cube", products: "Sequence[Product]") -> MadeFrom:
 
     tables = table_hashes(*dict.fromkeys(table for product in products for table in product.tables))
     return MadeFrom(inputs=cube.inputs, tables=tables, sources=[text for one in products for text in one.sources])
+
+
+def weighed(request: MapRequest) -> list[str]:
+    """Minerals that unmix weighs."""
+    from lunarsci.spectra.abundance.learned import MINERALS
+    from lunarsci.spectra.jobs.unmix import named_minerals
+
+    return named_minerals(request.assemblage) if request.assemblage else list(MINERALS)
+
+
+def unmix_record(request: MapRequest) -> dict[str, Any] | None:
+    """How shares of a map were found, for `--json`; None where there are none."""
+    if "unmix" not in request.wanted:
+        return None
+    return {"method": "learned", "both": request.both, "minerals": weighed(request)}
 
 
 def cube_record(cube: "Cube") -> dict[str, Any]:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.spectra.cubes.output import NO_CODE, Layer
+from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE
 
 if TYPE_CHECKING:
     from lunarsci.arrays import FloatArray
@@ -178,9 +179,10 @@ class FitProduct:
 
     @classmethod
     def of(cls, request: "MapRequest") -> "FitProduct":
-        model_of(request.assemblage, request.continuum)
+        assemblage = request.assemblage or DEFAULT_ASSEMBLAGE
+        model_of(assemblage, request.continuum)
         every = request.contest_every if request.neighbours else 0
-        return cls(request.assemblage, request.continuum, request.model_error, request.starts, every)
+        return cls(assemblage, request.continuum, request.model_error, request.starts, every)
 
     @property
     def layers(self) -> Sequence[Layer]:

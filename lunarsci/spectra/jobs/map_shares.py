@@ -10,60 +10,74 @@ from lunarsci.spectra.cubes.output import NO_CODE, Layer
 from lunarsci.spectra.jobs.map_products import BandsProduct, FitProduct, slug
 
 if TYPE_CHECKING:
-    from lunarsci.arrays import FloatArray
+    from lunarsci.arrays import BoolArray, FloatArray
     from lunarsci.spectra.jobs.map import MapRequest
     from lunarsci.spectra.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True)
 class UnmixProduct:
-    """Shares of minerals as the networks of `lunarsci.unmix` foretell them, in all pixels at once."""
+    """Shares of minerals as the networks of `lunarsci.unmix` foretell them, in all pixels at once.
+
+    `both` : whether mixtures of end members are fitted beside, pixel by pixel. `minerals` : those that there may be.
+    """
 
     name: ClassVar[str] = "unmix"
-    slow: ClassVar[bool] = False
     kind: Any
+    minerals: tuple[str, ...]
+    both: bool = False
 
     @classmethod
     def of(cls, request: "MapRequest") -> "UnmixProduct":
-        return cls(request.kind)
+        from lunarsci.spectra.jobs.map import weighed
+
+        return cls(request.kind, tuple(weighed(request)), request.both)
+
+    @property
+    def slow(self) -> bool:
+        return self.both
+
+    @property
+    def methods(self) -> Mapping[str, str]:
+        """End of the names of layers of each method."""
+        return {"learned": ""} | ({"learned and mixtures": "_both"} if self.both else {})
 
     @property
     def layers(self) -> Sequence[Layer]:
         from lunarsci.spectra.abundance.kinds import KINDS
-        from lunarsci.spectra.abundance.learned import MINERALS
 
-        found = []
-        for mineral in MINERALS:
-            found.append(Layer(f"share_{mineral}", f"share of {mineral} by volume"))
-            found += [Layer(f"share_{mineral}_{end}", f"{end} end of its interval of 68 %") for end in ("low", "high")]
-        domain = ("out_of_domain", "in_domain")
-        return [
-            *found,
-            Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)),
-            Layer("shares_in_domain", "whether all shares are likely within 15 %", meanings=domain),
-        ]
+        found, domain = [], ("out_of_domain", "in_domain")
+        for method, own in self.methods.items():
+            for mineral in self.minerals:
+                name = f"share_{mineral}{own}"
+                found.append(Layer(name, f"share of {mineral} by volume, method: {method}"))
+                found += [Layer(f"{name}_{end}", f"{end} end of its interval of 68 %") for end in ("low", "high")]
+            if not own:
+                found.append(Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)))
+            meaning = f"whether all shares are likely within 15 %, method: {method}"
+            found.append(Layer(f"shares{own}_in_domain", meaning, meanings=domain))
+        return found
 
     @property
     def tables(self) -> Sequence[str]:
+        from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
         from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
         from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
         from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 
-        return (NETWORKS, KIND_TABLE, CALIBRATION)
+        return (NETWORKS, KIND_TABLE, CALIBRATION, *([END_MEMBERS] if self.both else ()))
 
     @property
     def sources(self) -> Sequence[str]:
-        from lunarsci.spectra.jobs.unmix import LEARNED
+        from lunarsci.spectra.jobs.unmix import LAWS, LEARNED
 
-        return (LEARNED,)
+        return (LEARNED, *(LAWS["both"] if self.both else ()))
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
         """Each layer of spectra; those with the same channels together."""
         import numpy as np
 
         from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
-        from lunarsci.spectra.abundance.learned import MINERALS, foretell
-        from lunarsci.spectra.abundance.shares import shares_of_rows
 
         count = len(reflectance)
         values: dict[str, Any] = {
@@ -78,15 +92,39 @@ class UnmixProduct:
                 continue
             channels, part = wavelength_nm[usable], reflectance[np.ix_(rows, usable)]
             kind, dark, weathered = kinds_of_rows(channels, part, None if self.kind == "auto" else self.kind)
-            allowed = np.ones((rows.size, len(MINERALS)))
-            rock = np.full(rows.size, float(self.kind == "solid-rock"))
-            mean, ends, inside = shares_of_rows(foretell(channels, part, allowed), allowed, dark, rock, weathered)
-            soil = kind == KINDS.index("weathered-soil")
-            for k, mineral in enumerate(MINERALS):
-                for name, own in (("", mean[:, k]), ("_low", ends[:, k, 0]), ("_high", ends[:, k, 1])):
-                    values[f"share_{mineral}{name}"][rows] = np.where(soil, np.nan, own)
-            values["shares_in_domain"][rows] = inside
             values["kind"][rows] = np.where(kind < 0, NO_CODE, kind)
+            for own in self.methods.values():
+                values[f"shares{own}_in_domain"][rows] = 0
+            if (kept := kind != KINDS.index("weathered-soil")).any():
+                found = self._shares(channels, part[kept], dark[kept], weathered[kept])
+                for name, numbers in found.items():
+                    values[name][rows[kept]] = numbers
+        return values
+
+    def _shares(
+        self, wavelength_nm: "FloatArray", reflectance: "FloatArray", dark: "FloatArray", weathered: "BoolArray"
+    ) -> Mapping[str, Any]:
+        """Layers of spectra of the same channels."""
+        import numpy as np
+
+        from lunarsci.spectra.abundance.known_modes import KnownModes
+        from lunarsci.spectra.abundance.learned import MINERALS, foretell
+        from lunarsci.spectra.abundance.shares import shares_of_rows
+        from lunarsci.spectra.jobs.unmix import UnmixRequest, mixed_estimate
+
+        allowed = np.tile([float(name in self.minerals) for name in MINERALS], (len(reflectance), 1))
+        rock = np.full(len(reflectance), float(self.kind == "solid-rock"))
+        foretold, values = foretell(wavelength_nm, reflectance, allowed), dict[str, Any]()
+        for own in self.methods.values():
+            mixed = None
+            if own:
+                spectra = _spectra(wavelength_nm, reflectance)
+                mixed = mixed_estimate(spectra, foretold, allowed, KnownModes({}, {}), None, UnmixRequest(), None)
+            mean, ends, inside = shares_of_rows(foretold, allowed, dark, rock, weathered, mixed)
+            values[f"shares{own}_in_domain"] = inside
+            for k in map(MINERALS.index, self.minerals):
+                name = f"share_{MINERALS[k]}{own}"
+                values |= {name: mean[:, k], f"{name}_low": ends[:, k, 0], f"{name}_high": ends[:, k, 1]}
         return values
 
 

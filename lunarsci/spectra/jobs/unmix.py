@@ -34,6 +34,7 @@ SOILS = (
     "Taylor, Pieters, Keller, Morris & McKay (2001), J. Geophys. Res. 106, 27985, 10.1029/2000JE001402",
 )
 LEARNED = "Korda et al. (2023), Astron. Astrophys. 669, A101, 10.1051/0004-6361/202243886 (spectra learned from)"
+MODES = "Meyer (2012), Lunar Sample Compendium, NASA Johnson Space Center (modes of returned rocks)"
 MOST_NAMED = 5
 REFUSED = "a soil that space has weathered, whose glass and iron no mixture of powders stands for"
 
@@ -52,6 +53,7 @@ class UnmixRequest:
     together : whether all spectra are mixtures of the same powders.
     known : table of mixtures whose modes are known; implies `together`.
     opaque, iron : whether there may be an opaque powder, or nanophase iron on all grains, beside the end members.
+    prior : of the shares; `powders`: the mixtures that networks learned from; `lunar-rocks`: rocks that were returned.
     wavelength_unit, reflectance_unit : where an input does not state them. id : the only spectra to take, by name.
 
     Raises
@@ -67,6 +69,7 @@ class UnmixRequest:
     known: str | None = None
     opaque: bool = False
     iron: bool = False
+    prior: Literal["powders", "lunar-rocks"] = "powders"
     wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
     id: tuple[str, ...] = ()
@@ -80,7 +83,7 @@ class UnmixRequest:
                 "spectra `together`"
             )
         if self.assemblage is not None:
-            _named(self.assemblage)
+            named_minerals(self.assemblage)
 
     @property
     def mixes(self) -> bool:
@@ -93,7 +96,7 @@ class UnmixRequest:
         return bool(self.together or self.known)
 
 
-def _named(assemblage: str) -> list[str]:
+def named_minerals(assemblage: str) -> list[str]:
     """Full names of the minerals of an assemblage."""
     from lunarsci.spectra.abundance.end_members import FAMILY_OF
 
@@ -136,14 +139,17 @@ class UnmixedSpectra(Result):
         from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
         from lunarsci.spectra.abundance.mixing import IRON_TABLE
         from lunarsci.spectra.abundance.normative import TABLE as SOIL
+        from lunarsci.spectra.abundance.rock_prior import PRIOR
+        from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
         from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
         from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
         from lunarsci.tables import table_hashes
 
         mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
-        used = {CHONDRITES: bool(self.chondrites)}
-        used |= {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils}
-        sources = [LEARNED, *(LAWS[self.request.method] if mixes else ())]
+        rocks = self.request.prior == PRIOR
+        used = {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils,
+                ROCKS: rocks, CHONDRITES: bool(self.chondrites)}  # fmt: skip
+        sources = [LEARNED, *(LAWS[self.request.method] if mixes else ()), *([MODES] if rocks else ())]
         sources += [*([WEATHERING] if iron else ()), *(SOILS if soils else ())]
         return MadeFrom(
             inputs=self.batch.inputs | {file.name: file.sha256 for file in self.files},
@@ -241,7 +247,7 @@ def unmix(
     end_members = read_library(library) if library else None
     modes = _known_modes([one.id for one in batch.spectra], known)
     kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
-    named = _named(asked.assemblage) if asked.assemblage else list(MINERALS)
+    named = named_minerals(asked.assemblage) if asked.assemblage else list(MINERALS)
     soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not known]
     taken = [index for index in range(len(kinds)) if index not in set(soils)]
     found = dict(zip(taken, _shares([batch.spectra[k] for k in taken], [kinds[k] for k in taken], named, modes,
@@ -295,8 +301,8 @@ def _shares(
         if mineral_shares := modes.known.get(spectrum.id):
             row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
     foretold = foretell_each(spectra, allowed)
-    mixed = _mixed(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
-    found = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed)
+    mixed = mixed_estimate(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
+    found = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior)
     return [_as_stated(one, modes.known[one.id]) if one.id in modes.known else one for one in found]
 
 
@@ -309,10 +315,11 @@ def _as_stated(found: "Abundance", known: Mapping[str, float]) -> "Abundance":
     shares = {mineral: share / total for mineral, share in known.items()}
     values = [(one.mineral, shares.get(one.mineral, 0.0)) for one in found.fractions]
     fractions = tuple(MineralFraction(mineral, *[share] * 5, float(share > SOME)) for mineral, share in values)  # type: ignore[call-arg]
-    return replace(found, fractions=fractions, in_domain=True, status="modes as stated", ratios=())
+    stated = replace(found, fractions=fractions, in_domain=True, status="modes as stated", ratios=())
+    return replace(stated, prior=None, returned=None)
 
 
-def _mixed(
+def mixed_estimate(
     spectra: "Sequence[Spectrum]",
     foretold: "Foretold",
     allowed: "FloatArray",

@@ -264,6 +264,28 @@ def test_shares_and_matches_of_pixels_are_those_of_the_single_commands(envi: Any
         np.testing.assert_allclose(float(found[layer]), crater["log_bayes_factor"], rtol=1e-9)
 
 
+@pytest.mark.slow
+def test_shares_of_named_minerals_by_both_methods_are_those_of_the_single_command(envi: Any, tmp_path: Path) -> None:
+    from lunarsci.spectra.jobs.unmix import unmix
+
+    cube = str(envi(spectra(1, 2, seed=5).astype("f4")))
+    how: dict[str, Any] = {"kind": "powder-mixture", "assemblage": "OL-OPX"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = map_cube(cube, tmp_path / "map.nc", products="unmix", both=True, **how)
+        found = opened(tmp_path / "map.nc").isel(line=0, sample=1)
+        row = pixel(cube, "1,0")
+        spectrum = row.cube.wavelength_nm, row.reflectance
+        shares = unmix([spectrum], **how).to_dict()["spectra"][0]["abundance"]
+    assert made.to_dict()["unmix"] == {"method": "learned", "both": True, "minerals": ["olivine", "orthopyroxene"]}
+    assert "share_plagioclase" not in found
+    assert "method: learned" in found["share_olivine"].attrs["long_name"]
+    for mineral in ("olivine", "orthopyroxene"):
+        for key, layer in (("fraction", ""), ("low", "_low"), ("high", "_high")):
+            np.testing.assert_allclose(float(found[f"share_{mineral}_both{layer}"]), shares[mineral][key], rtol=1e-9)
+    assert float(found["share_olivine"]) != float(found["share_olivine_both"])
+
+
 def test_a_quick_look_has_a_scale_kilometres_and_north(tmp_path: Path) -> None:
     """2.5 pixels of 0.1 degrees are 7.6 km of the Moon's equator; north is up where lines go south."""
     from rasterio.transform import from_origin
