@@ -9,6 +9,7 @@ spectrum. Pyroxenes are filed by their bands: low-calcium ones, pigeonite poor i
 import csv
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ import pandas as pd
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import CHEMISTRY, FAMILY_OF
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import mgm_model, unit_of
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model, prior_covariance, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
@@ -103,11 +104,20 @@ def usgs(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
     return found
 
 
+def describing(family: str) -> MgmModel:
+    """The model of a mineral with strengths that are free of each other: to describe a spectrum, not to tell minerals."""
+    model = mgm_model(family)
+    bands = tuple(replace(band, strength_loading=0.0) for band in model.assemblage.bands)
+    precision, m = model.precision.copy(), model.degrees
+    precision[m:, m:] = np.linalg.inv(prior_covariance(replace(model.assemblage, bands=bands)))
+    return replace(model, precision=precision)
+
+
 def filed(spectrum: Spectrum, mineral: str) -> str:
     """The mineral by its bands: orthopyroxene where both are those of a low-calcium pyroxene."""
     if mineral != "clinopyroxene":
         return mineral
-    [fit] = fit_spectra([spectrum], mgm_model("CPX"), model_error=ERROR)
+    [fit] = fit_spectra([spectrum], describing("CPX"), model_error=ERROR)
     if not isinstance(fit, MgmFit):
         return mineral
     first, second = (next(band.center_nm for band in fit.bands if band.name == name) for name in ("CPX 1", "CPX 2"))
@@ -118,7 +128,7 @@ def filed(spectrum: Spectrum, mineral: str) -> str:
 def described(spectrum: Spectrum, about: dict[str, object]) -> dict[str, object] | None:
     """A row of the table; None for a spectrum that its mineral's bands do not describe."""
     about = about | {"mineral": filed(spectrum, str(about["mineral"]))}
-    model = mgm_model(FAMILY_OF[str(about["mineral"])])
+    model = describing(FAMILY_OF[str(about["mineral"])])
     [fit] = fit_spectra([spectrum], model, model_error=ERROR)
     if not isinstance(fit, MgmFit) or fit.rms_ln > WORST:
         return None

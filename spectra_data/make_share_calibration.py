@@ -206,7 +206,26 @@ def learn(every: Sequence[Cases], without: int | None = None) -> Known:
     for level in (68, 95):
         for term, way in (("alone", "all"), ("mixed", "named")):
             known[f"level{level}", term] = _level([one for one in some if one.way == way], known, level)
-    return known
+    return known | _present([one for one in some if one.way != "cut"], known)
+
+
+def _present(parts: Sequence[Cases], known: Known) -> Known:
+    """Of the probability that a mineral is there; each way of asking counts alike."""
+    odds, true, weight = [], [], []
+    for one in parts:
+        there = one.allowed > 0
+        odds.append(answered(one, known).ln_odds_of_some()[there])
+        true.append((one.truth > SOME)[there])
+        weight.append((one.weight[:, None] * there / (one.weight[:, None] * there).sum())[there])
+    x, y, w = map(np.concatenate, (odds, true, weight))
+
+    def loss(values: np.ndarray) -> float:
+        line = values[0] + values[1] * x
+        drawn = DRAWN_TO * float(((values - (0.0, 1.0)) ** 2).sum())
+        return float((w * (np.logaddexp(0.0, line) - y * line)).sum()) + drawn
+
+    found = minimize(loss, np.array([0.0, 1.0]), method="BFGS").x.tolist()
+    return {("logit_present", term): value for term, value in zip(("constant", "ln_odds"), found, strict=True)}
 
 
 def _weights(one: Cases) -> list[float]:
@@ -279,7 +298,7 @@ def nested(every: Sequence[Cases]) -> list[Nested]:
             if rows.size:
                 part = one.part(one.fold == fold)
                 answer = answered(part, known)
-                own.mean[rows], own.near[rows], own.present[rows] = answer.mean, answer.near(), answer.present()
+                own.mean[rows], own.near[rows], own.present[rows] = answer.mean, answer.near(), answer.present(known)
                 inside68, inside95, own.width[:, rows] = holds(part, answer, known)
                 own.held[:, rows] = inside68, inside95
         found.append(own)

@@ -8,6 +8,8 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 
     ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w + c5 missing
 
+That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied.
+
 `share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
 networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
 """
@@ -88,9 +90,15 @@ class CalibratedShares:
         ends = [_at(below, np.clip(mean + sign * GOOD, 0.0, 1.0)) for sign in (-1, 1)]
         return np.asarray((ends[1] - ends[0]).min(axis=1))
 
-    def present(self) -> FloatArray:
-        """Probability of more than `SOME` of each mineral, (n, 4)."""
-        return np.asarray(1.0 - _at(self.below, np.full(self.mean.shape, SOME)))
+    def ln_odds_of_some(self) -> FloatArray:
+        """That there is more than `SOME` of each mineral, by its share's probabilities, (n, 4)."""
+        some = np.clip(1.0 - _at(self.below, np.full(self.mean.shape, SOME)), 1e-4, 1.0 - 1e-4)
+        return np.asarray(np.log(some / (1.0 - some)))
+
+    def present(self, calibration: Mapping[tuple[str, str], float]) -> FloatArray:
+        """Probability of more than `SOME` of each mineral, (n, 4), as often right as it says."""
+        constant, slope = (calibration["logit_present", term] for term in ("constant", "ln_odds"))
+        return _logistic(constant + slope * self.ln_odds_of_some())
 
     def drawn(self, row: int) -> FloatArray:
         """Shares (KEPT, 4) of one spectrum: of rocks, or each mineral by itself, so that they sum to 1 on the mean."""
@@ -275,7 +283,7 @@ def abundances(
     own = answer(foretold, allowed, how_dark(kinds), rock, mixed)
     found = with_rocks(own) if prior == PRIOR else own
     trusted = own.near() >= LIKELY
-    mean, near, present = found.mean, found.near(), found.present()
+    mean, near, present = found.mean, found.near(), found.present(calibration())
     ends = np.concatenate(found.intervals(calibration()), axis=-1)
     results = []
     for row, name in enumerate(names):
@@ -330,9 +338,20 @@ def _status(near: float, told: bool, kind: KindVerdict, fractions: Sequence[Mine
     parts = [within if near >= LIKELY else f"out of domain: only {within}"]
     if kind.is_weathered:
         parts = [f"out of domain: it looks weathered, as no spectrum of known shares does; {parts[0]}"]
-    if len(open_ones := [item.mineral for item in fractions if OPEN[0] < item.present < OPEN[1]]) > 0:
-        parts.append(f"may be absent: {' or '.join(open_ones)}")
+    open_ones = [item for item in fractions if OPEN[0] < item.present < OPEN[1]]
+    if open_ones:
+        parts.append(_open(open_ones))
     return "; ".join(parts)
+
+
+def _open(found: Sequence[MineralFraction]) -> str:
+    """Minerals that may be there or not: of several, which of them is not known."""
+    names = [item.mineral for item in found]
+    if len(found) == 1:
+        return f"may be absent: {names[0]}"
+    total = 100 * sum(item.fraction for item in found)
+    between = ", or a pyroxene between both, such as pigeonite" if {*MAFIC[1:]} <= {*names} else ""
+    return f"not told apart: {' or '.join(names)}{between} (together {total:.0f} %)"
 
 
 def _ratios(drawn: FloatArray, there: BoolArray) -> tuple[MineralFraction, ...]:

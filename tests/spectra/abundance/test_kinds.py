@@ -17,7 +17,6 @@ from lunarsci.spectra.abundance.kinds import (
     KINDS,
     KindModel,
     embedded_kinds,
-    features_of_rows,
     find_kind,
     find_kinds,
     kinds_of_rows,

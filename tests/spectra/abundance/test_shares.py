@@ -23,6 +23,7 @@ from lunarsci.tables import table_rows
 NM = np.arange(450.0, 2451.0, 5.0)
 ONES = np.ones((1, 4))
 LEVELS = {(f"level{name}", term): level for name, level in ((68, 0.68), (95, 0.95)) for term in ("alone", "mixed")}
+AS_IT_IS = {("logit_present", "constant"): 0.0, ("logit_present", "ln_odds"): 1.0}
 
 
 def at(*chances: dict[int, float]) -> np.ndarray:
@@ -41,7 +42,10 @@ def calibrated(probabilities: np.ndarray) -> CalibratedShares:
 def test_means_chances_and_intervals_are_those_of_triangles() -> None:
     found = calibrated(at({8: 0.5, 12: 0.5}, {8: 0.5, 12: 0.5}, {0: 1.0}, {0: 1.0}))
     assert found.mean[0] == pytest.approx([0.5, 0.5, 0.0, 0.0])
-    assert found.present()[0] == pytest.approx([1.0, 1.0, 0.0, 0.0], abs=1e-9)
+    assert found.present(AS_IT_IS)[0] == pytest.approx([1.0, 1.0, 0.0, 0.0], abs=1e-3)
+    even = calibrated(at({20: 0.5, 0: 0.5}, {0: 0.5, 20: 0.5}, {0: 1.0}, {0: 1.0}))
+    assert even.present(AS_IT_IS)[0, :2] == pytest.approx([0.5, 0.5])
+    assert even.present(AS_IT_IS | {("logit_present", "constant"): np.log(3.0)})[0, 0] == pytest.approx(0.75)
     assert found.near() == pytest.approx([1.0])
     inner, outer = found.intervals(LEVELS)
     assert inner[0, 2].tolist() == pytest.approx([0.0, 0.025], abs=0.006), "half a triangle from 0"
