@@ -105,7 +105,7 @@ def usgs(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
 
 
 def describing(family: str) -> MgmModel:
-    """The model of a mineral with strengths that are free of each other: to describe a spectrum, not to tell minerals."""
+    """The model of a mineral with strengths free of each other: to describe a spectrum, not to tell minerals apart."""
     model = mgm_model(family)
     bands = tuple(replace(band, strength_loading=0.0) for band in model.assemblage.bands)
     precision, m = model.precision.copy(), model.degrees
