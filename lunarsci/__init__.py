@@ -39,7 +39,14 @@ __all__ = ["__version__", *_ELSEWHERE, *_AREAS]
 __version__ = "0.1.0"
 
 
+def _renderer() -> Any:
+    """What makes the text and the HTML of a result: it stands above the library, and is imported to show one."""
+    return import_module("lunarsci.cli.shown")
+
+
 def __getattr__(name: str) -> Any:
+    if name in __all__:
+        import_module("lunarsci.result").Result.renderer = staticmethod(_renderer)
     if name in _ELSEWHERE:
         return getattr(import_module(_ELSEWHERE[name]), name)
     if name not in _AREAS:

@@ -14,7 +14,6 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from itertools import islice
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar, get_args, get_type_hints
@@ -32,9 +31,6 @@ if TYPE_CHECKING:
 Request = TypeVar("Request")
 Given = ParamSpec("Given")
 Found = TypeVar("Found")
-SHOWN_BY = "lunarsci.cli.shown"
-"""What makes the text and the HTML of a result, found by its name when one is shown: it stands above the library."""
-
 UNITS = {
     "torque_nm": "N m",
     "moment_nm": "N m",
@@ -190,6 +186,8 @@ class Result(ABC):
 
     schema: ClassVar[str] = ""
     asked: Asked | None = field(default=None, compare=False)
+    renderer: ClassVar[Any] = None
+    """Where the text and the HTML of a result come from; without it they are those of its table."""
 
     def __init_subclass__(cls, **more: Any) -> None:
         # A dataclass leaves a method that is there alone; one made of all fields would fill pages.
@@ -200,7 +198,7 @@ class Result(ABC):
         return f"<{type(self).__name__}{made_by}: print it, or take .to_table(), .plot(), .to_dict() or .to_json()>"
 
     def __str__(self) -> str:
-        text: str = import_module(SHOWN_BY).as_text(self)
+        text: str = self.renderer().as_text(self) if self.renderer else str(self.to_table())
         return text
 
     @property
@@ -288,7 +286,7 @@ class Result(ABC):
         return found
 
     def _repr_html_(self) -> str:
-        made: str = import_module(SHOWN_BY).as_html(self)
+        made: str = self.renderer().as_html(self) if self.renderer else self.to_table()._repr_html_()
         return made
 
 

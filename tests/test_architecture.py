@@ -137,7 +137,7 @@ def lengths() -> list[tuple[str, int]]:
 
 def test_functions_and_modules_stay_small() -> None:
     assert [row for row in lengths() if row[1] > 60] == []
-    assert [p.name for p in MODULES if p.read_text("utf-8").count("\n") > 400] == []
+    assert [p.name for p in MODULES if p.read_text("utf-8").count("\n") > 800] == []
 
 
 def commands() -> list[tuple[str, int]]:
@@ -218,23 +218,27 @@ def test_no_folder_of_the_library_imports_in_a_circle() -> None:
     assert circle_in(arrows) == []
 
 
-def reached(path: Path, node: ast.ImportFrom) -> set[str]:
-    """Modules of `cli` that a relative import in the module at `path` names."""
-    base = [*path.relative_to(ROOT).with_suffix("").parts][: -node.level]
-    module = [*base, *(node.module.split(".") if node.module else [])]
-    full = ".".join(module)
-    return {f"{full}.{alias.name}" for alias in node.names} | {full}
+def modules_named(path: Path, names: dict[str, Path]) -> set[str]:
+    """Modules of the project that a file imports, at its head, in functions, for types, or by a string."""
+    package = [*path.relative_to(ROOT).with_suffix("").parts][:-1]
+    found: set[str] = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else []
+            base = ".".join([*above, *(node.module.split(".") if node.module else [])])
+            inner = {f"{base}.{alias.name}" for alias in node.names}
+            found |= inner & names.keys() or {base}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
+            found |= {node.value.replace("lunarsci.cli", "cli")}
+    return found & names.keys()
 
 
-def test_no_module_of_the_command_line_imports_in_a_circle() -> None:
-    names = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in MODULES}
-    arrows: dict[str, set[str]] = {}
-    for path, tree in trees():
-        if ROOT / "cli" in path.parents and path != ROOT / "cli/__init__.py":
-            nodes = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level]
-            used = {name for node in nodes for name in reached(path, node)}
-            arrows[names[path]] = used & set(names.values()) - {names[path], "cli", names[path].rpartition(".")[0]}
-    assert sum(map(len, arrows.values())) > 50, "or nothing was looked at"
+def test_no_files_import_each_other_in_a_circle() -> None:
+    names = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in MODULES}
+    arrows = {name: modules_named(path, names) - {name} for name, path in names.items()}
+    assert sum(map(len, arrows.values())) > 2000, "or nothing was looked at"
     assert circle_in(arrows) == []
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.spectra.jobs.map import MapRequest
+from lunarsci.spectra.jobs.map_request import MapRequest
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.twin.jobs.plan import PlanRequest
+from lunarsci.twin.jobs.plan_request import PlanRequest
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option

@@ -22,8 +22,8 @@ from lunarsci.kept_blocks import KeptBlocks
 from lunarsci.spectra.cubes.blocks import fetched, measured
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
-from lunarsci.spectra.jobs.map import MapRequest
 from lunarsci.spectra.jobs.map_products import products_of
+from lunarsci.spectra.jobs.map_request import MapRequest
 
 MOON_KM2 = 4.0 * np.pi * 1737.4**2
 COVERAGES = 1.5

@@ -14,8 +14,7 @@ from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.predict import predict
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.rover_limits import rover_questions
+from lunarsci.twin.rover import Rover, build_rover, rover_questions
 
 PLAN = Plan(name="short", legs=(Leg(1.0),), speed_m_s=0.05)
 QUICK = {"time_step": 0.2, "sample": 0.25}

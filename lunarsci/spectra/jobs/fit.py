@@ -191,7 +191,7 @@ class MgmFits(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.spectra.mgm.fits import doubts_about
+        from lunarsci.spectra.mgm.selection import doubts_about
 
         doubts = doubts_about(self.fits, self.choices)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
@@ -305,7 +305,7 @@ def fit(
     """
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
     from lunarsci.spectra.mgm.continua import spread_over_continua
-    from lunarsci.spectra.mgm.fits import intervals_of
+    from lunarsci.spectra.mgm.posterior import intervals_of
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(FitRequest, request, options)

@@ -1,27 +1,15 @@
 """Fits of many spectra to one model, each of which is made when it is asked for."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.names import some_of
 from lunarsci.spectra.mgm.batch import FitBatch
 from lunarsci.spectra.mgm.data import SpectraRows
 from lunarsci.spectra.mgm.model import MgmModel
-from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.mgm.profile import Intervals
-    from lunarsci.spectra.mgm.selection import Choice
-
-
-NAMED = 5
-"""Spectra without a decided assemblage that are named."""
-
-ODD = {"strained": "bands are strained, see `status`, of", "ambiguous": "another minimum fits almost as well for"}
-"""Words of a status beside `converged`, and what they are against a fit."""
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 
 
 class SpectraFits(Sequence[MgmFit | MgmFailure]):
@@ -93,45 +81,3 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
         for positions, values in parts:
             found[positions] = values
         return found
-
-
-def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: "Mapping[int, Choice] | None" = None) -> list[str]:
-    """Why some fits should not be trusted, one sentence for each reason."""
-    if isinstance(fits, SpectraFits):
-        unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
-        names = np.array(fits.names, dtype=object)
-        lists = [names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist()]
-        said = list(zip(fits.names, fits.statuses, strict=True))
-    else:
-        good = [item for item in fits if isinstance(item, MgmFit)]
-        lists = [[one.id for one in good if not one.converged], [one.id for one in good if one.rms_ln > UNLIKE_RMS]]
-        said = [(item.id, item.status) for item in good]
-    texts = ("no convergence for {}", "the model does not describe {}")
-    doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
-    for word, text in ODD.items():
-        odd = [name for name, status in said if f"; {word}: " in status]
-        doubts += [f"{text} {some_of(odd, NAMED)}"] if odd else []
-    weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
-    return doubts + ([f"the assemblage is not decided for {some_of(weak, NAMED)}"] if weak else [])
-
-
-def intervals_of(
-    results: Sequence[Any], errors: str, seed: int, progress: Callable[[int, int], None] | None
-) -> dict[int, "Intervals"]:
-    """Intervals by position of fits that converged, by profile or sample; none for laplace."""
-    if errors == "laplace":
-        return {}
-    fits = {index: item for index, item in enumerate(results) if isinstance(item, MgmFit) and item.converged}
-    if errors == "sample":
-        from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
-
-        posteriors = sample_batch(list(fits.values()), seed=seed, progress=progress)
-        return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
-    from lunarsci.spectra.mgm.profile import profile_intervals
-
-    found = {}
-    for done, (index, item) in enumerate(fits.items(), start=1):
-        found[index] = profile_intervals(item)
-        if progress:
-            progress(done, len(fits))
-    return found

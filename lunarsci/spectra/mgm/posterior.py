@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
-from lunarsci.spectra.mgm.profile import Interval, Intervals, ratios_of
+from lunarsci.spectra.mgm.profile import Interval, Intervals, profile_intervals, ratios_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.sampler import run_population
 
@@ -243,3 +243,21 @@ def _r_hat(drawn: FloatArray, families: IntArray) -> FloatArray:
     between = (sizes * (means - (sizes * means).sum(axis=0) / sizes.sum()) ** 2).sum(axis=0) / sizes.sum()
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.sqrt(1 + between / within), dtype=np.float64)
+
+
+def intervals_of(
+    results: Sequence[Any], errors: str, seed: int, progress: Callable[[int, int], None] | None
+) -> dict[int, Intervals]:
+    """Intervals by position of fits that converged, by profile or sample; none for laplace."""
+    if errors == "laplace":
+        return {}
+    fits = {index: item for index, item in enumerate(results) if isinstance(item, MgmFit) and item.converged}
+    if errors == "sample":
+        posteriors = sample_batch(list(fits.values()), seed=seed, progress=progress)
+        return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
+    found = {}
+    for done, (index, item) in enumerate(fits.items(), start=1):
+        found[index] = profile_intervals(item)
+        if progress:
+            progress(done, len(fits))
+    return found

@@ -11,14 +11,16 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.blocks import arrays_in_blocks, kept_rows
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import some_of
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, chances, standing, told
 from lunarsci.spectra.mgm.data import MgmData, deepest_absorption, prepare
 from lunarsci.spectra.mgm.evidence import EvidencePlace
 from lunarsci.spectra.mgm.fit import fit_data, model_digest
+from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, stated_for
-from lunarsci.spectra.mgm.result import MgmFailure
+from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
 DETAIL_FLOOR, DETAIL_SHARE = 0.008, 0.04
@@ -290,3 +292,30 @@ def _deepened(model: MgmModel, depth: float) -> MgmModel:
     scale: FloatArray = np.ones(model.prior.size)
     scale[model.degrees + 2 :: 3] = depth
     return replace(model, precision=model.precision / np.outer(scale, scale))
+
+
+NAMED = 5
+"""Spectra without a decided assemblage that are named."""
+
+ODD = {"strained": "bands are strained, see `status`, of", "ambiguous": "another minimum fits almost as well for"}
+"""Words of a status beside `converged`, and what they are against a fit."""
+
+
+def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: Mapping[int, Choice] | None = None) -> list[str]:
+    """Why some fits should not be trusted, one sentence for each reason."""
+    if isinstance(fits, SpectraFits):
+        unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
+        names = np.array(fits.names, dtype=object)
+        lists = [names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist()]
+        said = list(zip(fits.names, fits.statuses, strict=True))
+    else:
+        good = [item for item in fits if isinstance(item, MgmFit)]
+        lists = [[one.id for one in good if not one.converged], [one.id for one in good if one.rms_ln > UNLIKE_RMS]]
+        said = [(item.id, item.status) for item in good]
+    texts = ("no convergence for {}", "the model does not describe {}")
+    doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
+    for word, text in ODD.items():
+        odd = [name for name, status in said if f"; {word}: " in status]
+        doubts += [f"{text} {some_of(odd, NAMED)}"] if odd else []
+    weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
+    return doubts + ([f"the assemblage is not decided for {some_of(weak, NAMED)}"] if weak else [])

@@ -14,8 +14,8 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy, with_discrepancy
-from lunarsci.twin.simulation.ensemble import PowerState, Prediction, predict
+from lunarsci.twin.simulation.discrepancy import with_discrepancy
+from lunarsci.twin.simulation.ensemble import DrawnDiscrepancy, PowerState, Prediction, predict
 from lunarsci.twin.simulation.members import Grounds
 
 Progress = Callable[[int, int], None]

@@ -18,8 +18,7 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy
-from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, DrawnDiscrepancy, Prediction
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,7 +21,7 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, parsed_fixes
 from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
-from lunarsci.twin.jobs.plan import PlanRequest, check_start, limits_at, made_for_on
+from lunarsci.twin.jobs.plan_request import PlanRequest, check_start, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import least_drives

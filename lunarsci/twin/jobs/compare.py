@@ -169,8 +169,7 @@ def compare(
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
     from lunarsci.twin.comparison.matched import match_observations
-    from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.rover_limits import rover_questions
+    from lunarsci.twin.rover import build_rover, rover_questions
 
     asked = request_of(CompareRequest, request, options)
     forecast, inputs = read_forecast(predicted)

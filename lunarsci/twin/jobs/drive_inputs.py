@@ -27,8 +27,7 @@ from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, PRIORS, GivenSoil, caution_of, doubt_of
 from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
-from lunarsci.twin.rover import Rover, build_rover, with_gravity
-from lunarsci.twin.rover_limits import rover_questions
+from lunarsci.twin.rover import Rover, build_rover, rover_questions, with_gravity
 
 SYNTHETIC = "synthetic-longji"
 SOURCES = [

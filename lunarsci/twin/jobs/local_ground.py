@@ -17,7 +17,7 @@ from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, search_margin_m
 
 if TYPE_CHECKING:
     from lunarsci.arrays import FloatArray
-    from lunarsci.twin.jobs.plan import PlanRequest
+    from lunarsci.twin.jobs.plan_request import PlanRequest
 
 CHECKED_EVERY_M = 0.1
 DRIFT_M = 3.0

@@ -21,7 +21,7 @@ from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditio
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround
-from lunarsci.twin.jobs.plan import PlanRequest, limits_at, made_for_on
+from lunarsci.twin.jobs.plan_request import PlanRequest, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95

@@ -360,8 +360,7 @@ def read_site(
     from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
     from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
     from lunarsci.twin.plans.made_for_check import MadeForCheck
-    from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.rover_limits import check_turning
+    from lunarsci.twin.rover import build_rover, check_turning
 
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
     description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)

@@ -7,34 +7,13 @@ turns are off by a share of their angle.
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, DrawnDiscrepancy, Prediction
 from lunarsci.twin.simulation.turn_discrepancy import TURNS, exposed_turns, turned_places
-
-if TYPE_CHECKING:
-    from lunarsci.twin.simulation.ensemble import Prediction
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnDiscrepancy:
-    """Draws of a discrepancy.
-
-    Attributes
-    ----------
-    law : they were drawn from.
-    offsets_m : how far from its path each member is taken to be. (members, samples, 2) [m]
-    shares : of wheel states, by quantity: what each member's were multiplied by, less 1. (members,) [-]
-    """
-
-    law: PhysicsDiscrepancy
-    offsets_m: FloatArray
-    shares: Mapping[str, FloatArray]
-
 
 ALIKE_M = 5.0
 """Way over which the physics is off by much the same share; assumed, as measured: the likelihood of the returns that
@@ -83,7 +62,7 @@ def way_matrix(planned_m: FloatArray, paths_m: FloatArray) -> FloatArray:
     return result
 
 
-def with_discrepancy(prediction: "Prediction", law: PhysicsDiscrepancy, seed: int = 0) -> "Prediction":
+def with_discrepancy(prediction: Prediction, law: PhysicsDiscrepancy, seed: int = 0) -> Prediction:
     """Every member with a draw of the discrepancy: moved off its path, its slip, side slip, sinkage and forces changed.
 
     The paths, on which the chassis stood on the ground, stay as they were driven; `Prediction.places_m` is where a
@@ -105,7 +84,7 @@ def with_discrepancy(prediction: "Prediction", law: PhysicsDiscrepancy, seed: in
     return dataclasses.replace(prediction, discrepancy=drawn, states=_states(prediction, along, across, shares))
 
 
-def _turned(prediction: "Prediction", random: np.random.Generator) -> FloatArray:
+def _turned(prediction: Prediction, random: np.random.Generator) -> FloatArray:
     """How far members come off their paths by what their spot turns are off by. (members, samples, 2) [m]"""
     members = prediction.members
     share = TURNS.sizes(members, random) * random.standard_normal(members)
@@ -114,14 +93,12 @@ def _turned(prediction: "Prediction", random: np.random.Generator) -> FloatArray
 
 
 def _states(
-    prediction: "Prediction", along: FloatArray, across: FloatArray, shares: Mapping[str, FloatArray]
+    prediction: Prediction, along: FloatArray, across: FloatArray, shares: Mapping[str, FloatArray]
 ) -> FloatArray:
     """A rover that comes a share of the way farther slips less by it; one that comes to the left slips sidewards.
 
     No draw goes beyond what a quantity can have: |slip| 1, 90 deg of side slip, and a wheel's radius of sinkage.
     """
-    from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-
     states, moving = prediction.states.copy(), ~prediction.halted
     ahead, left = (np.concatenate([part[:, :1], part], axis=1)[:, moving, None] for part in (along, across))
     column = {name: states[..., k] for k, name in enumerate(STATE_COLUMNS)}

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.lanes import OUTCOMES
@@ -16,7 +17,6 @@ from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
-from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy
 from lunarsci.twin.simulation.drives import drive_all, drive_finer
 from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds
 
@@ -42,6 +42,22 @@ UNDER_WAY = 0.95
 """Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnDiscrepancy:
+    """Draws of a discrepancy.
+
+    Attributes
+    ----------
+    law : they were drawn from.
+    offsets_m : how far from its path each member is taken to be. (members, samples, 2) [m]
+    shares : of wheel states, by quantity: what each member's were multiplied by, less 1. (members,) [-]
+    """
+
+    law: PhysicsDiscrepancy
+    offsets_m: FloatArray
+    shares: Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,9 +1,13 @@
 """Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
 
+import io
 import math
 import re
 import warnings
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,10 +15,17 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, InputStream, open_input
-from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
+from lunarsci.tables import (
+    check_columns,
+    csv_tables,
+    line_pieces,
+    numbers_of,
+    parquet_tables,
+    read_csv_table,
+    without_repeats,
+)
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, check_telemetry_columns, named_columns
-from lunarsci.twin.telemetry.pieces import tables_of
+from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, UNIT, UNITS, check_telemetry_columns, named_columns
 from lunarsci.twin.telemetry.rests import RowsKept
 from lunarsci.twin.telemetry.ros_columns import in_own_words
 
@@ -64,6 +75,8 @@ class Findings:
         return "; ".join(f"{entry.kind}: {entry.what}" for entry in self.entries if entry.doubt)
 
 
+SPELLED = {"deg_s": "deg/s", "rpm": "cycle/min", "turns": "cycle", "m2": "m2", "cm2": "cm2", "mm2": "mm2"}
+"""Units that astropy spells otherwise than names of columns do."""
 POSE_COLUMNS = ("yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
 WHEEL_COLUMNS = {
     "speed_m_s": "speed_{}_m_s",
@@ -340,3 +353,67 @@ def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:
         xx = yy = np.copysign(values["sigma_m"] ** 2, values["sigma_m"])
         xy = 0.0 * xx
     return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+
+
+def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame]":
+    """The rows of a table in pieces, by the ending of its file, numbered through. Raises DataError, also for no row."""
+
+    def without_cut(cut: bytes, number: int) -> bytes:
+        what = f"line {number} has no end ('{cut[-20:].decode(errors='replace')}'): the file may be cut there"
+        findings.add("truncated", what, "the line is left out; end it with a new line if it is whole")
+        return b""
+
+    suffix, rows = Path(stream.name).suffix.lower(), 0
+    tables: Iterator[pd.DataFrame]
+    if suffix == ".parquet":
+        tables = (_flat(stream.name, table) for table in parquet_tables(stream))
+    elif suffix == ".ecsv":
+        tables = (_read_ecsv(piece) for piece, _ in line_pieces(stream, lambda cut, _: cut))
+    else:
+        tables = csv_tables(stream, without_cut)
+    for table in (in_own_words(stream.name, one) for one in tables):
+        yield table.set_axis(range(rows, rows + len(table)))
+        rows += len(table)
+    if not rows:
+        raise DataError(f"{stream.name}: no rows; check how it was made or downloaded")
+
+
+def _read_ecsv(source: InputFile) -> "pd.DataFrame":
+    from astropy.table import Table
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            table = Table.read(io.BytesIO(source.data), format="ascii.ecsv")
+            units = {name: str(table[name].unit) for name in table.colnames if table[name].unit is not None}
+            frame = _flat(source.name, table.to_pandas())
+    except Exception as error:
+        raise DataError(f"{source.name}: not an ECSV table that can be read ({_line(error)})") from error
+    return frame.rename(columns={name: _in_unit(source.name, name, unit) for name, unit in units.items()})
+
+
+def _in_unit(file: str, name: str, unit: str) -> str:
+    """The name of a column that ends in the unit the file says, where that is another one than its name has."""
+    from astropy import units as u
+
+    match, said = UNIT.search(name), u.Unit(unit)
+    if match is None:
+        return name
+    for own, others in UNITS.items():
+        for end in (own, *others):
+            if said == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
+                return f"{name[: match.start()]}_{end}{name[match.end() :]}"
+    raise DataError(f"{file}: {name} is in {unit}; give it in {' or '.join(UNITS)}")
+
+
+def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+    import pandas as pd
+
+    names = [str(name).strip() for name in table.columns]
+    if twice := next((name for name, times in Counter(names).items() if times > 1), None):
+        raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
+    return table.set_axis(pd.Index(names), axis=1)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]
