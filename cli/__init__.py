@@ -17,7 +17,6 @@ from lunarsci.atomic import STOPPING, written
 from lunarsci.errors import BatchError, NoFilesError, TakenError
 from lunarsci.names import nearest
 
-from .shared.aliases import current
 from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
 
 GROUPS = {
@@ -108,8 +107,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if as_program:
         _leave_when_told()
     try:
-        quiet = "-q" in arguments or "--quiet" in arguments
-        arguments = current(arguments, quiet=quiet)
         code: Any = _program(*_parts(arguments))(arguments, standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):

@@ -14,8 +14,6 @@ from lunarsci.atomic import check_folder, check_target
 from lunarsci.documents import toml_document
 from lunarsci.names import meant, one_of
 
-from .aliases import option_now
-
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
 FORMS = ("text", "md", "tsv", "latex", "csv", "json")
@@ -208,7 +206,7 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
     known = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
     for key, setting in _of_this_command(settings, context, value).items():
-        name = option_now(context.command_path.partition(" ")[2], key.replace("_", "-"))
+        name = key.replace("_", "-")
         if name not in known or name == "config":
             others = sorted(set(known) - {"config"})
             message = f"'{key}' is no option here; {one_of(name, others)}"

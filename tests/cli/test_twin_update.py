@@ -217,7 +217,7 @@ def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan
 def test_nothing_is_taken_from_the_wrong_ground(run: Run, short_plan: Path, tmp_path: Path) -> None:
     """States, plan, start and belief of one terrain, and nobody, or somebody, names the ground."""
     for name, seed in (("here", 1), ("there", 2)):
-        grid = ("--extent", "8", "--spacing", "0.1", "--seed", seed, "--craters", "0")
+        grid = ("--extent", "8", "--spacing", "0.1", "--seed", seed, "--crater-count", "0")
         where = ("--target", "1.5,0", "-o", tmp_path / name)
         assert run("twin", "plan", "synthetic", *grid, *where, "-q").code == 0
     here, there = (tmp_path / name / "terrain.npz" for name in ("here", "there"))
