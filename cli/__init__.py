@@ -13,8 +13,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lunarsci.atomic import STOPPING, written
 from lunarsci.errors import BatchError, NoFilesError, TakenError
+from lunarsci.io.atomic import STOPPING, written
 from lunarsci.names import nearest
 
 from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
@@ -180,7 +180,7 @@ def _leave_when_told() -> None:
         while (number := os.read(heard, 1)[0]) not in STOPPING or signal.getsignal(number) is signal.SIG_IGN:
             pass
         time.sleep(MOMENT_S)
-        blocks = sys.modules.get("lunarsci.blocks")
+        blocks = sys.modules.get("lunarsci.parallel.blocks")
         kept = blocks.what_is_kept() if blocks else []
         say("; ".join(["interrupted", *(kept or [written()])]))
         os._exit(interrupted(number))

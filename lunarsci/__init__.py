@@ -28,7 +28,7 @@ JOBS = {
 _AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}
 
 _ELSEWHERE = {
-    "computing": "lunarsci.blocks",
+    "computing": "lunarsci.parallel.blocks",
     "cite": "lunarsci.guide.cite",
     "compare_trials": "lunarsci.twin.jobs.compare_trials",
     "report": "lunarsci.pages.job",

@@ -1,4 +1,3 @@
-from lunarsci.blocks import computing as computing
 from lunarsci.guide.cite import cite as cite
 from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras as calibrate_cameras
 from lunarsci.images.jobs.cameras import cameras as cameras
@@ -9,6 +8,7 @@ from lunarsci.images.jobs.render import render as render
 from lunarsci.images.jobs.rocks import rocks as rocks
 from lunarsci.images.jobs.track import track as track
 from lunarsci.pages.job import report as report
+from lunarsci.parallel.blocks import computing as computing
 from lunarsci.regolith.jobs.compare_soils import compare_soils as compare_soils
 from lunarsci.regolith.jobs.identify import identify as identify
 from lunarsci.regolith.jobs.infer import infer as infer

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.end_members import CHEMISTRY, FAMILY_OF
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, prior_covariance, unit_of

@@ -17,7 +17,7 @@ import pandas as pd
 from lunarsci.spectra_data.make_normative import MISSION_OF_ROW
 
 from lunarsci.arrays import FloatArray
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.kinds import WINDOWS_NM, Kind, KindModel, spectral_features
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import t as student
 
 from lunarsci.arrays import FloatArray
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.nbsr import FREEDOM
 from lunarsci.spectra.abundance.shares import GOOD, LIKELY
 from lunarsci.spectra.mgm.fit import fit_spectra

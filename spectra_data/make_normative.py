@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from lunarsci.arrays import FloatArray
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.normative import (
     FEATURES,
     SoilRegression,

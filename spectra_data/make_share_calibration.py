@@ -23,7 +23,7 @@ import numpy as np
 from lunarsci.spectra_data.make_share_networks import FOLDS, PARTS, PURE, LabSpectra, fold_of, measured
 from scipy.optimize import minimize
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import find_kinds

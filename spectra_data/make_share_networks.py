@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.learned import (
     GRID_NM,

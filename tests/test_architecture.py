@@ -14,37 +14,18 @@ SHARED = {
     "constants",
     "provenance",
     "arrays",
-    "atomic",
-    "blocks",
-    "documents",
-    "printable",
-    "kept_blocks",
-    "cluster",
     "tempering",
-    "inputs",
-    "compiled",
-    "formulas",
-    "lanes",
     "figure",
-    "grids",
-    "height_grid",
-    "height_texts",
-    "height_netcdf",
-    "no_data",
-    "height_rasters",
-    "height_units",
-    "projections",
     "rovers",
     "spectra_data",
-    "tables",
     "result",
-    "records",
-    "record_blocks",
     "names",
-    "numerals",
     "options",
     "sun",
-    "templates",
+    "io",
+    "parallel",
+    "compiled",
+    "heights",
 }
 ALLOWED = {
     "spectra": {"spectra", *SHARED},
@@ -54,7 +35,7 @@ ALLOWED = {
     "pages": {"pages", "spectra", "regolith", "twin", *SHARED},
     "guide": {"guide", "pages", "spectra", "regolith", "images", "twin", *SHARED},
     "reproduce": {"reproduce", "pages", "spectra", "regolith", "images", "twin", *SHARED},
-    "rovers": {"rovers", "errors", "documents", "names"},
+    "rovers": {"rovers", "errors", "io", "names"},
 }
 MODULES = [path for folder in ("lunarsci", "cli", "spectra_data") for path in (ROOT / folder).rglob("*.py")]
 LIBRARY = [path for path in MODULES if ROOT / "lunarsci" in path.parents]
@@ -205,7 +186,7 @@ def circle_in(arrows: dict[str, set[str]]) -> list[str]:
 
 
 def test_no_folder_of_the_library_imports_in_a_circle() -> None:
-    """At every level, imports inside of functions counted."""
+    """At every level below the root, imports inside of functions counted."""
     files = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in MODULES}
     folders = {name.removesuffix(".__init__") for name, path in files.items() if path.name == "__init__.py"}
     arrows: dict[str, set[str]] = {}
@@ -213,7 +194,7 @@ def test_no_folder_of_the_library_imports_in_a_circle() -> None:
         if ROOT / "lunarsci" in path.parents:
             own = name.rpartition(".")[0]
             used = {part if part in folders else part.rpartition(".")[0] for part in imports(tree_of(path))}
-            arrows.setdefault(own, set()).update(used & folders - {own})
+            arrows.setdefault(own, set()).update(used & folders - {own, "lunarsci"})
     assert sum(map(len, arrows.values())) > 30, "or nothing was looked at"
     assert circle_in(arrows) == []
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from lunarsci.atomic import write_files
 from lunarsci.errors import OutputError
+from lunarsci.io.atomic import write_files
 
 POINTS = {"open", "os.rename", "os.link", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "shutil.rmtree",
           "os.scandir", "ctypes.dlsym", "tempfile.mkstemp", "tempfile.mkdtemp", "a piece of content"}  # fmt: skip
@@ -131,7 +131,7 @@ def test_commands_killed_at_calls_that_write(
 
 
 def careless(folder: Path, how: str) -> int:
-    """What a command would do that writes without `lunarsci.atomic`."""
+    """What a command would do that writes without `lunarsci.io.atomic`."""
     out, beside = folder / "out.json", folder / "out.tmp"
     if how == "in place":
         out.write_text("new")

@@ -12,10 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.atomic import write_files, written_whole
-from lunarsci.blocks import Computing, blocks_in_order, bytes_of, computing, memory_in_use, rows_in_memory, run_blocks
 from lunarsci.errors import OutputError, ParameterError
-from lunarsci.kept_blocks import KeptBlocks, spans
+from lunarsci.io.atomic import write_files, written_whole
+from lunarsci.parallel.blocks import (
+    Computing,
+    blocks_in_order,
+    bytes_of,
+    computing,
+    memory_in_use,
+    rows_in_memory,
+    run_blocks,
+)
+from lunarsci.parallel.checkpoint import KeptBlocks, spans
 
 TOTAL, ROWS = 4000, 50
 ABOUT = {"input": "made up here", "option slope": "3"}

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from lunarsci.cli import main
 
-from lunarsci.blocks import computing, run_blocks
-from lunarsci.cluster import _Crew
 from lunarsci.errors import ParameterError, SchedulerError
-from lunarsci.kept_blocks import spans
+from lunarsci.parallel.blocks import computing, run_blocks
+from lunarsci.parallel.checkpoint import spans
+from lunarsci.parallel.dask_cluster import _Crew
 
 distributed = pytest.importorskip("distributed")
 TOTAL, ROWS = 1000, 25
@@ -120,14 +120,14 @@ def test_an_error_of_a_block_comes_back_as_it_was(cluster: Any) -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lunarsci.cluster.CONNECT_S", 0.5)
+    monkeypatch.setattr("lunarsci.parallel.dask_cluster.CONNECT_S", 0.5)
     with computing(scheduler="tcp://127.0.0.1:9"), pytest.raises(SchedulerError, match="does not answer"):
         list(run_blocks(squares, spans(TOTAL, ROWS)))
 
 
 def test_a_scheduler_without_workers_is_left_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lunarsci.cluster.LONELY_S", 0.5)
-    monkeypatch.setattr("lunarsci.cluster.LOOK_S", 0.1)
+    monkeypatch.setattr("lunarsci.parallel.dask_cluster.LONELY_S", 0.5)
+    monkeypatch.setattr("lunarsci.parallel.dask_cluster.LOOK_S", 0.1)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
         computing(scheduler=empty.scheduler_address),
@@ -137,7 +137,7 @@ def test_a_scheduler_without_workers_is_left_after_a_while(monkeypatch: pytest.M
 
 
 def test_another_version_of_a_worker_is_refused(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lunarsci.cluster.build", lambda: ("0.0.9", "a processor"))
+    monkeypatch.setattr("lunarsci.parallel.dask_cluster.build", lambda: ("0.0.9", "a processor"))
     with (
         computing(scheduler=cluster.scheduler_address),
         pytest.raises(SchedulerError, match=r"here is 0\.0\.9; install"),

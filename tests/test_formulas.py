@@ -9,8 +9,8 @@ import pytest
 from numba.core.errors import TypingError
 
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import (
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import (
     Fields,
     aligned,
     choose,

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.grids import read_grid
-from lunarsci.height_rasters import MOST_NODES
+from lunarsci.heights.grids import read_grid
+from lunarsci.heights.rasters import MOST_NODES
 from lunarsci.images.pictures import read_picture
-from lunarsci.inputs import InputFile, text
+from lunarsci.io.inputs import InputFile, text
 
 HEIGHTS = "\n".join(" ".join(f"{0.25 + 0.01 * (row + column):.2f}" for column in range(6)) for row in range(6))
 HEADER = "ncols 6\nnrows 6\nxllcorner 10\nyllcorner 20\ncellsize 0.5\n"
@@ -121,7 +121,7 @@ READ = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
 from lunarsci.errors import DataError
-from lunarsci.grids import read_grid
+from lunarsci.heights.grids import read_grid
 try:
     read_grid(sys.argv[1])
 except DataError as error:

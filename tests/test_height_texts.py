@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.grids import read_grid
 from lunarsci.guide.info import info
-from lunarsci.height_grid import HeightGrid
-from lunarsci.no_data import without_markers
+from lunarsci.heights.grid import HeightGrid
+from lunarsci.heights.grids import read_grid
+from lunarsci.heights.no_data import without_markers
 
 X, Y = 100.0 + 0.5 * np.arange(12), 20.0 + 0.5 * np.arange(10)
 HEIGHT = -2500.0 + 0.03 * X[None, :] - 0.02 * Y[:, None]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile, expand_inputs, read_input, text
+from lunarsci.io.inputs import InputFile, expand_inputs, read_input, text
 
 
 def one_line(error: pytest.ExceptionInfo[DataError]) -> str:

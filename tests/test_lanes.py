@@ -9,9 +9,8 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsci import lanes
-from lunarsci.compiled import LANE_OPTIONS
-from lunarsci.lanes import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
+from lunarsci.compiled import LANE_OPTIONS, lanes
+from lunarsci.compiled.lanes import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 
 
 def over(function: Any, x: np.ndarray) -> tuple[np.ndarray, str]:

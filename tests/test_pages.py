@@ -8,7 +8,7 @@ import pytest
 import typer
 from lunarsci.cli import command_line, main
 
-from lunarsci.tables import table_rows
+from lunarsci.io.tables import table_rows
 
 ROOT = Path(__file__).parents[1]
 PAGES = [

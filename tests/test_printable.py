@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from lunarsci.cli import main
 
-from lunarsci.documents import json_document, toml_document
-from lunarsci.printable import LONGEST, cell, printable, shortened
-from lunarsci.tables import csv_bytes
+from lunarsci.io.documents import json_document, toml_document
+from lunarsci.io.printable import LONGEST, cell, printable, shortened
+from lunarsci.io.tables import csv_bytes
 
 RED, TITLE, CSI, TURNED = "\x1b[31mred", "\x1b]0;owned\x07", "\x9b2J", "\u202eexe.txt"
 

@@ -9,7 +9,7 @@ from lunarsci.errors import DataError, ParameterError
 
 pytest.importorskip("rasterio")
 
-from lunarsci.projections import MapProjection, carried, local_projection, projection_of
+from lunarsci.heights.projections import MapProjection, carried, local_projection, projection_of
 
 MOON_M = 1_737_400.0
 SOUTH = f"+proj=stere +lat_0=-90 +lon_0=0 +R={MOON_M} +units=m"

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci import records as module
-from lunarsci.printable import cell
+from lunarsci.io import records as module
+from lunarsci.io.printable import cell
+from lunarsci.io.record_blocks import RecordsInBlocks, in_blocks
+from lunarsci.io.records import Codes, Listed, Records, Same, Where
 from lunarsci.provenance import json_chunks, to_json
-from lunarsci.record_blocks import RecordsInBlocks, in_blocks
-from lunarsci.records import Codes, Listed, Records, Same, Where
 
 
 def numbers(rng: np.random.Generator, size: int) -> Any:

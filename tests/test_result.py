@@ -27,7 +27,7 @@ from typer.testing import CliRunner
 
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.options import TYPED
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, _column, request_of

@@ -23,7 +23,8 @@ NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCEN
 """Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""
 SETTINGS = {
     "they are by definition what they are, or follow from others": (
-        "arrays.py: NORMAL_MAD", "blocks.py: UNITS", "images/camera_files.py: METRES", "lanes.py: LN_2_HIGH, LN_2_LOW",
+        "arrays.py: NORMAL_MAD", "parallel/blocks.py: UNITS", "images/camera_files.py: METRES",
+        "compiled/lanes.py: LN_2_HIGH, LN_2_LOW",
         "regolith/inference/mode.py: RISES", "regolith/prior.py: NINETY_FIVE",
         "regolith/inference/verdict.py: OTHER_SIGNS",
         "regolith/inference/verdict.py: UNITS", "images/camera_dialects.py: CORNER_PX",
@@ -53,10 +54,11 @@ SETTINGS = {
         "spectra/vnis/calibration.py: _SHADOW, _INVALID",
         "twin/routes/path_geojson.py: EVERY_M, NEAR_M", "twin/telemetry/simulated.py: DENSE_M"),
     "how long machines are waited for, and how much memory is taken": (
-        "cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
+        "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/cahv.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "lanes.py: LARGEST", "lanes.py: ROUNDING",
-        "projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
+        "images/cahv.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "compiled/lanes.py: LARGEST",
+        "compiled/lanes.py: ROUNDING",
+        "heights/projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST, DEEPEST",
         "regolith/inference/problem.py: STEP",
         "regolith/inference/totals.py: NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER",

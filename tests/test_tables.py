@@ -9,8 +9,8 @@ from tempfile import NamedTemporaryFile
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, open_input
-from lunarsci.tables import csv_tables, read_csv_table, table_hashes, table_rows
+from lunarsci.io.inputs import InputFile, open_input
+from lunarsci.io.tables import csv_tables, read_csv_table, table_hashes, table_rows
 
 FOLDER = Path(__file__).parents[1] / "spectra_data"
 NAMES = sorted(path.name for path in FOLDER.glob("*.csv"))

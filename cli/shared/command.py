@@ -17,8 +17,8 @@ from typing import Any
 
 import typer
 
-from lunarsci.atomic import written
 from lunarsci.errors import BatchError, LunarSciError, LunarSciWarning, RequestError
+from lunarsci.io.atomic import written
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit, emit_failed
@@ -132,7 +132,7 @@ def _computing(output: Output, where: Mapping[str, Any]) -> Iterator[None]:
     if not where:
         yield
         return
-    from lunarsci.blocks import computing
+    from lunarsci.parallel.blocks import computing
 
     with computing(keep=output.path, force=output.force, told=partial(say, quiet=output.quiet), **where):
         yield

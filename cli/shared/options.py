@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from lunarsci.atomic import check_folder, check_target
-from lunarsci.documents import toml_document
+from lunarsci.io.atomic import check_folder, check_target
+from lunarsci.io.documents import toml_document
 from lunarsci.names import meant, one_of
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")

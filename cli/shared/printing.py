@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import ParameterError, RequestError
+from lunarsci.io.printable import cell, printable
 from lunarsci.names import known_name
-from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain
 
 from .layout import fitted
@@ -125,8 +125,8 @@ FORMATS: Mapping[str, Callable[[Sequence[TextTable]], str]] = {
 
 def names_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Names of the columns of that CSV."""
-    from lunarsci.record_blocks import RecordsInBlocks
-    from lunarsci.records import Records
+    from lunarsci.io.record_blocks import RecordsInBlocks
+    from lunarsci.io.records import Records
 
     if isinstance(rows, Records | RecordsInBlocks):
         return rows.names
@@ -135,8 +135,8 @@ def names_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
     """CSV with full precision in pieces; missing values are empty cells."""
-    from lunarsci.record_blocks import RecordsInBlocks
-    from lunarsci.records import Records
+    from lunarsci.io.record_blocks import RecordsInBlocks
+    from lunarsci.io.records import Records
 
     text = io.StringIO()
     if isinstance(rows, Records | RecordsInBlocks):

@@ -247,7 +247,7 @@ def _driven(leg: "Leg") -> str:
 
 def _place_notes(path: "PlannedPath", light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
-    from lunarsci.projections import lonlat_of
+    from lunarsci.heights.projections import lonlat_of
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())
     notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []

@@ -191,8 +191,9 @@ def requests_text() -> str:
     for area, names in lunarsci.JOBS.items():
         for name in names:
             module = importlib.import_module(f"lunarsci.{area}.jobs.{name}")
-            kind = next(thing for thing in vars(module).values() if dataclasses.is_dataclass(thing)
-                        and thing.__module__ == module.__name__ and thing.__name__.endswith("Request"))  # fmt: skip
+            own = [thing for thing in vars(module).values() if dataclasses.is_dataclass(thing)]
+            kind = next(thing for thing in own if thing.__module__.startswith(module.__name__)
+                        and thing.__name__.endswith("Request"))  # fmt: skip
             path = f"{kind.__module__}.{kind.__name__}"
             parts.append(f"### `{kind.__name__}`\n\nof `lunarsci.{name}`\n\n{fields_text(path)}")
     return "\n\n".join(parts)

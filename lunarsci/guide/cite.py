@@ -10,9 +10,9 @@ from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
+from lunarsci.io.tables import SPECTRA_DATA
 from lunarsci.pages.documents import Document, read_results
 from lunarsci.result import MadeFrom, Result
-from lunarsci.tables import SPECTRA_DATA
 
 REFERENCE = re.compile(r"^(?P<authors>[^()]{2,120}?) \((?P<year>1[89]\d\d|20\d\d)\), (?P<rest>.+)$", re.DOTALL)
 _OF_DOI = r"(?:[^\s:;,()]|:(?=\S))"

@@ -5,10 +5,10 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.guide.rover_files import camera_contents
-from lunarsci.inputs import InputFile, InputStream, read_json, text
+from lunarsci.io.documents import toml_document
+from lunarsci.io.inputs import InputFile, InputStream, read_json, text
 from lunarsci.names import some_of
 
 if TYPE_CHECKING:
@@ -183,8 +183,8 @@ def _rig(file: InputFile) -> Mapping[str, Any]:
 def _terrain(file: InputFile) -> Mapping[str, Any]:
     import numpy as np
 
-    from lunarsci.grids import read_grid
-    from lunarsci.height_grid import ERROR_LAYERS
+    from lunarsci.heights.grid import ERROR_LAYERS
+    from lunarsci.heights.grids import read_grid
     from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 
     soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
@@ -220,7 +220,7 @@ def _soil_map(file: InputFile) -> Mapping[str, Any]:
 
 
 def _rows(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.tables import read_csv_table
+    from lunarsci.io.tables import read_csv_table
 
     table = read_csv_table(file)
     told: dict[str, Any] = {"rows": len(table), "columns": _listed(table.columns)}
@@ -231,7 +231,7 @@ def _rows(file: InputFile) -> Mapping[str, Any]:
 
 def _other_table(file: InputFile) -> Mapping[str, Any]:
     """What `_rows` says; a remark where two columns or more tell what it could be meant for."""
-    from lunarsci.tables import read_csv_table
+    from lunarsci.io.tables import read_csv_table
 
     columns = [str(name) for name in read_csv_table(file).columns]
     for words, meant in LIKE.items():

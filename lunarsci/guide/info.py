@@ -13,7 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
-from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS, WHEEL_ALONE
 from lunarsci.guide.rover_files import (
@@ -23,14 +22,15 @@ from lunarsci.guide.rover_files import (
     states_named_otherwise,
     telemetry_named_otherwise,
 )
-from lunarsci.height_netcdf import NETCDF, holds_heights
-from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
+from lunarsci.heights.netcdf import NETCDF, holds_heights
+from lunarsci.io.documents import toml_document
+from lunarsci.io.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
+from lunarsci.io.tables import separator_of
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
-from lunarsci.tables import separator_of
 
 
 @dataclass(frozen=True, slots=True)

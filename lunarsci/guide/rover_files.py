@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 
 LABEL_OF_CAMERA = re.compile(r"^\s*MODEL_COMPONENT_1\s*=|_point_observe_vector>", re.MULTILINE)
 MAP = re.compile(r"^\s*OBJECT\s*=\s*\"?IMAGE_MAP_PROJECTION", re.MULTILINE)
@@ -54,7 +54,7 @@ def is_envi_of_heights(name: str) -> bool:
 
 def is_table_of_heights(file: InputFile, start: str) -> bool:
     """Whether a text is a grid of heights, or has a row for each node."""
-    from lunarsci.height_texts import node_columns
+    from lunarsci.heights.texts import node_columns
 
     if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
         return True

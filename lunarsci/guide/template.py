@@ -211,8 +211,8 @@ def _mission() -> str:
 
 
 def _craters() -> str:
+    from lunarsci.io.tables import table_rows
     from lunarsci.spectra.origin.catalogue import COLUMNS, REQUIRED, TABLE, Crater
-    from lunarsci.tables import table_rows
 
     told = described(Crater)
     told |= {"age_low_ma": told["age_ma"], "age_high_ma": told["age_ma"]}

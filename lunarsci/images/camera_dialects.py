@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.documents import json_document, xml_root
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, text
+from lunarsci.io.documents import json_document, xml_root
+from lunarsci.io.inputs import InputFile, text
 
 COLMAP: Mapping[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),

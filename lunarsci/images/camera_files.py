@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import xml_root, yaml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.cahv import COARSE_PX, CahvModel, count_of, fit_cahv, orthonormal
 from lunarsci.images.camera import Camera, rotation_of
 from lunarsci.images.camera_dialects import plainer, written_tree
 from lunarsci.images.rig import StereoRig, covariance_of, is_swapped
-from lunarsci.inputs import InputFile, beginning, text
+from lunarsci.io.documents import xml_root, yaml_document
+from lunarsci.io.inputs import InputFile, beginning, text
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

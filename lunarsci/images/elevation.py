@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.grids import check_relief, geotiff_bytes, read_grid
-from lunarsci.height_grid import ERROR_LAYERS
+from lunarsci.heights.grid import ERROR_LAYERS
+from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
 
 
 class KnownNodes(NamedTuple):
@@ -153,7 +153,7 @@ class ElevationModel:
 
 
 def read_elevation(path: str | Path) -> ElevationModel:
-    """An elevation model from .npz, GeoTIFF, ESRI ASCII or CSV, as `lunarsci.grids.read_grid` says.
+    """An elevation model from .npz, GeoTIFF, ESRI ASCII or CSV, as `lunarsci.heights.grids.read_grid` says.
 
     Errors are layers under the names that `ElevationModel` has. Heights are looked at by `check_relief`. Raises
     DataError.

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import xml_root
 from lunarsci.errors import DataError
 from lunarsci.images.cahv import MOST_TRIES, LabelCamera, count_of, finite, orthonormal, read_cahv
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of
 from lunarsci.images.rig import StereoRig, covariance_of
-from lunarsci.inputs import InputFile, text
+from lunarsci.io.documents import xml_root
+from lunarsci.io.inputs import InputFile, text
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

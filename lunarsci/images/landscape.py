@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.tables import numbers_of, read_csv_table
+from lunarsci.io.tables import numbers_of, read_csv_table
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""

@@ -45,7 +45,7 @@ def read_line(given: str) -> FloatArray:
 
     Raises ParameterError for text that is no line, DataError for a file without one.
     """
-    from lunarsci.inputs import read_input, read_json
+    from lunarsci.io.inputs import read_input, read_json
 
     if not given.lower().endswith((".json", ".geojson")):
         try:

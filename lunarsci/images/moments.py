@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from lunarsci.errors import LunarSciWarning, NoFilesError, RequestError
-from lunarsci.inputs import InputFile, expand_inputs
+from lunarsci.io.inputs import InputFile, expand_inputs
 from lunarsci.names import some_of
 
 Shown: TypeAlias = str | Path | InputFile

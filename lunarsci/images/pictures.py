@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import xml_root
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, read_input, unheard
+from lunarsci.io.documents import xml_root
+from lunarsci.io.inputs import InputFile, read_input, unheard
 
 LABELS = (".2bl", ".2cl", ".2al", ".xml")
 RAW_TYPES = {

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import toml_document
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of, is_swapped
-from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.io.documents import toml_document
+from lunarsci.io.inputs import InputFile, read_input, text
 
 OWN = "rigs.toml"
 ONE_CAMERA = "is one camera; a rig needs two"

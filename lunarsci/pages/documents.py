@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, read_input, read_json, text
+from lunarsci.io.inputs import InputFile, read_input, read_json, text
 from lunarsci.provenance import sha256
 from lunarsci.result import Result
 

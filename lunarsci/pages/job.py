@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from lunarsci.atomic import check_target, write_files
 from lunarsci.errors import DataError
+from lunarsci.io.atomic import check_target, write_files
 from lunarsci.pages.documents import Document, GivenPicture, read_results
 from lunarsci.pages.page import Page, title_of
 from lunarsci.pages.relief import Ground
@@ -115,8 +115,8 @@ def page_of(documents: Sequence[Document], pictures: Sequence[GivenPicture], wan
 
 def _terrain(name: str, height_unit: str | None = None) -> Ground:
     """A terrain by its name or from its file, heights in a unit other than it states. Raises DataError."""
-    from lunarsci.grids import read_grid
-    from lunarsci.height_grid import ERROR_LAYERS
+    from lunarsci.heights.grid import ERROR_LAYERS
+    from lunarsci.heights.grids import read_grid
     from lunarsci.regolith.soil import read_soil
     from lunarsci.twin.ground.synthetic import synthetic_longji
     from lunarsci.twin.ground.terrain import SOIL_COLUMNS
@@ -142,7 +142,7 @@ def _terrain_of(documents: Sequence[Document]) -> Ground | None:
 
 def _known(name: str, document: Document) -> bool:
     """Whether it is the embedded terrain, or a file that still is what the drive was made with."""
-    from lunarsci.inputs import read_input
+    from lunarsci.io.inputs import read_input
 
     hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
     if name == SYNTHETIC or not hashes.get(name):

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, read_json, text
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import InputFile, read_json, text
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, ROLLING, Law, default_prior, rolling_prior, values_of
 from lunarsci.regolith.wheel import Wheel

@@ -13,9 +13,9 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.io.tables import table_hashes, table_rows
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
-from lunarsci.tables import table_hashes, table_rows
 
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
 KINDS = ("terrestrial", "simulant", "lunar")

@@ -23,9 +23,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, in_lanes
-from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.formulas import formula
-from lunarsci.lanes import (
+from lunarsci.compiled.formulas import formula
+from lunarsci.compiled.lanes import (
     arcsin,
     choose,
     cosine,
@@ -38,6 +37,7 @@ from lunarsci.lanes import (
     signed,
     sine,
 )
+from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import SHEAR_SIGNS, ShearSign, Wheel
 

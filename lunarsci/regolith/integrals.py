@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, in_lanes, joined
-from lunarsci.errors import ParameterError
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import (
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import (
     arcsin,
     choose,
     cosine,
@@ -29,6 +28,7 @@ from lunarsci.lanes import (
     sine,
     store,
 )
+from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import (
     WheelForces,
     check_states,

@@ -10,12 +10,12 @@ from importlib.resources import files
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, text
+from lunarsci.io.documents import toml_of
+from lunarsci.io.inputs import InputFile, text
+from lunarsci.io.tables import table_hashes
 from lunarsci.names import one_of
 from lunarsci.regolith.wheel import Wheel
-from lunarsci.tables import table_hashes
 
 PRIORS = "priors.toml"
 PARAMETERS = (

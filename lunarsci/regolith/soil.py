@@ -8,13 +8,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.io.documents import toml_document
+from lunarsci.io.tables import table_hashes
 from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.prior import default_prior
 from lunarsci.regolith.questions import Question, question
-from lunarsci.tables import table_hashes
 
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")

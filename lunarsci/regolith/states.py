@@ -13,7 +13,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.regolith.questions import Question
 from lunarsci.regolith.state_questions import (
     SINKAGE,
@@ -28,7 +29,6 @@ from lunarsci.regolith.state_questions import (
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 from lunarsci.regolith.written_columns import LENGTHS, OPTION, NamedColumns, named_columns
 from lunarsci.regolith.written_names import check_written_for
-from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,9 +17,9 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, RequestError
+from lunarsci.io.tables import numbers_of
 from lunarsci.names import one_of
 from lunarsci.regolith.questions import Question
-from lunarsci.tables import numbers_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,10 +15,10 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import read_csv_table
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers import known_rovers, known_wheels, read_rover
-from lunarsci.tables import read_csv_table
 
 if TYPE_CHECKING:
     import pandas as pd

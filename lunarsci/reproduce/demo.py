@@ -15,7 +15,8 @@ import numpy as np
 
 from lunarsci.constants import MGM, NBSR, PAPER
 from lunarsci.figure import picture_bytes, styled
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import csv_bytes, table_hashes
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
@@ -36,7 +37,6 @@ from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
-from lunarsci.tables import csv_bytes, table_hashes
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table

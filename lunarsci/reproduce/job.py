@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import expand_inputs, read_input
+from lunarsci.io.inputs import expand_inputs, read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, request_of
 
@@ -129,9 +129,9 @@ def _within(update: Progress, before: int, share: int, total: int) -> Progress:
 
 
 def _with_spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
+    from lunarsci.io.tables import table_hashes
     from lunarsci.reproduce.spectra import TABLES, boulders, fit_rocks, spectra_numbers
     from lunarsci.spectra.readers import read_spectra
-    from lunarsci.tables import table_hashes
 
     sources = [read_input(path) for path in expand_inputs(rocks)]
     spectra = [spectrum for source in sources for spectrum in read_spectra(source)]

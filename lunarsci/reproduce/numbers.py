@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from lunarsci.tables import table_hashes, table_rows
+from lunarsci.io.tables import table_hashes, table_rows
 
 TABLE = "published.csv"
 PARTS = ("spectra", "soil", "drive")

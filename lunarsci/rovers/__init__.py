@@ -13,8 +13,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
-from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.io.documents import toml_of
 from lunarsci.names import meant
 
 WHEELS = "wheels.toml"

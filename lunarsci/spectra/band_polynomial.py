@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.formulas import formula
-from lunarsci.lanes import choose, highest, load, lowest, spread, store
+from lunarsci.compiled.formulas import formula
+from lunarsci.compiled.lanes import choose, highest, load, lowest, spread, store
 from lunarsci.spectra.continuum import CONTINUA, TERMS, TIE_ROWS, Indices
 from lunarsci.spectra.lane_rows import uncounted
 

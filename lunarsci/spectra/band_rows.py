@@ -8,8 +8,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads
-from lunarsci.formulas import LANES
-from lunarsci.lanes import aligned, choose, highest, load, root, spread, store
+from lunarsci.compiled.formulas import LANES
+from lunarsci.compiled.lanes import aligned, choose, highest, load, root, spread, store
 from lunarsci.spectra.band_choice import CHOICES, OTHER_NM, TRIED, Places, go_on, judge, own_continuum, record, verdict
 from lunarsci.spectra.band_polynomial import (
     AREA,

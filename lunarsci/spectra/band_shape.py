@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import IntArray
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import choose, highest, load, logarithm, lowest, root, spread, store
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import choose, highest, load, logarithm, lowest, root, spread, store
 from lunarsci.spectra.band_polynomial import (
     AREA,
     ASYMMETRY,

@@ -3,8 +3,8 @@
 from typing import Any, NamedTuple
 
 from lunarsci.arrays import FloatArray
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import choose, load, spread, store
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import choose, load, spread, store
 from lunarsci.spectra.band_polynomial import (
     CURVE,
     DEPTH_HERE,

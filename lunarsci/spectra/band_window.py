@@ -3,8 +3,8 @@
 from typing import Any
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import choose, highest, load, lowest, spread, store
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import choose, highest, load, lowest, spread, store
 from lunarsci.spectra.band_polynomial import (
     CURVE,
     DEPTH_HERE,

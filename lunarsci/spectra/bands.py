@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci import records
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.errors import DataError
+from lunarsci.io import records
+from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.spectra.band_rows import curve_of_centre, grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
     BANDS,

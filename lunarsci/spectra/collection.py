@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from lunarsci.kept_blocks import spans
+from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.spectrum import Spectrum
 
 _DIGESTED = 4096

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import aligned, choose, load, spread, store
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import aligned, choose, load, spread, store
 from lunarsci.spectra.lane_rows import take_eight, uncounted
 
 ContinuumName = Literal["conic", "hull", "linear"]

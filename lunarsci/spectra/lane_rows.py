@@ -5,7 +5,7 @@ from typing import Any
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import in_lanes
-from lunarsci.formulas import LANES
+from lunarsci.compiled.formulas import LANES
 
 
 def uncounted(function: Callable[..., Any]) -> Any:

@@ -6,8 +6,8 @@ import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import aligned, choose, highest, load, lowest, spread, store
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, spread, store
 from lunarsci.spectra.lane_rows import take_eight, uncounted
 
 SECOND_DIFFERENCE = float(np.sqrt(6.0))

@@ -15,7 +15,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import csv_rows
+from lunarsci.io.inputs import csv_rows
 
 MOST_LETTERS = 3
 """Letters of a number that is misspelt, at most; a first cell with more is a name."""

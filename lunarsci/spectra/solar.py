@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.io.tables import table_rows
 from lunarsci.sun import sun_from_moon_au
-from lunarsci.tables import table_rows
 
 _LIGHT_TIME_S = 499.0
 """From the Sun at 1 au: 499.00478 s, IAU (2009) system of astronomical constants, Luzum et al. (2011),

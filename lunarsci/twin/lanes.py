@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, SupportsInt
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.formulas import formula
-from lunarsci.lanes import Fields, aligned
+from lunarsci.compiled.formulas import formula
+from lunarsci.compiled.lanes import Fields, aligned
 
 GROUP = 16
 """Members of a group, a multiple of the lanes of a vector."""

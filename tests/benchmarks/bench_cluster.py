@@ -15,7 +15,7 @@ import numpy as np
 from distributed import LocalCluster
 from strips import EIGHTY_FIVE_NM, mixtures
 
-from lunarsci.blocks import computing
+from lunarsci.parallel.blocks import computing
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.spectrum import Spectrum

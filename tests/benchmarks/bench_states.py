@@ -22,7 +22,7 @@ import numba
 import numpy as np
 from other_physics import PHYSICS, true_drive, widths, world_of
 
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.records import Listed, Records
 from lunarsci.provenance import to_json
-from lunarsci.records import Listed, Records
 from lunarsci.spectra.readers import read_spectra
 
 CHANNELS, BANDS = 390, 9

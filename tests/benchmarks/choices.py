@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.optimize import minimize
 from scipy.special import log_softmax
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import FAMILIES
 from lunarsci.spectra.mgm.selection import CREDIBLE, MOST_TOGETHER, Choice, choose
 from lunarsci.spectra.readers import read_spectra

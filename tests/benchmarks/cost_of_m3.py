@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from strips import EIGHTY_FIVE_NM, mixtures
 
-from lunarsci.kept_blocks import KeptBlocks
+from lunarsci.parallel.checkpoint import KeptBlocks
 from lunarsci.spectra.cubes.blocks import fetched, measured
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
@@ -97,8 +97,8 @@ def scheduler_s() -> float:
     """Processor seconds of a dask scheduler and its client for a block."""
     from distributed import LocalCluster
 
-    from lunarsci.blocks import computing, run_blocks
-    from lunarsci.kept_blocks import spans
+    from lunarsci.parallel.blocks import computing, run_blocks
+    from lunarsci.parallel.checkpoint import spans
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,

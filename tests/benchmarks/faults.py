@@ -29,7 +29,7 @@ from unittest import mock
 
 import numpy as np
 
-from lunarsci import atomic
+from lunarsci.io import atomic
 
 CHANNELS_NM = np.linspace(460.0, 2400.0, 60)
 NEW_USER, NEW_MOUNTS, READ_ONLY, REMOUNT = 0x10000000, 0x00020000, 1, 32

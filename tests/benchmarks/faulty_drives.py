@@ -37,7 +37,7 @@ from other_physics import widths
 from quasi_static import draw_physics, drive, motion, wheel_turns
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import read_soil

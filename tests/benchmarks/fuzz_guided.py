@@ -16,7 +16,7 @@ from pathlib import Path
 
 import atheris
 
-COMPILED = ("lunarsci.compiled", "lunarsci.formulas", "lunarsci.lanes")
+COMPILED = ("lunarsci.compiled", "lunarsci.compiled.formulas", "lunarsci.compiled.lanes")
 OWN_SHARE = 0.7
 """Of the mutations that know of numbers, words and lines; the others are libFuzzer's."""
 LARGEST_INPUT = 200_000

@@ -22,7 +22,7 @@ from unittest import mock
 import numpy as np
 
 from lunarsci.errors import LunarSciError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 
 BETWEEN = b"\n--- next file ---\n"
 FORMER = Path(__file__).parents[1] / "former_results.json"
@@ -372,7 +372,7 @@ CRATERS = b"name,latitude_deg,longitude_deg,diameter_km\nA,0.5,0.9,10\nB,0.6,1.0
 
 
 def tiff(layers: Mapping[str, np.ndarray], spacing: float = 0.5, crs: str = "") -> bytes:
-    from lunarsci.grids import geotiff_bytes
+    from lunarsci.heights.grids import geotiff_bytes
 
     return geotiff_bytes(layers, (0.0, 0.0, spacing), synthetic=True, crs=crs)
 
@@ -721,9 +721,9 @@ def drive_readers() -> dict[str, Reader]:
 
     def record(path: Path) -> Any:
         from lunarsci.errors import DataError, RequestError
-        from lunarsci.inputs import read_input
+        from lunarsci.io.inputs import read_input
+        from lunarsci.io.tables import read_csv_table
         from lunarsci.rovers import read_rover
-        from lunarsci.tables import read_csv_table
         from lunarsci.twin.ground.synthetic import synthetic_terrain
         from lunarsci.twin.plans.made_for_check import MadeForCheck
 

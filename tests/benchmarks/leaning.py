@@ -33,11 +33,11 @@ from bench_states import found_in
 from mujoco_rover import Driven
 from true_drives import Case, chain, terrains, way_back
 
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.rovers import read_rover
-from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import traverse_of
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, pace_of, read_record, states_at
 from lunarsci.twin.assimilation.residuals import POSITION

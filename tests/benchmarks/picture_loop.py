@@ -29,9 +29,9 @@ from lunarsci.images.jobs.merge import merge
 from lunarsci.images.jobs.render import render
 from lunarsci.images.jobs.track import track
 from lunarsci.images.rig_files import read_rig, rig_text
+from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.belief import first_belief
 from lunarsci.result import Result
-from lunarsci.tables import csv_bytes
 from lunarsci.twin.ground.synthetic import synthetic_terrain
 from lunarsci.twin.ground.terrain_files import write_terrain
 from lunarsci.twin.judgement.tables import state_table

@@ -37,7 +37,7 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.rover import Rover, build_rover, with_gravity

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.fit_file import FitBand, FitFile

@@ -13,7 +13,7 @@ from lunarsci.spectra_data.make_share_calibration import ROCKS, all_spectra
 from lunarsci.spectra_data.make_share_networks import fold_of, measured
 
 import lunarsci
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.kinds import find_kinds
 from lunarsci.spectra.abundance.learned import Foretold, foretell_each, unpacked
 from lunarsci.spectra.abundance.rock_prior import drawn_rocks

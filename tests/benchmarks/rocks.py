@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
 from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model

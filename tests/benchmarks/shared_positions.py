@@ -13,8 +13,8 @@ import warnings
 import numpy as np
 import pandas as pd
 
-from lunarsci.inputs import InputFile
-from lunarsci.tables import csv_bytes
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import csv_bytes
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover

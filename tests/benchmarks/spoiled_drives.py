@@ -20,7 +20,7 @@ import pandas as pd
 from faulty_drives import Truth, report, scores, telemetry_of, terrain_of, truth_of
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.states import states_of

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 
 Texts = dict[str, Callable[[str], str]]
 

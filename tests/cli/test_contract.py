@@ -18,7 +18,7 @@ from lunarsci.cli.shared.emit import field_of
 from lunarsci.cli.shared.report import Report
 from typer import BadParameter
 
-from lunarsci.kept_blocks import KeptBlocks
+from lunarsci.parallel.checkpoint import KeptBlocks
 
 Run = Callable[..., "object"]
 COMMANDS = {

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from lunarsci.cli import main
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 
 Run = Callable[..., Any]

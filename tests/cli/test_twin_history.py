@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
 from lunarsci.regolith.physics_discrepancy import FIRST

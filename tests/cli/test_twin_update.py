@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive

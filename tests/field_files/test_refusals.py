@@ -13,8 +13,8 @@ from lunarsci.cli import main
 
 import lunarsci
 from lunarsci.errors import DataError, LunarSciError
-from lunarsci.grids import read_grid
-from lunarsci.inputs import read_input
+from lunarsci.heights.grids import read_grid
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.twin.telemetry.reading import read_positions
 

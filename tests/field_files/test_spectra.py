@@ -19,7 +19,7 @@ import lunarsci
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning
 from lunarsci.guide.info import info
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 

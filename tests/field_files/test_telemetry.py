@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import lunarsci
 from lunarsci.guide.info import info
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from lunarsci.cli import main
 
-from lunarsci.grids import read_grid
 from lunarsci.guide.info import info
+from lunarsci.heights.grids import read_grid
 
 STEP = 2.0
 X, Y = 500.0 + STEP * np.arange(40), 300.0 + STEP * np.arange(30)

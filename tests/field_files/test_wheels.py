@@ -12,7 +12,7 @@ import pytest
 from lunarsci.cli import main
 
 from lunarsci.guide.info import info
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import read_states

@@ -22,7 +22,7 @@ from lunarsci.guide.contents import CONTENTS
 from lunarsci.guide.info import CSV_COLUMNS, KINDS, MAGIC, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import Provenance, document, to_json
 from lunarsci.regolith.compare import reference_soils
 from lunarsci.regolith.prior import default_prior, read_prior

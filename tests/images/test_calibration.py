@@ -33,7 +33,7 @@ from lunarsci.images.moments import of_moments
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
 from lunarsci.images.targets import BoardTarget, Sighting, check_board, find_target
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 
 SQUARE = 0.025
 LEFT = boards.lens(520, 243, 196, (-0.12, 0.05, 5e-4, -8e-4, 0.01))

@@ -13,7 +13,7 @@ from lunarsci.images.jobs.cameras import CameraSheet, CamerasRequest
 from lunarsci.images.labels import read_label
 from lunarsci.images.rig import PARAMETERS, Sensor, StereoRig, covariance_of
 from lunarsci.images.rig_files import check_rig_of, known_rigs, read_rig, rig_text
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 
 LENS = {"fx_px": 1189.0, "fy_px": 1187.0, "cx_px": 510.0, "cy_px": 513.0}
 BENT = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 1e-3, "p2": -2e-3}

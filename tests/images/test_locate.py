@@ -23,7 +23,7 @@ from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
 from lunarsci.images.ties import OVERLAPPING, TiePoints, _eight, _peak
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.twin.telemetry.reading import read_positions
 
 SIGMA = {"left_cx_px": 0.1, "right_cx_px": 0.1, "left_fx_px": 0.25, "rotation_y_rad": 8e-5, "translation_x_m": 1e-4}

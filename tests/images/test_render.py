@@ -15,7 +15,7 @@ from lunarsci.images.rays import World, _scattered, seen_by
 from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import read_pose, read_rig
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.pages.image_answers import rendered
 
 LENS = Camera(name="l", width_px=120, height_px=90, fx_px=130.0, fy_px=130.0, cx_px=60.0, cy_px=44.0, k1=-0.05)

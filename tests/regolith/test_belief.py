@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 

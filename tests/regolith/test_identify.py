@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.identify import Assumptions, Estimate, Identification, _over_corners, identify
 from lunarsci.regolith.soil import Soil

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.inference.posterior import SoilPosterior, carry_population, infer_soil
 from lunarsci.regolith.inference.problem import forces_at, problem_of
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior, values_of

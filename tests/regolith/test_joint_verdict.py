@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
 from lunarsci.regolith.inference.misfit import Lesson, misfit_at, shares_at
 from lunarsci.regolith.inference.mode import Mode

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import t
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import (
     OTHER_PHYSICS,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.identify import Assumptions
 from lunarsci.regolith.sensitivity import sensitivities
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states

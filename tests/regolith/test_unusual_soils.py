@@ -7,8 +7,8 @@ import pytest
 
 import lunarsci
 from lunarsci.errors import LunarSciWarning
+from lunarsci.io.tables import table_rows
 from lunarsci.regolith.soil import Soil, known_soils, read_soil, unusual
-from lunarsci.tables import table_rows
 
 PACKAGE = "lunarsci.regolith"
 WIDTH_M = 0.15

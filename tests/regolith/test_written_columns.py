@@ -16,7 +16,7 @@ from lunarsci.cli import main
 
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.guide.info import info
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.soil import read_soil

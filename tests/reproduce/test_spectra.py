@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.reproduce.numbers import Number, published_numbers
 from lunarsci.reproduce.spectra import (
     Rocks,

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad, trapezoid
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
 

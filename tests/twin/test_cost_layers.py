@@ -10,7 +10,7 @@ import pytest
 
 import lunarsci
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.cost_layers import parse_classes, read_cost_layer
 from lunarsci.twin.ground.keep_out import read_keep_outs

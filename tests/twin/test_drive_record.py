@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
 from lunarsci.twin.rover import Rover
 

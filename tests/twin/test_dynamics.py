@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES
+from lunarsci.compiled.formulas import LANES
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Grid, build_terrain, lay_soil, read_ground
 from lunarsci.twin.lanes import BODY, FELL, FINISHED, GROUP, SYSTEM, WHEEL, Work, new_work

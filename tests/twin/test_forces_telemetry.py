@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ground.synthetic import synthetic_longji

@@ -126,7 +126,7 @@ def drives(terrain: Terrain, members: int, **options: object) -> Prediction:
 
 
 def test_drives_on_drawn_grounds_are_the_same_whoever_drives_them(uncertain: Terrain) -> None:
-    from lunarsci.blocks import computing
+    from lunarsci.parallel.blocks import computing
 
     found = drives(uncertain, 20, seed=5)
     assert found.finished.all() and found.draws is not None and len(found.draws) == 20

@@ -9,7 +9,7 @@ import pytest
 
 import lunarsci
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.twin.ground.keep_out import ExclusionZone, near_way, read_keep_outs
 from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.jobs.terrain import terrain

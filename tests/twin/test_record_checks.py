@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
 from lunarsci.twin.assimilation.update import assimilate

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil

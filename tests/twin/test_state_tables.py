@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, read_state_table, read_states
 from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.loads.prescribed_motion import read_pose_states

@@ -11,9 +11,9 @@ import pytest
 from bench_states import of_other_radius
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile, InputStream
+from lunarsci.io.inputs import InputFile, InputStream
+from lunarsci.io.tables import parquet_tables
 from lunarsci.regolith.soil import read_soil
-from lunarsci.tables import parquet_tables
 from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain

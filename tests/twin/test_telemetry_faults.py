@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.jobs.states import states as measured_states

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile, InputStream, open_input
+from lunarsci.io.inputs import InputFile, InputStream, open_input
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
@@ -164,7 +164,7 @@ def test_pieces_say_what_the_whole_says(
     whole = read(data, yutu2, f"sent.{suffix}")
     pieces = InputStream.pieces
     monkeypatch.setattr(InputStream, "pieces", lambda self: pieces(self, 40_009))
-    monkeypatch.setattr("lunarsci.tables.PIECE_ROWS", 97)
+    monkeypatch.setattr("lunarsci.io.tables.PIECE_ROWS", 97)
     cut = read(data, yutu2, f"sent.{suffix}")
     assert whole.rows == cut.rows == len(table) > len(cut.time_s)
     for one, other in zip(fields(whole), fields(cut), strict=True):

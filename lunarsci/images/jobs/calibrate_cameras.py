@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:

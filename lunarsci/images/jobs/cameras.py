@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera_files import LengthUnit
-from lunarsci.inputs import InputFile, Source, read_input, text
+from lunarsci.io.documents import toml_document
+from lunarsci.io.inputs import InputFile, Source, read_input, text
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import Source, read_input
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ class LocatedStations(Result):
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
         from lunarsci.images.rig_files import pose_text
-        from lunarsci.tables import csv_bytes
+        from lunarsci.io.tables import csv_bytes
 
         found = self.found
         made: dict[str, Callable[[], bytes]] = {"positions.csv": lambda: csv_bytes(self.to_table().to_pandas())}
@@ -318,8 +318,8 @@ def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, befo
 
 def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | None]":
     """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
-    from lunarsci.documents import toml_document
-    from lunarsci.inputs import text
+    from lunarsci.io.documents import toml_document
+    from lunarsci.io.inputs import text
 
     table = toml_document(text(file))
     known = [name for name in ("time_s", *ATTITUDE) if name in table]

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def read_positions(source: InputFile, count: int) -> "list[StationPosition]":
     import numpy as np
 
     from lunarsci.images.merge import StationPosition
-    from lunarsci.tables import numbers_of, read_csv_table
+    from lunarsci.io.tables import numbers_of, read_csv_table
 
     table = read_csv_table(source)
     for name in NEEDED[:2]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, job, request_of
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.inference.misfit import misfit_at
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.inputs import Source, read_input, text
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import Source, read_input, text
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
 from lunarsci.result import MadeFrom, Result, job, request_of

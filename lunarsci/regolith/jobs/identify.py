@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
-from lunarsci.inputs import Source, read_input
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
 from lunarsci.regolith.wheel import PAPER, ShearSign
 from lunarsci.result import MadeFrom, Result, job, request_of

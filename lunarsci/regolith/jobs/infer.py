@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import RequestError
-from lunarsci.inputs import Source, read_input
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.regolith.jobs.identify import (
     IdentifiedSoil,
     IdentifyRequest,

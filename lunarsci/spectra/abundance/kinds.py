@@ -15,8 +15,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import table_rows
 
 Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.library.end_member import mineral_named
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted

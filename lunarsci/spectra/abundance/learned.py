@@ -17,8 +17,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
+from lunarsci.io.tables import SPECTRA_DATA
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import SPECTRA_DATA
 
 TABLE = "share_networks.npz"
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")

@@ -29,7 +29,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.tables import table_rows
+from lunarsci.io.tables import table_rows
 
 IRON_TABLE = "iron_optical_constants.csv"
 GRAIN_INDEX = 1.7

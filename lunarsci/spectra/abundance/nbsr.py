@@ -17,7 +17,8 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.records import Column, Same, Where
+from lunarsci.io.records import Column, Same, Where
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import kinds_of_rows
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.shares import GOOD, LIKELY
@@ -25,7 +26,6 @@ from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
 from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.tables import table_rows
 
 PYROXENES = ("orthopyroxene", "clinopyroxene")
 TABLE = "nbsr_calibrations.csv"

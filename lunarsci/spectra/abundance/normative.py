@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import WINDOWS_NM, KindVerdict, spectral_features
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import table_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

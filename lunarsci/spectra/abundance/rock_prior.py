@@ -18,8 +18,8 @@ from functools import cache
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
-from lunarsci.tables import table_rows
 
 TABLE = "lunar_rock_modes.csv"
 PRIOR = "lunar-rocks"

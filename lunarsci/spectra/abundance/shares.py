@@ -22,11 +22,11 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import KindVerdict
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only, shared_out
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.rock_prior import KEPT, PRIOR, posterior
-from lunarsci.tables import table_rows
 
 TABLE = "share_calibration.csv"
 GOOD = 0.15

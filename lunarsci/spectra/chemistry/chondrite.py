@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.bands import BandColumns
 from lunarsci.spectra.chemistry.estimates import CompositionEstimate, Estimates
 from lunarsci.spectra.continuum import CONIC
-from lunarsci.tables import table_rows
 
 TABLE = "chondrite_calibration.csv"
 BANDS = ("bc2000_nm", "ln_area_ratio")

@@ -70,7 +70,7 @@ class Estimates:
 
     def columns(self) -> dict[str, Any]:
         """The attributes of `CompositionEstimate` by name, as columns of records."""
-        from lunarsci.records import coded
+        from lunarsci.io.records import coded
 
         texts = {name: coded(getattr(self, name)) for name in ("reason", "domain", "caveat", "source")}
         own = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.tables import table_rows
+from lunarsci.io.tables import table_rows
 
 Texts: TypeAlias = npt.NDArray[np.object_]
 """Sentences, (m,)."""

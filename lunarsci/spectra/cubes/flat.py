@@ -15,7 +15,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.cubes.cube import MOST_VALUES, SYNTHETIC, Backplane, FlatFile, Layout, PixelFrame, sha256_of
 from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
 from lunarsci.spectra.rows import quoted

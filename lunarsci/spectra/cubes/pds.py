@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.cubes.cube import FlatFile, Layout, sha256_of
 from lunarsci.spectra.readers.pds import radiance
 from lunarsci.spectra.readers.pds_label import LABELS, data_file, is_pds_label, label_beside, read_pds_label

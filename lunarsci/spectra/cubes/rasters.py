@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.height_rasters import MOST_BLOCK_BYTES, check_blocks
-from lunarsci.inputs import read_input, text, unheard
+from lunarsci.heights.rasters import MOST_BLOCK_BYTES, check_blocks
+from lunarsci.io.inputs import read_input, text, unheard
 from lunarsci.spectra.cubes.cube import Backplane, Cube, Layout, PixelFrame, Source, Stated, cube_of, sha256_of
 from lunarsci.spectra.cubes.flat import envi_plane, has_header, open_envi, open_vnis
 from lunarsci.spectra.cubes.pds import label_of_cube, open_pds

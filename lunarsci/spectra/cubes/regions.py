@@ -11,9 +11,9 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, RequestError
-from lunarsci.inputs import read_input, text
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import read_input, text
 from lunarsci.spectra.cubes.cube import Cube, Source
 from lunarsci.spectra.cubes.rasters import plane_of
 

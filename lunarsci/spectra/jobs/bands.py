@@ -6,14 +6,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import Failure, RequestError
-from lunarsci.kept_blocks import spans
+from lunarsci.parallel.checkpoint import spans
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.record_blocks import RecordsInBlocks
-    from lunarsci.records import Records
+    from lunarsci.io.record_blocks import RecordsInBlocks
+    from lunarsci.io.records import Records
     from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
     from lunarsci.spectra.chemistry.estimates import Estimates
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
@@ -114,9 +114,9 @@ class MeasuredBands(Result):
     @property
     def made_from(self) -> MadeFrom:
         from lunarsci.constants import PAPER, SMOOTHING
+        from lunarsci.io.tables import table_hashes
         from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
         from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
-        from lunarsci.tables import table_hashes
 
         tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE, CHONDRITES)
         sources = [PAPER, SMOOTHING, *self._regressions, *CHEMISTRY]
@@ -150,13 +150,13 @@ class MeasuredBands(Result):
         return self.batch.said | {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
-        from lunarsci.record_blocks import in_blocks
+        from lunarsci.io.record_blocks import in_blocks
 
         return {**self.batch.said, "spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a spectrum; value, error and range of each regression in columns of their own."""
-        from lunarsci.record_blocks import in_blocks
+        from lunarsci.io.record_blocks import in_blocks
 
         return in_blocks(len(self.measured), self._rows)
 
@@ -169,7 +169,7 @@ class MeasuredBands(Result):
         return MeasuredBands(batch, self.measured.part(block), self.failures)
 
     def _records(self, block: range) -> "Records":
-        from lunarsci.records import Records, Where
+        from lunarsci.io.records import Records, Where
         from lunarsci.spectra.chemistry.bands import KEYS
 
         own = self._part(block)
@@ -178,7 +178,7 @@ class MeasuredBands(Result):
         return Records(own.measured.columns() | {"chemistry": shown, "source": own.batch.origins})
 
     def _rows(self, block: range) -> "Records":
-        from lunarsci.records import Records, Where
+        from lunarsci.io.records import Records, Where
         from lunarsci.spectra.chemistry.bands import KEYS
 
         own = self._part(block)
@@ -204,7 +204,7 @@ class MeasuredBands(Result):
 
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
-        from lunarsci.record_blocks import BLOCK_THINGS
+        from lunarsci.io.record_blocks import BLOCK_THINGS
 
         found: dict[str, Mapping[str, Any]] = {}
         for block in spans(len(self.measured), BLOCK_THINGS):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, ParameterError
-from lunarsci.inputs import InputFile, expand_inputs, read_input
+from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Calibrations(Result):
     @property
     def made_from(self) -> MadeFrom:
         from lunarsci.constants import PAPER
-        from lunarsci.tables import table_hashes
+        from lunarsci.io.tables import table_hashes
 
         phase = [self.settings.phase.source] if self.settings.photometry != "none" else []
         return MadeFrom(

@@ -13,7 +13,7 @@ from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.inputs import InputFile
+    from lunarsci.io.inputs import InputFile
     from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
     from lunarsci.spectra.abundance.result import Abundance
     from lunarsci.spectra.mgm.columns import FitColumns
@@ -172,7 +172,7 @@ class MgmFits(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.tables import table_hashes
+        from lunarsci.io.tables import table_hashes
 
         tables, sources = self._tables_and_sources()
         return MadeFrom(
@@ -221,8 +221,8 @@ class MgmFits(Result):
     @cached_property
     def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
-        from lunarsci.record_blocks import in_blocks
-        from lunarsci.records import Records
+        from lunarsci.io.record_blocks import in_blocks
+        from lunarsci.io.records import Records
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)
@@ -256,8 +256,8 @@ class MgmFits(Result):
         return self.rows(bands=False)
 
     def rows(self, *, bands: bool = True) -> Sequence[dict[str, Any]]:
-        from lunarsci.record_blocks import in_blocks
-        from lunarsci.records import Records
+        from lunarsci.io.record_blocks import in_blocks
+        from lunarsci.io.records import Records
         from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
         if not self._as_arrays:
@@ -362,7 +362,7 @@ def _by_prior(
 
 
 def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
-    from lunarsci.inputs import read_input
+    from lunarsci.io.inputs import read_input
     from lunarsci.spectra.mgm.program import read_start
 
     source = read_input(str(request.start))

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.arrays import FloatArray
-    from lunarsci.records import Records
+    from lunarsci.io.records import Records
     from lunarsci.spectra.indices import IndexColumn
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
     from lunarsci.spectra.spectrum import Spectrum
@@ -66,7 +66,7 @@ class FoundIndices(Result):
         """Each spectrum with a nested object for each index."""
         import numpy as np
 
-        from lunarsci.records import Codes, Records
+        from lunarsci.io.records import Codes, Records
         from lunarsci.spectra.indices import INDICES, STATUSES
 
         found: dict[str, Any] = {
@@ -86,7 +86,7 @@ class FoundIndices(Result):
         """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
         import numpy as np
 
-        from lunarsci.records import Codes, Records
+        from lunarsci.io.records import Codes, Records
         from lunarsci.spectra.indices import INDICES, STATUSES
 
         cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:

@@ -153,8 +153,8 @@ def map(
     ------
     RequestError for options that exclude each other; DataError for a cube that cannot be used; OutputError.
     """
-    from lunarsci.atomic import written_whole
-    from lunarsci.blocks import blocks_in_order, rows_in_memory
+    from lunarsci.io.atomic import written_whole
+    from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
     from lunarsci.provenance import Provenance
     from lunarsci.spectra.cubes.blocks import Tally, fetched, measured, warn_of_cost
     from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, MapFile, backplane_layers
@@ -233,7 +233,7 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
 
 def made_from(cube: "Cube", products: "Sequence[Product]") -> MadeFrom:
     """Inputs, tables and sources of a map."""
-    from lunarsci.tables import table_hashes
+    from lunarsci.io.tables import table_hashes
 
     tables = table_hashes(*dict.fromkeys(table for product in products for table in product.tables))
     return MadeFrom(inputs=cube.inputs, tables=tables, sources=[text for one in products for text in one.sources])

@@ -412,7 +412,7 @@ class MatchProduct:
     @property
     def names(self) -> Sequence[str]:
         """Of the craters whose composition is known."""
-        from lunarsci.inputs import read_input
+        from lunarsci.io.inputs import read_input
         from lunarsci.spectra.origin.catalogue import embedded_catalogue, read_catalogue
 
         found = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, ParameterError, RequestError
-from lunarsci.inputs import InputFile, expand_inputs, read_input
+from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.blocks import Progress
-    from lunarsci.record_blocks import RecordsInBlocks
-    from lunarsci.records import Records
+    from lunarsci.io.record_blocks import RecordsInBlocks
+    from lunarsci.io.records import Records
+    from lunarsci.parallel.blocks import Progress
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
     from lunarsci.spectra.origin.match import MatchSettings, RockMatch, RockMatches
@@ -147,7 +147,7 @@ class Matches(Result):
         return f"not to be trusted: the crater is not decided for {some_of(left, NAMED)}" if left else ""
 
     def content(self) -> dict[str, Any]:
-        from lunarsci.record_blocks import in_blocks
+        from lunarsci.io.record_blocks import in_blocks
         from lunarsci.spectra.origin.match import match_records
 
         return {
@@ -165,7 +165,7 @@ class Matches(Result):
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a crater, and one for other sources, of each rock."""
-        from lunarsci.record_blocks import in_blocks
+        from lunarsci.io.record_blocks import in_blocks
         from lunarsci.spectra.origin.match import match_table
 
         count, each = len(self.matches), len(self.matches[0].craters) + 1
@@ -196,9 +196,9 @@ def match(
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
+    from lunarsci.io.tables import table_hashes
     from lunarsci.spectra.origin.assumptions import assumptions
     from lunarsci.spectra.origin.match import match_rocks
-    from lunarsci.tables import table_hashes
 
     asked = request_of(MatchRequest, request, options)
     settings, stated = asked.settings(), None if asked.site is None else _site(asked.site)
@@ -344,8 +344,8 @@ def _opened(item: Any) -> Iterator[InputFile]:
 
 def _candidates(asked: MatchRequest) -> Candidates:
     """The embedded craters or those of a table, with modes from maps where these are given."""
+    from lunarsci.io.tables import table_hashes
     from lunarsci.spectra.origin.catalogue import TABLE, embedded_catalogue, read_catalogue
-    from lunarsci.tables import table_hashes
 
     if asked.craters is None:
         found = Candidates(embedded_catalogue(), f"embedded {TABLE}", tables=table_hashes(TABLE))

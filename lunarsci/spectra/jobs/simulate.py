@@ -74,12 +74,12 @@ class SimulatedVnis(Result):
 
     @property
     def made_from(self) -> MadeFrom:
+        from lunarsci.io.tables import table_hashes
         from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
         from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
         from lunarsci.spectra.photometry.phase import phase_function
         from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
         from lunarsci.spectra.vnis.channels import TABLES
-        from lunarsci.tables import table_hashes
 
         scene = self.simulation.scene
         return MadeFrom(

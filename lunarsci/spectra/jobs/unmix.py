@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.arrays import FloatArray
-    from lunarsci.inputs import InputFile
+    from lunarsci.io.inputs import InputFile
     from lunarsci.spectra.abundance.kinds import KindVerdict
     from lunarsci.spectra.abundance.known_modes import KnownModes
     from lunarsci.spectra.abundance.learned import Foretold
@@ -134,6 +134,7 @@ class UnmixedSpectra(Result):
 
     @property
     def made_from(self) -> MadeFrom:
+        from lunarsci.io.tables import table_hashes
         from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
         from lunarsci.spectra.abundance.kinds import TABLE as KINDS
         from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
@@ -143,7 +144,6 @@ class UnmixedSpectra(Result):
         from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
         from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
         from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
-        from lunarsci.tables import table_hashes
 
         mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
         rocks = self.request.prior == PRIOR
@@ -233,7 +233,7 @@ def unmix(
     RequestError for options that exclude each other; ParameterError for modes of spectra that are not there; DataError
     where no spectrum can be read, and for end members or spectra that cannot be mixed.
     """
-    from lunarsci.inputs import read_input
+    from lunarsci.io.inputs import read_input
     from lunarsci.spectra.abundance.kinds import find_kinds
     from lunarsci.spectra.abundance.learned import MINERALS
     from lunarsci.spectra.abundance.normative import normative

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.library.end_member import CHEMISTRY, EndMember, mineral_named
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted

@@ -16,7 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import plain
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.columns import assign_roles

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lunarsci.errors import ParameterError
+from lunarsci.io.tables import table_rows
 from lunarsci.names import meant
-from lunarsci.tables import table_rows
 
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
 GROUPS = {"pyroxene": ("OPX", "CPX")}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.records import Codes, Column, Listed, Records, Same, Where
+from lunarsci.io.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
 from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of

@@ -8,10 +8,10 @@ import numba
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.compiled import each_in_threads
+from lunarsci.compiled.formulas import LANES
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.formulas import LANES
+from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, describe_rows, joined

@@ -15,7 +15,7 @@ from itertools import chain, takewhile
 from typing import NoReturn
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, text
+from lunarsci.io.inputs import InputFile, text
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS
 

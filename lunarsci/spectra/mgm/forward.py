@@ -11,7 +11,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.lanes import exponential, logarithm
+from lunarsci.compiled.lanes import exponential, logarithm
 from lunarsci.spectra.mgm.normal_equations import prior_share
 
 

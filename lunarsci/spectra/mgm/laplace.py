@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES
-from lunarsci.lanes import aligned, choose, highest, load, lowest, root, spread, store
+from lunarsci.compiled.formulas import LANES
+from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
 from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, continuum_rows, gaussian_rows

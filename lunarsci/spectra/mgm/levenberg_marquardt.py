@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES
-from lunarsci.lanes import aligned, load, store
+from lunarsci.compiled.formulas import LANES
+from lunarsci.compiled.lanes import aligned, load, store
 from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, evaluate, rows_of_sums, rows_of_work, update
 from lunarsci.spectra.mgm.normal_equations import (
     clip_to_bounds,

@@ -10,7 +10,7 @@ From the sums to the curvature and the slope of chi-square in a fit's parameters
 from typing import Any
 
 from lunarsci.compiled import compiled
-from lunarsci.lanes import choose, exponential, load, logarithm, lowest, spread, store
+from lunarsci.compiled.lanes import choose, exponential, load, logarithm, lowest, spread, store
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 
 BLOCK = 8

@@ -17,8 +17,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES
-from lunarsci.lanes import choose, load, spread, store
+from lunarsci.compiled.formulas import LANES
+from lunarsci.compiled.lanes import choose, load, spread, store
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     NOT_FINITE,
     Channels,

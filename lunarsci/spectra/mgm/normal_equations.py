@@ -14,7 +14,7 @@ from typing import Any
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.lanes import aligned, choose, highest, load, lowest, root, spread, store
+from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
 
 TILE = 4
 """Rows and columns worked on together, so that each number read is used four times."""

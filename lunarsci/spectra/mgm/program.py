@@ -14,7 +14,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, Assemblage, BandPrior
 from lunarsci.spectra.mgm.fit_file import CONTINUA, LARGEST, FitBand, FitFile, read_fit_file

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.blocks import arrays_in_blocks, kept_rows
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import some_of
+from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, chances, standing, told

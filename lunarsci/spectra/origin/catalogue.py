@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import table_rows
 from lunarsci.names import meant
 from lunarsci.spectra.origin.composition import BANDS, MINERALS, Composition, Value
-from lunarsci.tables import table_rows
 
 Point = tuple[float, float]
 """Latitude and longitude, east positive. [deg]"""

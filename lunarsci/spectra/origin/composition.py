@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.inputs import InputFile
-from lunarsci.tables import table_rows
+from lunarsci.io import inputs
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import table_rows
 
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}

@@ -8,11 +8,11 @@ from typing import Any, overload
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.blocks import Progress, arrays_in_blocks
 from lunarsci.errors import ParameterError
+from lunarsci.io.records import Codes, Listed, Records, Same
 from lunarsci.names import some_of
+from lunarsci.parallel.blocks import Progress, arrays_in_blocks
 from lunarsci.provenance import sha256
-from lunarsci.records import Codes, Listed, Records, Same
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
 from lunarsci.spectra.origin.composition import Composition, Rock
 from lunarsci.spectra.origin.evidence import CompositionEvidence, CompositionRows, EvidenceRows, evidence_rows

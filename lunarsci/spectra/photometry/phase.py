@@ -10,12 +10,12 @@ from typing import Protocol
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, separator_of, split_fields, split_lines
-from lunarsci.tables import table_rows
 
 _LIMITS_DEG = {"incidence": 90.0, "emission": 90.0, "phase": 180.0}
 _ROUNDING_DEG = 0.5  # assumed: labels round the angles, or give them at slightly different points

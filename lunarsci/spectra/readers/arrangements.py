@@ -14,7 +14,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength, says_error
 from lunarsci.spectra.readers.heads import TableInText
 from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit, stated_unit

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from astropy import units as u
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is_wavelength
 from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import quoted

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, NoFilesError, ParameterError, warn
-from lunarsci.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
+from lunarsci.io.inputs import NAMED_LEFT, InputFile, Source, expand_inputs, is_result, read_input
+from lunarsci.io.tables import table_hashes
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows, averaged
@@ -36,7 +37,6 @@ from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
-from lunarsci.tables import table_hashes
 
 OneSource: TypeAlias = (
     "Source | Spectrum | tuple[npt.ArrayLike, npt.ArrayLike] | tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]"

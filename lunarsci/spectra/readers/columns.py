@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
 from lunarsci.names import some_of
 from lunarsci.spectra.readers.quantities import quantity_of
 from lunarsci.spectra.readers.table import (

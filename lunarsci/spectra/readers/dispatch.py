@@ -9,10 +9,10 @@ from typing import Any, TypeAlias, get_args
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, warn
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
 from lunarsci.spectra.readers.detectors import joined

@@ -12,7 +12,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.readers.envi_header import NUMBERS, EnviHeader, data_names, header_names, is_header, partner
 from lunarsci.spectra.readers.table import MAX_PERCENT, USUAL_SCALE, Column, SpectrumTable
 from lunarsci.spectra.rows import quoted

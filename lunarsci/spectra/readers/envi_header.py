@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.table import length_unit, name_tokens, spectral_unit
 from lunarsci.spectra.rows import number, quoted
 

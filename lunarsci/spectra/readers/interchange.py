@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import on_one_grid
 from lunarsci.spectra.readers.columns import assign_roles
 from lunarsci.spectra.readers.table import Column, SpectrumTable, only_percent

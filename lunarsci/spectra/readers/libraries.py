@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.readers.table import Column, SpectrumTable
 from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, split_lines
 

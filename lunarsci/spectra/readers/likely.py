@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
-from lunarsci.kept_blocks import spans
+from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.collection import SpectrumRows
 
 LARGE_ERROR = 0.3

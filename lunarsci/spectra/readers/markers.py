@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.kept_blocks import spans
-from lunarsci.no_data import far_ends
+from lunarsci.heights.no_data import far_ends
+from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 
 DELETED_BELOW = -1e30

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.spectra.readers.astropy_tables import spectrum_table
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.pds_label import LabelField, TableObject, data_file, read_pds_label

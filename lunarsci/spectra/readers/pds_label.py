@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci import inputs
-from lunarsci.documents import xml_root
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io import inputs
+from lunarsci.io.documents import xml_root
+from lunarsci.io.inputs import InputFile, read_input
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.heads import text_table
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in

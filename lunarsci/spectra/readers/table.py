@@ -17,8 +17,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile
-from lunarsci.kept_blocks import spans
+from lunarsci.io.inputs import InputFile
+from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.rows import quoted
 
 WavelengthUnit = Literal["nm", "um", "angstrom", "1/cm"]

@@ -15,10 +15,10 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import (
     on_one_grid,
     one_below_another,

@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.tables import table_rows
+from lunarsci.io.tables import table_rows
 
 Detector = Literal["vnir", "swir"]
 

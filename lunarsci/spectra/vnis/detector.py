@@ -9,10 +9,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
 from lunarsci.spectra.photometry.phase import Geometry, PhaseFunction, SelenePhase, phase_function
 from lunarsci.spectra.rows import Row, check_widths, number, separator_of, split_fields, split_lines

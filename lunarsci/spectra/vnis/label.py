@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from xml.etree.ElementTree import Element
 
-from lunarsci.documents import xml_root
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.documents import xml_root
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
 from lunarsci.spectra.rows import number
 from lunarsci.spectra.vnis.name import ProductName, product_name

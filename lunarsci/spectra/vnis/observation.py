@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.documents import LABEL_BYTES
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io import inputs
+from lunarsci.io.documents import LABEL_BYTES
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.vnis.channel_order import equal_frames, repeated_rows
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.circumstances import doubts_of

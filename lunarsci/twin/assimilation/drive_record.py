@@ -14,7 +14,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray, samples_about
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover

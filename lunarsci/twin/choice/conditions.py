@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.blocks import run_blocks, shared_out
-from lunarsci.kept_blocks import spans
+from lunarsci.parallel.blocks import run_blocks, shared_out
+from lunarsci.parallel.checkpoint import spans
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan

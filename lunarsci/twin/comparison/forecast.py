@@ -10,9 +10,9 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.lanes import OUTCOMES

@@ -17,9 +17,9 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.io.inputs import InputFile, read_input, text
+from lunarsci.io.tables import csv_bytes, numbers_of, read_csv_table
 from lunarsci.regolith.soil import read_soil
-from lunarsci.tables import csv_bytes, numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import GAP
 

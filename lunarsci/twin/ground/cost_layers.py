@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.grids import read_grid
-from lunarsci.height_grid import HeightGrid
-from lunarsci.projections import projection_of
+from lunarsci.heights.grid import HeightGrid
+from lunarsci.heights.grids import read_grid
+from lunarsci.heights.projections import projection_of
 from lunarsci.twin.ground.terrain import Terrain
 
 FORBIDDEN = "forbidden"
@@ -75,7 +75,7 @@ def parse_classes(texts: Sequence[str]) -> dict[float, float]:
 
 
 def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float]) -> CostLayer:
-    """A raster on any grid, as `lunarsci.grids.read_grid` reads heights, of costs; or of classes where some are given.
+    """A raster on any grid, as `heights.grids.read_grid` reads heights, of costs; or of classes where some are given.
 
     A node of the terrain has the value of the raster's nearest node; beyond it, where it has no data, and of a class
     without a cost, the factor is 1. Rasters of another coordinate system are looked up by longitude and latitude.

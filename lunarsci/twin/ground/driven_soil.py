@@ -9,10 +9,10 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
 from lunarsci.regolith.soil import Soil
-from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si, soil_override
 from lunarsci.twin.ground.terrain_files import TerrainFile
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import InputFile, read_json
-from lunarsci.projections import MapProjection
+from lunarsci.heights.projections import MapProjection
+from lunarsci.io.inputs import InputFile, read_json
 from lunarsci.twin.ground.terrain import Terrain
 
 ROUND = 0.6

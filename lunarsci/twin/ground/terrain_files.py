@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, OutputError
-from lunarsci.grids import check_relief, geotiff_bytes, read_grid
-from lunarsci.height_grid import ERROR_LAYERS, HeightGrid
-from lunarsci.inputs import read_input
-from lunarsci.projections import known_projection
+from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
+from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
+from lunarsci.heights.projections import known_projection
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import read_input
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.hazards import Traversability
@@ -116,7 +116,7 @@ def read_terrain(path: str | Path, soil: Soil, *, onto: str = "") -> Terrain:
 def read_terrain_file(path: str | Path, soil: Soil, height_unit: str | None = None, *, onto: str = "") -> TerrainFile:
     """Read a terrain, by the ending of its file.
 
-    As `lunarsci.grids.read_grid` says; layers are the fields of `Soil` under their own names and units, and the errors
+    As `heights.grids.read_grid` says; layers are the fields of `Soil` under their own names and units, and the errors
     of an elevation model. `made_for` is the JSON of a rover. Layers `PARAMETER_left_of_prior` of a soil map may be
     there, and are not read. A raster is brought onto the coordinate system `onto`, where one is given.
 

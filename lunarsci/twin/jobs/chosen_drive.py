@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.errors import RequestError
+from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom
-from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.choice import DriveChoice, choose
 from lunarsci.twin.choice.conditions import Conditions

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, job, request_of
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, RequestError
-from lunarsci.height_units import HeightUnit
-from lunarsci.inputs import InputFile
+from lunarsci.heights.units import HeightUnit
+from lunarsci.io.inputs import InputFile
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.compare import CompareRequest
 
@@ -224,7 +224,7 @@ def _on_soil(terrain: "Terrain", named: str | None) -> "Terrain":
 
 def _file(name: str, table: "pd.DataFrame", begin_s: float = 0.0) -> InputFile:
     """A table with times from some begin on, rows before it left out, as a file."""
-    from lunarsci.tables import csv_bytes
+    from lunarsci.io.tables import csv_bytes
 
     later = table[table["time_s"] >= begin_s]
     return InputFile(name, csv_bytes(later.assign(time_s=later["time_s"] - begin_s)))

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.height_units import HeightUnit
-from lunarsci.inputs import Source, read_input
+from lunarsci.heights.units import HeightUnit
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
 from lunarsci.regolith.prior import prior_hash

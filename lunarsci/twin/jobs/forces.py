@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import Source
+from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
 from lunarsci.twin.jobs.predict import DriveRequest
 

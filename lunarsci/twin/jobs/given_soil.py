@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from lunarsci.documents import toml_document
 from lunarsci.errors import RequestError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io.documents import toml_document
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior
 from lunarsci.regolith.soil import known_soils

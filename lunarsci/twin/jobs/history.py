@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
@@ -236,7 +236,7 @@ class UncertainLoads(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """`forces.csv`, an input of `identify`: name to what makes the content."""
-        from lunarsci.tables import csv_bytes
+        from lunarsci.io.tables import csv_bytes
         from lunarsci.twin.judgement.load_check import force_table
 
         return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}

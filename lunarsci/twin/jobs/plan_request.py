@@ -160,7 +160,7 @@ class PlanRequest(GroundRequest):
         """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
         if not self.lonlat:
             return self
-        from lunarsci.projections import projection_of
+        from lunarsci.heights.projections import projection_of
 
         projection, moved = projection_of(terrain.crs, terrain.name), []
         for longitude, latitude, *heading in self.places:
@@ -215,8 +215,8 @@ def check_start(asked: PlanRequest, site: SurveyedSite) -> None:
 
     Raises RequestError where no ground is named and it was on another than the stand-in.
     """
+    from lunarsci.io.tables import read_csv_table
     from lunarsci.regolith.written_names import GROUND, written_in
-    from lunarsci.tables import read_csv_table
 
     for path in asked.start_files:
         table = read_csv_table(path)
@@ -232,7 +232,7 @@ def last_pose(path: str) -> tuple[float, float, float]:
     """
     import numpy as np
 
-    from lunarsci.tables import numbers_of, read_csv_table
+    from lunarsci.io.tables import numbers_of, read_csv_table
 
     table = read_csv_table(path)
     for name in ("time_s", "x_m", "y_m", "yaw_deg"):

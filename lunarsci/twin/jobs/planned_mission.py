@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
+from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom
-from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.footprint import rover_footprint

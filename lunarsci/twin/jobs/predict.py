@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.inputs import Source
+from lunarsci.io.inputs import Source
 from lunarsci.provenance import sha256, to_json
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
@@ -225,7 +225,7 @@ class PredictedDrives(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
-        from lunarsci.tables import csv_bytes
+        from lunarsci.io.tables import csv_bytes
         from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
         from lunarsci.twin.judgement import tables as judged
 

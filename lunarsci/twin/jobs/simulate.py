@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import Source
+from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
@@ -165,6 +165,6 @@ def simulate_drive(
 
 
 def _marked(table: "pd.DataFrame") -> bytes:
-    from lunarsci.tables import csv_bytes
+    from lunarsci.io.tables import csv_bytes
 
     return REMARK + csv_bytes(table)

@@ -7,7 +7,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import RequestError
-from lunarsci.inputs import Source, open_input, read_input
+from lunarsci.io.inputs import Source, open_input, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 
@@ -136,7 +136,7 @@ class MeasuredStates(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables as CSV: name to what makes the content."""
-        from lunarsci.tables import csv_bytes
+        from lunarsci.io.tables import csv_bytes
 
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 

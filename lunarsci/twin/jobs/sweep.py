@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.inputs import Source
+from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.predict import PoweredRequest
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
-from lunarsci.height_units import HeightUnit
-from lunarsci.inputs import read_input
+from lunarsci.heights.units import HeightUnit
+from lunarsci.io.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, request_of
 
@@ -250,7 +250,7 @@ class TerrainSurvey(Result):
 
     def _path_record(self, path: "PlannedPath") -> dict[str, Any]:
         """The path, its ends also by longitude and latitude where the terrain has a coordinate system."""
-        from lunarsci.projections import lonlat_of
+        from lunarsci.heights.projections import lonlat_of
 
         record = path.to_dict() | ({"checked": list(self.checked)} if self.checked else {})
         for end in ("start", "target", "end"):
@@ -283,7 +283,7 @@ class TerrainSurvey(Result):
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
-        from lunarsci.tables import csv_bytes
+        from lunarsci.io.tables import csv_bytes
         from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff
         from lunarsci.twin.plans.plan_files import plan_text
         from lunarsci.twin.routes.path_geojson import path_geojson
@@ -304,7 +304,7 @@ class TerrainSurvey(Result):
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
-        from lunarsci.projections import told_of
+        from lunarsci.heights.projections import told_of
         from lunarsci.twin.ground.hazards import map_scales
 
         site, maps = self.site, self.surface.maps

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
-from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 

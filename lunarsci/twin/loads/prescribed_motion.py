@@ -12,7 +12,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, read_state_table
 from lunarsci.twin.ground.terrain import OVERRIDES, Terrain
 from lunarsci.twin.lanes import BODY, DIVERGED, FINISHED, GROUP, SANK, UNSETTLED, WHEEL, new_work, outcome_texts

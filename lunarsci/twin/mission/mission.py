@@ -6,9 +6,9 @@ from dataclasses import MISSING, dataclass, fields
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import Source, read_input
+from lunarsci.io.documents import toml_of
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.names import one_of
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.plans.plan import Fixes

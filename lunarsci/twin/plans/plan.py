@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
-from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import Source, read_input
+from lunarsci.io.documents import toml_of
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override

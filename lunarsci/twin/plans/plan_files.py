@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-from lunarsci.documents import toml_of
 from lunarsci.errors import DataError, OutputError, ParameterError
-from lunarsci.inputs import Source, read_input
+from lunarsci.io.documents import toml_of
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.twin.plans.limits import Limit, parse_limit
 from lunarsci.twin.plans.plan import Leg, Plan
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.projections import MapProjection, known_projection
+from lunarsci.heights.projections import MapProjection, known_projection
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.projections import name_of
+from lunarsci.heights.projections import name_of
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.terrain import Terrain

@@ -12,8 +12,8 @@ torques M_O and M_S their leading parts.
 from typing import Any
 
 from lunarsci.compiled import compiled, joined
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import choose, highest, lowest
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import choose, highest, lowest
 from lunarsci.regolith.forces import contact_forces, slip_ratio
 from lunarsci.twin.lanes import BODY, GROUP, SANK, SYSTEM, WHEEL, cross, dot, plus, seen_from, times
 from lunarsci.twin.simulation.contact_frame import (

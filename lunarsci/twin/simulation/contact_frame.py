@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from lunarsci.formulas import formula
-from lunarsci.lanes import arcsin, choose, cosine, highest, lowest, root, sine
+from lunarsci.compiled.formulas import formula
+from lunarsci.compiled.lanes import arcsin, choose, cosine, highest, lowest, root, sine
 from lunarsci.regolith.forces import contact_forces
 from lunarsci.twin.lanes import WHEEL, cross, dot, plus, times
 

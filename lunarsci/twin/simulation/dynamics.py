@@ -19,8 +19,8 @@ at any time_step_s. First order in time_step_s.
 from typing import Any
 
 from lunarsci.compiled import compiled, joined
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import choose, cosine, highest, lowest, root, signed, sine
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import choose, cosine, highest, lowest, root, signed, sine
 from lunarsci.twin.ground.terrain import read_ground
 from lunarsci.twin.lanes import (
     BODY,

@@ -10,8 +10,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
+from lunarsci.compiled.formulas import LANES
 from lunarsci.errors import ParameterError
-from lunarsci.formulas import LANES
 from lunarsci.regolith.forces import slip_ratio
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import BODY, FINISHED, GROUP, LEFT, WHEEL, Work

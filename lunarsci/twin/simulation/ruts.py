@@ -18,8 +18,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
+from lunarsci.compiled.lanes import exponential, logarithm
 from lunarsci.errors import ParameterError
-from lunarsci.lanes import exponential, logarithm
 from lunarsci.twin.lanes import FINISHED, GROUP, WHEEL, Work
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import Fields, choose, highest, lowest
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import Fields, choose, highest, lowest
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, lay_soil, read_ground
 from lunarsci.twin.lanes import (
     BODY,

@@ -14,8 +14,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile, InputStream, open_input
-from lunarsci.tables import (
+from lunarsci.io.inputs import InputFile, InputStream, open_input
+from lunarsci.io.tables import (
     check_columns,
     csv_tables,
     line_pieces,

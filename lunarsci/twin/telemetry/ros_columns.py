@@ -12,7 +12,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.tables import numbers_of
+from lunarsci.io.tables import numbers_of
 
 if TYPE_CHECKING:
     import pandas as pd

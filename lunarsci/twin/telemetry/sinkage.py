@@ -14,8 +14,8 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
-from lunarsci.tables import numbers_of, read_csv_table
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.simulated import deepest_at

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE, TABLE, embedded_end_members
 from lunarsci.spectra.readers import read_spectra
-from lunarsci.tables import table_rows
 
 SCRIPT = Path(__file__).parents[3] / "spectra_data/make_end_members.py"
 GRID = np.arange(450.0, 2451.0, 5.0)

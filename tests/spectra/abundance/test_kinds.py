@@ -11,7 +11,7 @@ from lunarsci.spectra_data import make_kinds
 from scipy.stats import multivariate_t
 
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.kinds import (
     FREEDOM,
     KINDS,

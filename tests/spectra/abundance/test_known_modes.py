@@ -5,7 +5,7 @@ import re
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.abundance.known_modes import read_modes
 
 

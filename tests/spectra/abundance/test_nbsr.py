@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.nbsr import PYROXENES, nbsr_abundance
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
-from lunarsci.tables import table_rows
 
 pytestmark = pytest.mark.reference
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import lunarsci
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES
 from lunarsci.spectra.abundance.rock_prior import drawn_powders, drawn_rocks, posterior, rocks
 from lunarsci.spectra.abundance.shares import CalibratedShares, with_rocks
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import table_rows
 
 ALL = (True,) * 4
 LEVELS = {(f"level{level}", "alone"): level / 100 for level in (68, 95)}
@@ -79,7 +79,7 @@ def test_noise_has_the_mean_of_the_prior_out_of_domain() -> None:
 def test_boulders_of_change_4_come_near_what_others_found_of_one(reference_data: Path) -> None:
     """Lin et al. (2020), 10.1093/nsr/nwz183: plagioclase 48, olivine 14, low-calcium pyroxene 38 %; the paper: OPX 46 %
     of pyroxene, olivine 20-30 %."""
-    from lunarsci.inputs import read_input
+    from lunarsci.io.inputs import read_input
     from lunarsci.spectra.readers import read_spectra
 
     every = read_spectra(read_input(str(reference_data / "spectra/ce4/reflectance_factor.csv")))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lunarsci
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.kinds import find_kinds, kinds_of_rows
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, foretell
@@ -18,7 +19,6 @@ from lunarsci.spectra.abundance.shares import (
     sharpened,
 )
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import table_rows
 
 NM = np.arange(450.0, 2451.0, 5.0)
 ONES = np.ones((1, 4))

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.band_status import BandResult
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
 from lunarsci.spectra.chemistry.bands import KEYS, chemistry, from_centres, gaffey_pairs, lines_of
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objections, regressions
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import table_rows
 
 
 def at(bc1000: float, bc2000: float, sigma: float = 0.0) -> dict[str, float]:

@@ -170,7 +170,7 @@ def test_a_cube_of_shares_gives_craters_their_modes(tmp_path: Path) -> None:
 
 def test_the_same_bytes_however_it_is_computed_and_after_a_stop(envi: Any, tmp_path: Path) -> None:
     import lunarsci.spectra.jobs.map as job
-    from lunarsci.blocks import computing
+    from lunarsci.parallel.blocks import computing
 
     cube = str(envi(spectra(70, 2, seed=8).astype("f4")))
     plan: dict[str, Any] = {"products": "bands", "time": False}

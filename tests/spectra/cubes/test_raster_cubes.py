@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.grids import read_grid
+from lunarsci.heights.grids import read_grid
 from lunarsci.spectra.cubes.cube import NO_DATA, SATURATED, Stated
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.readers import read_spectra

@@ -8,7 +8,7 @@ import pytest
 from astropy.table import Table
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.library.end_member import EndMember, read_library, to_ecsv
 from lunarsci.spectra.readers import read_spectra
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.library.check import MIXTURE, read_metadata, with_description
 from lunarsci.spectra.library.end_member import EndMember
 

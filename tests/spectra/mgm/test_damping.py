@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import approx_fprime, least_squares
 
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra

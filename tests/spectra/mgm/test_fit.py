@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.fit import fit_spectra, starting_points
 from lunarsci.spectra.mgm.model import MgmContinuum, mgm_model

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra

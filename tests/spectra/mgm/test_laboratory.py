@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 import lunarsci.spectra.mgm.assemblages as tables
-from lunarsci.inputs import read_input
+from lunarsci.io.inputs import read_input
+from lunarsci.io.tables import table_rows
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
 from lunarsci.spectra.mgm.compositions import compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -17,7 +18,6 @@ from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.selection import Choice, choose
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.tables import table_rows
 
 pytestmark = pytest.mark.reference
 COUNTED = 0.05

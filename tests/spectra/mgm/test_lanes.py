@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled
-from lunarsci.formulas import LANES
-from lunarsci.lanes import aligned, exponential, load, logarithm, spread, store
+from lunarsci.compiled.formulas import LANES
+from lunarsci.compiled.lanes import aligned, exponential, load, logarithm, spread, store
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
 from lunarsci.spectra.mgm.model import continuum_basis

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from lunarsci.blocks import computing
 from lunarsci.errors import ParameterError
+from lunarsci.parallel.blocks import computing
 from lunarsci.spectra.mgm import selection
 from lunarsci.spectra.mgm.assemblages import BandPrior
 from lunarsci.spectra.mgm.evidence import ln_all_negative, ln_evidence

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.origin.catalogue import COLUMNS, UNKNOWN_AGE_MA, embedded_catalogue, read_catalogue
 
 HEADER = "name,latitude_deg,longitude_deg,diameter_km"

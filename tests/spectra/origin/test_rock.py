@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.jobs.match import match
 from lunarsci.spectra.origin.composition import (
     Composition,

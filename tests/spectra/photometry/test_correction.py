@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsci.errors import ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.photometry.correction import DISKS, correction_factor, model_spread, remarks
 from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, STANDARD, Geometry, phase_function, read_phase_function
 

@@ -12,7 +12,7 @@ from astropy import units
 from astropy.table import Table
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.batch import read_batch
 from lunarsci.spectra.spectrum import Spectrum
 

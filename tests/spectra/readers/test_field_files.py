@@ -17,7 +17,7 @@ import lunarsci
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.guide.info import info
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.batch import SpectraBatch, read_batch
 from lunarsci.spectra.readers.markers import markers_of

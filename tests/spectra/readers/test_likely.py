@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.batch import read_batch
 
 NM = np.arange(500, 700, 5)

@@ -10,7 +10,7 @@ import pytest
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra, text
 from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum

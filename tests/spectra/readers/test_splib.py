@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.libraries import without_wavelength_files
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.photometry.phase import Geometry, phase_function
 from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files

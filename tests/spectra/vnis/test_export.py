@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate

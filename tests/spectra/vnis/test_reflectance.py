@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.vnis.detector import read_channel_factors, reflectance_factor
 
 VNIR = [str(450 + 5 * k) for k in range(100)]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.inputs import InputFile
+from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.bands import measure_bands
 from lunarsci.spectra.mgm.constraints import constrained
 from lunarsci.spectra.mgm.fit import fit_spectra

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from lunarsci.errors import RequestError
-from lunarsci.kept_blocks import Arrays, KeptBlocks, spans
+from lunarsci.parallel.checkpoint import Arrays, KeptBlocks, spans
 
 if TYPE_CHECKING:
     import numpy as np
@@ -90,7 +90,7 @@ class Computing:
     def client(self) -> Any:
         """The connection to the scheduler, made when it is first needed."""
         if self._client is None:
-            from lunarsci.cluster import connect
+            from lunarsci.parallel.dask_cluster import connect
 
             self._client = connect(str(self.scheduler))
         return self._client
@@ -245,7 +245,7 @@ def _found(
 ) -> Iterator[tuple[range, Any]]:
     if here.scheduler is None or not blocks:
         return _in_threads(here, work, blocks, fetch)
-    from lunarsci.cluster import on_cluster
+    from lunarsci.parallel.dask_cluster import on_cluster
 
     return on_cluster(here.client(), here.scheduler, work, blocks, fetch)
 

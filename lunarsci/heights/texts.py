@@ -15,14 +15,14 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError
-from lunarsci.height_grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
-from lunarsci.height_rasters import EVEN, HEIGHT, HeightRaster, check_count
-from lunarsci.height_units import metres_in
-from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
+from lunarsci.heights.no_data import without_markers
+from lunarsci.heights.projections import NO_RASTERIO
+from lunarsci.heights.rasters import EVEN, HEIGHT, HeightRaster, check_count
+from lunarsci.heights.units import metres_in
+from lunarsci.io.inputs import InputFile, read_input, text
+from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
-from lunarsci.no_data import without_markers
-from lunarsci.projections import NO_RASTERIO
-from lunarsci.tables import numbers_of, read_csv_table
 
 HEADER = ("ncols", "nrows", "cellsize", "dx", "dy", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
 TEXTS = (".asc", ".csv", ".xyz", ".txt", ".dat", ".grd", ".agr")

@@ -37,7 +37,7 @@ class KeptBlocks:
     """
 
     def __init__(self, folder: Path, about: Mapping[str, str], total: int, rows: int, *, force: bool = False) -> None:
-        from lunarsci.cluster import build
+        from lunarsci.parallel.dask_cluster import build
 
         self.folder = folder
         self.done: dict[int, int] = {}

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any, overload
 
-from lunarsci.kept_blocks import spans
-from lunarsci.records import Records
+from lunarsci.io.records import Records
+from lunarsci.parallel.checkpoint import spans
 
 BLOCK_THINGS = 4096
 """Things of which columns are made at once where there are more."""

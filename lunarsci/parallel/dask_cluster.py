@@ -51,7 +51,7 @@ def build() -> tuple[str, str]:
     import llvmlite.binding as llvm
 
     whole = hashlib.sha256()
-    folders = [Path(__file__).parent, Path(str(files("lunarsci.spectra_data")))]
+    folders = [Path(__file__).parents[1], Path(str(files("lunarsci.spectra_data")))]
     found = {path for folder in folders for path in folder.rglob("*.*") if path.suffix in KINDS}
     for path in sorted(path for path in found if "cli" not in path.parts[-3:]):
         whole.update(path.name.encode() + path.read_bytes())

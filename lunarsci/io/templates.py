@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.compiled import compiled
-from lunarsci.numerals import WIDEST, powers_of_ten, write_float, write_whole
+from lunarsci.io.numerals import WIDEST, powers_of_ten, write_float, write_whole
 
 FLOAT, INTEGER, TEXT, PRESENT, END = range(5)
 """What a step of a template writes after its words: a number of a column, a text of the table, or what is there."""

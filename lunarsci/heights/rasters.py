@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import unheard
-from lunarsci.no_data import without_markers
-from lunarsci.projections import LARGEST_STRETCH, NO_RASTERIO, MapProjection, local_projection, moved, name_of
+from lunarsci.heights.no_data import without_markers
+from lunarsci.heights.projections import LARGEST_STRETCH, NO_RASTERIO, MapProjection, local_projection, moved, name_of
+from lunarsci.io.inputs import unheard
 
 MOST_NODES = 40_000_000
 """More are refused: maps of these take 1.8 GB."""

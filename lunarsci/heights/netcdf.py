@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.height_grid import HeightGrid, grid_of_raster
-from lunarsci.height_rasters import check_count
-from lunarsci.height_texts import AXES, are_angles, grid_of_nodes, in_degrees, plain_name
-from lunarsci.height_units import metres_in
+from lunarsci.heights.grid import HeightGrid, grid_of_raster
+from lunarsci.heights.rasters import check_count
+from lunarsci.heights.texts import AXES, are_angles, grid_of_nodes, in_degrees, plain_name
+from lunarsci.heights.units import metres_in
 
 NETCDF = (b"CDF", b"\x89HDF")
 """How files of netCDF 3 and 4 begin."""

@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.height_grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
-from lunarsci.height_netcdf import is_netcdf, read_netcdf
-from lunarsci.height_rasters import DRIVERS, check_count, read_height_raster
-from lunarsci.height_texts import AXES, NODE, TEXTS, is_ascii_grid, plain_name, read_ascii, read_nodes, read_table
-from lunarsci.height_units import metres_in
+from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
+from lunarsci.heights.netcdf import is_netcdf, read_netcdf
+from lunarsci.heights.no_data import USUALLY
+from lunarsci.heights.projections import NO_RASTERIO
+from lunarsci.heights.rasters import DRIVERS, check_count, read_height_raster
+from lunarsci.heights.texts import AXES, NODE, TEXTS, is_ascii_grid, plain_name, read_ascii, read_nodes, read_table
+from lunarsci.heights.units import metres_in
+from lunarsci.io.printable import shortened
 from lunarsci.names import one_of
-from lunarsci.no_data import USUALLY
-from lunarsci.printable import shortened
-from lunarsci.projections import NO_RASTERIO
 
 HIGHEST_M = 2e4
 """No height is farther from the median: the Moon's span 19.9 km (Smith et al. 2017, Icarus 283, 70,

@@ -17,7 +17,7 @@ import numpy as np
 from llvmlite import ir
 
 from lunarsci.arrays import FloatArray
-from lunarsci.formulas import (
+from lunarsci.compiled.formulas import (
     DOUBLE,
     DOUBLES,
     INTEGER,

@@ -19,8 +19,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.inputs import InputFile, InputStream, csv_rows, read_input, text
-from lunarsci.printable import cell
+from lunarsci.io.inputs import InputFile, InputStream, csv_rows, read_input, text
+from lunarsci.io.printable import cell
 from lunarsci.provenance import sha256
 
 if TYPE_CHECKING:

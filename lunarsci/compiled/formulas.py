@@ -3,9 +3,9 @@
 A `formula` is a plain Python function of numbers. As compiled code that calls it is made, it is run once, with
 stand-ins that note every operation as an instruction: no types have to be found and no loops be turned into vectors,
 so that it costs little to compile. Loops and conditions in it are therefore those of Python and cannot depend on a
-number; `lunarsci.lanes.choose` can. Tuples of numbers are taken apart by their entries; of an array, whose length is
-not known while code is made, entries are read by index, or, in `lunarsci.lanes.Fields`, rows by name. Called from
-Python a formula works on floats and NumPy arrays.
+number; `lanes.choose` can. Tuples of numbers are taken apart by their entries; of an array, whose length is not known
+while code is made, entries are read by index, or, in `lanes.Fields`, rows by name. Called from Python a formula works
+on floats and NumPy arrays.
 """
 
 import inspect

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from lunarsci.documents import json_document
 from lunarsci.errors import DataError, NoFilesError, ParameterError, warn
+from lunarsci.io.documents import json_document
 from lunarsci.names import some_of
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from numba.core.codegen import CPUCodeLibrary
 
 from lunarsci.errors import LunarSciWarning
 
-PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parents[1]
 IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
 DIGEST_BYTES = 32
 BEGAN = time.time()

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, IntArray
-from lunarsci.printable import cell, printable
+from lunarsci.io.printable import cell, printable
 from lunarsci.provenance import plain, to_text
 
 if TYPE_CHECKING:
-    from lunarsci.templates import Template
+    from lunarsci.io.templates import Template
 
 INDENT = "  "
 BY_HAND = 20_000
@@ -247,7 +247,7 @@ def _quoted(value: Any) -> str:
 
 
 def _json_template(records: Records, depth: int) -> "Template":
-    from lunarsci.templates import Template
+    from lunarsci.io.templates import Template
 
     made = Template(len(records), "null")
     made.say(INDENT * depth)
@@ -322,7 +322,7 @@ def _leaf(made: "Template", column: Any, text: Any) -> None:
 
 
 def _csv_template(records: Records) -> "Template":
-    from lunarsci.templates import Template
+    from lunarsci.io.templates import Template
 
     made = Template(len(records), "")
     for place, (_, column) in enumerate(_leaves(records.columns)):

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.height_rasters import HEIGHT, HeightRaster
+from lunarsci.heights.rasters import HEIGHT, HeightRaster
 
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""

@@ -1,0 +1,1 @@
+"""Heights on grids: their files, units, marks of no data and projections."""
