@@ -12,8 +12,7 @@ import pytest
 
 from lunarsci.io import records as module
 from lunarsci.io.printable import cell
-from lunarsci.io.record_blocks import RecordsInBlocks, in_blocks
-from lunarsci.io.records import Codes, Listed, Records, Same, Where
+from lunarsci.io.records import Codes, Listed, Records, RecordsInBlocks, Same, Where, in_blocks
 from lunarsci.provenance import json_chunks, to_json
 
 

@@ -28,9 +28,8 @@ from typer.testing import CliRunner
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.inputs import read_input
-from lunarsci.options import TYPED
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
-from lunarsci.result import MadeFrom, Result, _column, request_of
+from lunarsci.result import TYPED, MadeFrom, Result, _column, request_of
 
 ROOT = Path(__file__).parents[1]
 NO_FIELDS = {"output", "save_terrain"}

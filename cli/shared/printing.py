@@ -125,8 +125,7 @@ FORMATS: Mapping[str, Callable[[Sequence[TextTable]], str]] = {
 
 def names_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Names of the columns of that CSV."""
-    from lunarsci.io.record_blocks import RecordsInBlocks
-    from lunarsci.io.records import Records
+    from lunarsci.io.records import Records, RecordsInBlocks
 
     if isinstance(rows, Records | RecordsInBlocks):
         return rows.names
@@ -135,8 +134,7 @@ def names_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
     """CSV with full precision in pieces; missing values are empty cells."""
-    from lunarsci.io.record_blocks import RecordsInBlocks
-    from lunarsci.io.records import Records
+    from lunarsci.io.records import Records, RecordsInBlocks
 
     text = io.StringIO()
     if isinstance(rows, Records | RecordsInBlocks):

@@ -1,13 +1,18 @@
-"""Fourth-order polynomials through the deepest part of an absorption band, and their minima, eight spectra at once."""
+"""Fourth-order polynomials through the deepest part of an absorption band, and their minima, eight spectra at once.
+
+The channels about the deepest one of an absorption band, of eight spectra at once, and how much each counts.
+
+How quantities of an absorption band depend on each reflectance, eight spectra at once.
+"""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
-from lunarsci.compiled.formulas import formula
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import choose, highest, load, lowest, spread, store
-from lunarsci.spectra.continuum import CONTINUA, TERMS, TIE_ROWS, Indices
+from lunarsci.spectra.continuum import CONTINUA, TERMS, TIE_ROWS, Indices, Ties
 from lunarsci.spectra.lane_rows import uncounted
 
 ORDER = 4
@@ -186,3 +191,264 @@ def _polished(k: Any, start: Any) -> Any:
         moved = lowest(highest(x - slope / curvature, start - STEP), start + STEP)
         x = choose(curvature, moved, x)
     return x
+
+
+class Smoother(NamedTuple):
+    """A linear operator of spectra on the same n channels, each of which takes few others.
+
+    Attributes
+    ----------
+    first, weights : the first channel that it takes at each channel, and the weights from there, (n,), (n, w).
+    """
+
+    first: Indices
+    weights: FloatArray
+
+
+class BandGrid(NamedTuple):
+    """What spectra on the same n channels share.
+
+    Attributes
+    ----------
+    wavelength_nm, steps_nm : channels and their gradient, (n,). [nm]
+    smoother, adjoint : the smoothing, and its transpose.
+    ties : of the continua.
+    """
+
+    wavelength_nm: FloatArray
+    steps_nm: FloatArray
+    smoother: Smoother
+    adjoint: Smoother
+    ties: Ties
+
+
+@uncounted
+def smooth(g: Smoother, t: Any, source: int, out: int) -> None:
+    """Rows from `out` on take what the operator makes of those from `source` on."""
+    firsts, weights = g
+    for j in range(firsts.size):
+        first, total = source + firsts[j], spread(0.0)
+        for m in range(weights.shape[1]):
+            total += load(t, first + m) * weights[j, m]
+        store(t, out + j, total)
+
+
+@formula
+def _along(along: Any, residual: Any, slope: Any, heft: Any, share: Any, per_depth: Any, total: Any) -> Any:
+    of_share = along * residual * slope * per_depth
+    return along * heft, -of_share, total + of_share * share
+
+
+@uncounted
+def slopes(g: BandGrid, work: BandWork, first: int, behind: int, out: int) -> Any:
+    """Derivatives to each reflectance, into rows, of a quantity whose derivatives to the coefficients are in RIGHT; its
+    variance."""
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    s0, s1, s2, s3, s4 = solved(
+        k, load(k, RIGHT), load(k, RIGHT + 1), load(k, RIGHT + 2), load(k, RIGHT + 3), load(k, RIGHT + 4)
+    )
+    per_depth, total = 1.0 / load(k, DEPTH_HERE), spread(0.0)
+    for j in range(first, behind):
+        of_ratio, of_curve, total = _along(
+            polynomial(load(t, X * count + j), s0, s1, s2, s3, s4), load(t, RESIDUAL * count + j),
+            load(t, HEFT_SLOPE * count + j), load(t, HEFT * count + j), load(t, SHARE * count + j), per_depth, total,
+        )  # fmt: skip
+        store(t, OF_RATIO * count + j, of_ratio)
+        store(t, OF_CURVE * count + j, of_curve)
+    return per_channel(g, work, first, behind, out, total)
+
+
+@uncounted
+def per_channel(g: BandGrid, work: BandWork, first: int, behind: int, out: int, of_deepest: Any) -> Any:
+    """Derivatives to both ratios, OF_RATIO and OF_CURVE, into derivatives to the reflectance; the variance.
+
+    `of_deepest` is a derivative to the smoothed ratio at the deepest channel, besides.
+    """
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    place, one, two, three = load(k, PLACE), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(first, behind):
+        onto, of_level, direct = _parts(
+            load(t, OF_RATIO * count + j), load(t, OF_CURVE * count + j), load(t, (RATIO + OWN) * count + j),
+            load(t, (CURVE + OWN) * count + j), load(t, (PER_LEVEL + OWN) * count + j), of_deepest, place, float(j),
+        )  # fmt: skip
+        node = load(t, OWN_NODE * count + j)
+        two += of_level * load(t, (OWN_WEIGHT + 1) * count + j)
+        three += of_level * load(t, (OWN_WEIGHT + 2) * count + j)
+        store(t, out * count + j, direct)
+        store(t, OF_RATIO * count + j, of_level)
+        store(t, ONTO * count + j, onto + node * two)
+        two = choose(node, spread(0.0), two)
+    for j in range(behind, count):
+        node = load(t, OWN_NODE * count + j)
+        store(t, out * count + j, spread(0.0))
+        store(t, ONTO * count + j, node * two)
+        two = choose(node, spread(0.0), two)
+    for j in range(behind - 1, first - 1, -1):
+        node = load(t, OWN_NODE * count + j)
+        one += load(t, OF_RATIO * count + j) * load(t, OWN_WEIGHT * count + j)
+        store(t, ONTO * count + j, load(t, ONTO * count + j) + node * one)
+        one = choose(node, spread(0.0), one)
+    for j in range(first - 1, -1, -1):
+        node = load(t, OWN_NODE * count + j)
+        store(t, out * count + j, spread(0.0))
+        store(t, ONTO * count + j, node * one)
+        one = choose(node, spread(0.0), one)
+    _to_ties(work, one, two, three, count)
+    return _smoothed_back(g.adjoint, t, out)
+
+
+@formula
+def _parts(
+    of_ratio: Any, of_curve: Any, ratio: Any, curve: Any, per_level: Any, of_deepest: Any, place: Any, j: Any
+) -> Any:
+    of_curve = of_curve + choose(abs(place - j) < 0.5, of_deepest, 0.0)
+    return of_curve * per_level, -(of_ratio * ratio + of_curve * curve) * per_level, of_ratio * per_level
+
+
+@uncounted
+def _to_ties(work: BandWork, one: Any, two: Any, three: Any, count: int) -> None:
+    """What derivatives to the level give to the channels of the continuum's terms; the hull's nodes have theirs."""
+    t, k, tie = work.t, work.k, work.tie[OWN]
+    store(k, OF_TERM, one)
+    store(k, OF_TERM + 1, two)
+    store(k, OF_TERM + 2, three)
+    for term in range(TERMS):
+        for lane in range(LANES):
+            t[ONTO * count + tie[term, lane], lane] += k[OF_TERM + term, lane]
+
+
+@uncounted
+def _smoothed_back(g: Smoother, t: Any, out: int) -> Any:
+    """Add what the smoothed reflectance of other channels takes from each; the variance."""
+    firsts, weights = g
+    count, variance = firsts.size, spread(0.0)
+    for j in range(count):
+        first, total = ONTO * count + firsts[j], load(t, out * count + j)
+        for m in range(weights.shape[1]):
+            total += load(t, first + m) * weights[j, m]
+        store(t, out * count + j, total)
+        off = total * load(t, NOISE * count + j)
+        variance += off * off
+    return variance
+
+
+WIDE, NARROW = (0.6, 0.9), (0.85, 1.0)
+"""Channels less deep than the first share of the band do not count, those deeper than the second count fully; assumed.
+Polynomials through about the deepest third are usual for asteroids: Moskovitz et al. (2010), Icarus 208, 773,
+10.1016/j.icarus.2010.03.002."""
+
+
+HALF = 0.5
+"""Share of the depth from which a Gaussian is fitted; assumed."""
+
+
+FEWEST_CHANNELS = 8.0
+"""Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels.
+Assumed."""
+
+
+LEAST_DEPTH = 1e-6
+
+
+@formula
+def _deeper(value: Any, j: Any, least: Any, place: Any) -> Any:
+    below = value < least
+    return choose(below, value, least), choose(below, j, place)
+
+
+@uncounted
+def deepest_of(t: Any, curve: int, low: int, high: int, count: int) -> Any:
+    """The lowest value of a curve, and its channel, the first where there are several."""
+    least, place = load(t, curve * count + low), spread(float(low))
+    for j in range(low + 1, high):
+        least, place = _deeper(load(t, curve * count + j), float(j), least, place)
+    return least, place
+
+
+@formula
+def _goes_on(value: Any, j: Any, place: Any, below: Any, alive: Any) -> Any:
+    """1 at the deepest channel and at those that are connected with it, from the one before on."""
+    here = (value < below) & (alive > 0.0)
+    return choose(abs(place - j) < 0.5, 1.0, choose(here, 1.0, 0.0))
+
+
+@uncounted
+def _connected(t: Any, k: Any, curve: int, band: IntArray, below: Any, count: int) -> Any:
+    """Which channels are connected with the deepest one, below a level; how many they are."""
+    place = load(k, PLACE)
+    alive, number, end = spread(0.0), spread(0.0), spread(0.0)
+    for j in range(band[0], band[1]):
+        alive = _goes_on(load(t, curve * count + j), float(j), place, below, alive)
+        end = choose(alive, spread(float(j)), end)
+        store(t, IN * count + j, alive)
+    store(k, LAST, end)
+    alive = spread(0.0)
+    for j in range(band[1] - 1, band[0] - 1, -1):
+        alive = _goes_on(load(t, curve * count + j), float(j), place, below, alive)
+        end = choose(alive, spread(float(j)), end)
+        inside = highest(alive, load(t, IN * count + j))
+        number += inside
+        store(t, IN * count + j, inside)
+    store(k, FIRST, end)
+    return number
+
+
+@uncounted
+def has_any(k: Any, row: int) -> bool:
+    found = False
+    for lane in range(LANES):
+        found = found or k[row, lane] > 0.0
+    return found
+
+
+@uncounted
+def window_of(g: BandGrid, work: BandWork, own: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
+    """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
+
+    SHARE takes the depth over the deepest, X the scaled wavelength, HEFT_SLOPE the derivative of the weight
+    to the share. Returns the first channel that any of the eight has, and the one behind the last.
+    """
+    t, k, wavelength_nm, count = work.t, work.k, g.wavelength_nm, g.wavelength_nm.size
+    curve = CURVE + own
+    least, place = deepest_of(t, curve, band[2], band[3], count)
+    most = highest(1.0 - least, spread(LEAST_DEPTH))
+    store(k, PLACE, place)
+    store(k, DEPTH_HERE, most)
+    part = spread(1.0)
+    number = _connected(t, k, curve, band, 1.0 - most * (part * low), count)
+    if wide:
+        part = choose(FEWEST_CHANNELS - number, spread(0.5), part)
+        store(k, INNER, 0.75 - part)
+        if has_any(k, INNER):
+            number = _connected(t, k, curve, band, 1.0 - most * (part * low), count)
+    within = choose(place - float(band[2]), choose(float(band[3] - 1) - place, spread(1.0), spread(0.0)), spread(0.0))
+    store(k, INNER, choose(number - (FEWEST_CHANNELS - 0.5), within, spread(0.0)))
+    first, behind = count, 0
+    for lane in range(LANES):
+        one, other = int(k[FIRST, lane]), int(k[LAST, lane])
+        first, behind = min(first, one), max(behind, other + 1)
+        k[MIDDLE_NM, lane] = (wavelength_nm[one] + wavelength_nm[other]) / 2
+        k[HALF_NM, lane] = max((wavelength_nm[other] - wavelength_nm[one]) / 2, 1.0)
+    _weigh(wavelength_nm, t, k, curve, low * part, 1.0 / ((high - low) * part), first, behind)
+    return first, behind
+
+
+@formula
+def _weights(value: Any, inside: Any, per_depth: Any, low: Any, per_share: Any) -> Any:
+    share = (1.0 - value) * per_depth
+    s = lowest(highest((share - low) * per_share, 0.0), 1.0)
+    return share, inside * (s * s * (3.0 - s * 2.0)), inside * (s * (1.0 - s) * per_share * 6.0)
+
+
+@uncounted
+def _weigh(
+    wavelength_nm: FloatArray, t: Any, k: Any, curve: int, low: Any, per_share: Any, first: int, behind: int
+) -> None:
+    count = wavelength_nm.size
+    per_depth, middle, per_half = 1.0 / load(k, DEPTH_HERE), load(k, MIDDLE_NM), 1.0 / load(k, HALF_NM)
+    for j in range(first, behind):
+        share, heft, slope = _weights(load(t, curve * count + j), load(t, IN * count + j), per_depth, low, per_share)
+        store(t, SHARE * count + j, share)
+        store(t, HEFT * count + j, heft)
+        store(t, HEFT_SLOPE * count + j, slope)
+        store(t, X * count + j, (wavelength_nm[j] - middle) * per_half)

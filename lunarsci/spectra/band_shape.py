@@ -24,12 +24,15 @@ from lunarsci.spectra.band_polynomial import (
     CURVE,
     FIRST,
     FOUND,
+    HALF,
     HALF_NM,
     HEFT,
     INNER,
     LAST,
+    LEAST_DEPTH,
     LOWEST,
     MIDDLE_NM,
+    NARROW,
     NARROW_NM,
     NOISE,
     OF_CURVE,
@@ -43,17 +46,21 @@ from lunarsci.spectra.band_polynomial import (
     SECOND,
     SIZE,
     SPARE,
+    WIDE,
     WIDE_DEPTH,
     WIDE_NM,
+    BandGrid,
     BandWork,
     X,
     curvature_at,
     fit,
+    has_any,
     minima,
+    per_channel,
+    slopes,
     value_at,
+    window_of,
 )
-from lunarsci.spectra.band_slopes import BandGrid, per_channel, slopes
-from lunarsci.spectra.band_window import HALF, LEAST_DEPTH, NARROW, WIDE, has_any, window_of
 from lunarsci.spectra.lane_rows import uncounted
 
 TINY = float(np.finfo(float).tiny)

@@ -15,9 +15,8 @@ import numpy as np
 from lunarsci.compiled import each_in_threads
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import DEFAULT_STARTS, fit_data
+from lunarsci.spectra.mgm.intervals import Intervals, posterior_intervals, profile_intervals, sample_batch
 from lunarsci.spectra.mgm.model import KINDS, MgmModel, mgm_model, unit_of
-from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
-from lunarsci.spectra.mgm.profile import Intervals, profile_intervals
 from lunarsci.spectra.mgm.result import MgmFit
 
 CHANNELS_NM = np.arange(450.0, 2396.0, 5.0)

@@ -164,8 +164,7 @@ def merged(count: int = 2) -> "Figure":
 
 def ties(count: int = 2, name: str = "stop") -> "Figure":
     """Points that two stations share, as if they had been found: on a grid, with residuals of 0.3 px."""
-    from lunarsci.images.adjustment import Adjusted, PairTies
-    from lunarsci.images.localisation import Localised
+    from lunarsci.images.localisation import Adjusted, Localised, PairTies
     from lunarsci.images.locate_figure import ties_figure
     from lunarsci.images.ties import Station, TiePoints
 

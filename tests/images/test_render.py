@@ -11,8 +11,7 @@ from lunarsci.cli import main
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import Camera, Pose
 from lunarsci.images.landscape import Landscape, landscape_on, read_track, with_track
-from lunarsci.images.rays import World, _scattered, seen_by
-from lunarsci.images.render import render
+from lunarsci.images.render import World, _scattered, render, seen_by
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import read_pose, read_rig
 from lunarsci.io.inputs import InputFile

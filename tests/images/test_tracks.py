@@ -12,8 +12,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
 from lunarsci.images.jobs.track import TrackSinkage
 from lunarsci.images.lines import Unrolled, places_on, read_line
-from lunarsci.images.tracks import TrackDepths, TrackProfile, track_depths
-from lunarsci.images.undisturbed_ground import BIWEIGHT, cells_of, robust_fit
+from lunarsci.images.tracks import BIWEIGHT, TrackDepths, TrackProfile, cells_of, robust_fit, track_depths
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain_files import read_terrain
 

@@ -13,8 +13,7 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import leg_end, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, check_plan
-from lunarsci.twin.routes.candidates import candidate_plans, manners
-from lunarsci.twin.routes.corridors import PLACES, course_places, sides
+from lunarsci.twin.routes.candidates import PLACES, candidate_plans, course_places, manners, sides
 from lunarsci.twin.rover import Rover, build_rover
 
 SPACING = 0.1

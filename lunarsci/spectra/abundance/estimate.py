@@ -1,9 +1,19 @@
 """Shares of spectra as mixtures of end members: alone, or together as mixtures of the same powders.
 
 Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`.
+
+Spectra of one suite as mixtures of the same powders: model, objective and normal equations.
+
+ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
+
+with x_i the powder of mineral i (`powders`), shared by all spectra, c_i its cross-section per volume, u the wavelength
+in um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral may be
+absent. g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,9 +24,295 @@ from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
 from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.shares import Mixed
-from lunarsci.spectra.abundance.unmix import MixtureSeries, SharesPosterior, unmix
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
+
+NEUTRAL = np.array([0.1, 0.05, 0.02])
+"""Standard deviations of g; assumed."""
+ORIGIN_UM = 1.45
+GAUGE = 0.05
+"""How tightly the length of a, which has no meaning, is held at 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """Objective, half its slope and curvature, in blocks: parameters of the powders, and of each spectrum.
+
+    Attributes
+    ----------
+    value : chi-square and the prior's share.
+    shared_slope, own_slope : (p,), (s, q).
+    shared, across, own : (p, p), (s, p, q), (s, q, q).
+    """
+
+    value: float
+    shared_slope: FloatArray
+    own_slope: FloatArray
+    shared: FloatArray
+    across: FloatArray
+    own: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class MixtureSeries:
+    """Spectra and what is known of them.
+
+    Attributes
+    ----------
+    powders : m minerals.
+    wavelength_nm : (n,) [nm]
+    ln_reflectance, sigma_ln : (s, n) measured, and standard deviation, errors of the model included. [-]
+    present : (s, m) which minerals a spectrum may hold.
+    known : (s, m) fractions where they are known, NaN where they are sought.
+    weathering : submicroscopic iron, or None.
+    """
+
+    powders: Powders
+    wavelength_nm: FloatArray
+    ln_reflectance: FloatArray
+    sigma_ln: FloatArray
+    present: FloatArray
+    known: FloatArray
+    weathering: Weathering | None = None
+
+    @property
+    def minerals(self) -> int:
+        """Their number, m."""
+        return len(self.powders.minerals)
+
+    @cached_property
+    def sought(self) -> FloatArray:
+        """(s, m) 1 where a root is free, else 0."""
+        return np.asarray(self.present * np.isnan(self.known), dtype=np.float64)
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """Prior standard deviations of a spectrum's own parameters, (q,)."""
+        return np.concatenate([np.ones(self.minerals), NEUTRAL, np.ones(int(self.weathering is not None))])
+
+    @cached_property
+    def neutral(self) -> FloatArray:
+        """(3, n)."""
+        u = self.wavelength_nm / 1e3 - ORIGIN_UM
+        return np.array([np.ones_like(u), u, u**2 - np.mean(u**2)])
+
+    def start(self, favoured: int | None = None) -> FloatArray:
+        """Own parameters, (s, q): equal shares, or one mineral in front; fractions that are known."""
+        roots = np.array(self.present, dtype=np.float64)
+        if favoured is not None:
+            roots[:, favoured] *= 4.0
+        roots = np.where(np.isnan(self.known), roots, np.sqrt(self.known))
+        roots /= np.linalg.norm(roots, axis=1, keepdims=True)
+        return np.concatenate([roots, np.zeros((len(roots), len(self.scale) - self.minerals))], axis=1)
+
+    def ln_model(self, shared: FloatArray, own: FloatArray) -> FloatArray:
+        """ln R, (s, n)."""
+        x, _ = self.powders.at(shared)
+        mixed = self._effective(shared, own) @ x
+        if self.weathering is not None:
+            mixed = self.weathering.darken(mixed, own[:, -1])[0]
+        ln_model = self.powders.law.ln_reflectance(mixed)[0]
+        return np.asarray(ln_model + own[:, self.minerals : self.minerals + len(NEUTRAL)] @ self.neutral)
+
+    def value(self, shared: FloatArray, own: FloatArray) -> float:
+        """The objective."""
+        residual = (self.ln_reflectance - self.ln_model(shared, own)) / self.sigma_ln
+        return float(np.sum(residual**2)) + self._prior(shared, own)
+
+    def _prior(self, shared: FloatArray, own: FloatArray) -> float:
+        length = np.sum(own[:, : self.minerals] ** 2, axis=1)
+        gauge = float(np.sum(((length - 1) / GAUGE) ** 2))
+        return float(np.sum(shared**2) + np.sum((own / self.scale) ** 2)) + gauge
+
+    def _effective(self, shared: FloatArray, own: FloatArray) -> FloatArray:
+        weighted = own[:, : self.minerals] ** 2 * self.powders.section(shared)
+        return np.asarray(weighted / weighted.sum(axis=1, keepdims=True))
+
+    def equations(self, shared: FloatArray, own: FloatArray) -> Equations:
+        """Gauss-Newton, with the curvature that a root at 0 has from the slope by its square."""
+        ln_model, by_shared, by_own, bend = self._derivatives(shared, own)
+        residual = (self.ln_reflectance - ln_model) / self.sigma_ln
+        by_shared /= self.sigma_ln[:, :, None]
+        by_own /= self.sigma_ln[:, :, None]
+        count, size = len(own), by_shared.shape[-1]
+        flat = by_shared.reshape(-1, size)
+        own_block = np.matmul(by_own.transpose(0, 2, 1), by_own)
+        own_slope = np.matmul(by_own.transpose(0, 2, 1), residual[:, :, None])[:, :, 0] - own / self.scale**2
+        roots = own[:, : self.minerals] * self.sought
+        by_length = 2 * roots / GAUGE
+        gauge = (np.sum(own[:, : self.minerals] ** 2, axis=1) - 1) / GAUGE
+        own_slope[:, : self.minerals] -= by_length * gauge[:, None]
+        own_slope[:, : self.minerals] *= self.sought
+        own_block[:, : self.minerals, : self.minerals] += by_length[:, :, None] * by_length[:, None, :]
+        extra = np.zeros((count, len(self.scale)))
+        slope = np.matmul(bend, (residual / self.sigma_ln)[:, :, None])[:, :, 0]
+        extra[:, : self.minerals] = np.maximum(-slope, 0.0) * self.sought
+        own_block += (extra + self.scale**-2)[:, :, None] * np.eye(len(self.scale))
+        return Equations(
+            float(np.sum(residual**2)) + self._prior(shared, own),
+            flat.T @ residual.ravel() - shared,
+            own_slope,
+            flat.T @ flat + np.eye(size),
+            np.matmul(by_shared.transpose(0, 2, 1), by_own),
+            own_block,
+        )
+
+    def _derivatives(
+        self, shared: FloatArray, own: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """ln R (s, n); derivatives by shared (s, n, p), own parameters (s, n, q); second ones by roots (s, m, n)."""
+        x, slope = self.powders.at(shared)
+        effective = self._effective(shared, own)
+        mixed = effective @ x
+        apart = x[None] - mixed[:, None, :]
+        own_columns = np.zeros((*mixed.shape, len(self.scale)))
+        chain = np.ones_like(mixed)
+        if self.weathering is not None:
+            mixed, chain, by_iron = self.weathering.darken(mixed, own[:, -1])
+            own_columns[:, :, -1] = by_iron
+        ln_model, by_mixed = self.powders.law.ln_reflectance(mixed)
+        own_columns[:, :, -1] *= by_mixed
+        by_mixed = by_mixed * chain
+        by_share = by_mixed[:, None, :] * apart
+        lead = self.powders.section(shared)
+        lead = lead / (own[:, : self.minerals] ** 2 @ lead)[:, None]
+        bend = 2 * by_share * (lead * self.sought)[:, :, None]
+        own_columns[:, :, : self.minerals] = (bend * own[:, : self.minerals, None]).transpose(0, 2, 1)
+        stop = self.minerals + len(NEUTRAL)
+        own_columns[:, :, self.minerals : stop] = self.neutral.T
+        shared_columns = (by_share * effective[:, :, None]).transpose(0, 2, 1) @ self.powders.sections
+        for number, (where, rows) in enumerate(self.powders.by_parameters(slope)):
+            weight = by_mixed * effective[:, number, None]
+            shared_columns[:, :, where] += weight[:, :, None] * rows.T
+        shared_columns[:, :, -1] += by_mixed * (effective @ slope) * self.powders.common
+        ln_model = ln_model + own[:, self.minerals : stop] @ self.neutral
+        return ln_model, shared_columns, own_columns, bend
+
+
+STEPS, DAMPING, HIGHEST_DAMPING = 500, 1e-3, 1e8
+NEAR, CONVERGED = 0.1, 1e-5
+"""Gains of a step at which starts are compared, and at which the best is done."""
+
+LIFTED = 0.06
+"""Least root at which curvature is taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharesPosterior:
+    """Normal approximation around the lowest minimum.
+
+    Attributes
+    ----------
+    roots, covariance : (s, m) and (s, m, m): fractions are squares of roots over their sum.
+    objective : chi-square and the prior's share together.
+    ln_evidence : to a constant of the data.
+    ln_residual : (s, n) data - model. [-]
+    strain : (s,) the prior's share of the objective, that of the powders in equal parts: how unlike the end members the
+        minerals must be taken. [-]
+    """
+
+    roots: FloatArray
+    covariance: FloatArray
+    objective: float
+    ln_evidence: float
+    ln_residual: FloatArray
+    strain: FloatArray
+
+    @property
+    def shares(self) -> FloatArray:
+        """Fractions at the minimum, (s, m)."""
+        return shares(self.roots)
+
+    def draws(self, count: int, seed: int) -> FloatArray:
+        """Fractions drawn from the posterior, (count, s, m)."""
+        rng = np.random.default_rng(seed)
+        sizes, directions = np.linalg.eigh(self.covariance)
+        root = directions * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
+        normal = rng.standard_normal((count, *self.roots.shape))
+        return shares(self.roots + np.einsum("sij,csj->csi", root, normal))
+
+
+def shares(roots: FloatArray) -> FloatArray:
+    """Fractions from roots along the last axis."""
+    squares = roots**2
+    return np.asarray(squares / squares.sum(axis=-1, keepdims=True))
+
+
+def unmix(suite: MixtureSeries) -> SharesPosterior:
+    """Fit all spectra of a suite with powders common to all.
+
+    One spectrum alone is started from equal shares and from each mineral in front, and the lowest minimum counts; a
+    suite from equal shares (on seven laboratory suites of 3 to 20 mixtures no other start ended lower).
+
+    References
+    ----------
+    Lapotre, Ehlmann & Minson (2017), J. Geophys. Res. Planets 122, 983, 10.1002/2016JE005248 (Bayesian unmixing).
+    """
+    favoured = [None, *(range(suite.minerals) if len(suite.ln_reflectance) == 1 else ())]
+    shared = np.zeros(suite.powders.size)
+    ends = [_descend(suite, shared, suite.start(mineral), NEAR) for mineral in favoured]
+    shared, own, _ = min(ends, key=lambda end: end[2].value)
+    return _posterior(suite, *_descend(suite, shared, own, CONVERGED))
+
+
+def _descend(
+    suite: MixtureSeries, shared: FloatArray, own: FloatArray, least_gain: float
+) -> tuple[FloatArray, FloatArray, Equations]:
+    """Levenberg-Marquardt; parameters and the equations there."""
+    damping, equations = DAMPING, suite.equations(shared, own)
+    for _ in range(STEPS):
+        shared_step, own_step = _solve(equations, damping)
+        value = suite.value(shared + shared_step, own + own_step)
+        if not value < equations.value:
+            damping *= 10.0
+            if damping > HIGHEST_DAMPING:
+                break
+            continue
+        gained = equations.value - value
+        shared, own, damping = shared + shared_step, own + own_step, damping / 5.0
+        equations = suite.equations(shared, own)
+        if gained < least_gain:
+            break
+    return shared, own, equations
+
+
+def _solve(equations: Equations, damping: float) -> tuple[FloatArray, FloatArray]:
+    """The damped step, the spectra's own parameters eliminated first."""
+    own = equations.own * (1.0 + damping * np.eye(equations.own.shape[-1]))
+    inverse = np.linalg.inv(own)
+    folded = np.matmul(equations.across, inverse)
+    across = equations.across.transpose(0, 2, 1)
+    shared = equations.shared * (1.0 + damping * np.eye(len(equations.shared)))
+    left = shared - np.matmul(folded, across).sum(axis=0)
+    right = equations.shared_slope - np.einsum("spq,sq->p", folded, equations.own_slope)
+    step = np.linalg.solve(left, right)
+    return step, np.einsum("sqr,sr->sq", inverse, equations.own_slope - across @ step)
+
+
+def _posterior(suite: MixtureSeries, shared: FloatArray, own: FloatArray, lowest: Equations) -> SharesPosterior:
+    """At a root of 0 the model does not change to first order; its curvature is that at `LIFTED`."""
+    count = suite.minerals
+    raised = own.copy()
+    raised[:, :count] = np.where(suite.sought * (np.abs(own[:, :count]) < LIFTED) > 0, LIFTED, own[:, :count])
+    equations = suite.equations(shared, raised)
+    inverse = np.linalg.inv(equations.own)
+    folded = np.matmul(equations.across, inverse)
+    left = equations.shared - np.matmul(folded, equations.across.transpose(0, 2, 1)).sum(axis=0)
+    back = folded.transpose(0, 2, 1)
+    covariance = inverse + back @ np.linalg.inv(left) @ folded
+    sought = suite.sought
+    volume = float(np.linalg.slogdet(left)[1] + np.linalg.slogdet(equations.own)[1].sum())
+    volume += 2 * len(own) * float(np.log(suite.scale).sum())
+    strain = np.sum(shared**2) / len(own) + np.sum((own / suite.scale)[:, count:] ** 2, axis=1)
+    return SharesPosterior(
+        own[:, :count] * suite.present,
+        covariance[:, :count, :count] * sought[:, :, None] * sought[:, None, :],
+        lowest.value,
+        -0.5 * (lowest.value + volume),
+        suite.ln_reflectance - suite.ln_model(shared, own),
+        strain,
+    )
+
 
 DRAWS, SEED = 4000, 0
 MODEL_ERROR = 0.03

@@ -24,7 +24,7 @@ from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.shares import GOOD, LIKELY
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
-from lunarsci.spectra.mgm.fits import SpectraFits
+from lunarsci.spectra.mgm.fit import SpectraFits
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 
 PYROXENES = ("orthopyroxene", "clinopyroxene")

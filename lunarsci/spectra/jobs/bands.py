@@ -12,8 +12,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.io.record_blocks import RecordsInBlocks
-    from lunarsci.io.records import Records
+    from lunarsci.io.records import Records, RecordsInBlocks
     from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
     from lunarsci.spectra.chemistry.estimates import Estimates
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
@@ -150,13 +149,13 @@ class MeasuredBands(Result):
         return self.batch.said | {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
-        from lunarsci.io.record_blocks import in_blocks
+        from lunarsci.io.records import in_blocks
 
         return {**self.batch.said, "spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a spectrum; value, error and range of each regression in columns of their own."""
-        from lunarsci.io.record_blocks import in_blocks
+        from lunarsci.io.records import in_blocks
 
         return in_blocks(len(self.measured), self._rows)
 
@@ -204,7 +203,7 @@ class MeasuredBands(Result):
 
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
-        from lunarsci.io.record_blocks import BLOCK_THINGS
+        from lunarsci.io.records import BLOCK_THINGS
 
         found: dict[str, Mapping[str, Any]] = {}
         for block in spans(len(self.measured), BLOCK_THINGS):

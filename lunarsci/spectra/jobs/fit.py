@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
     from lunarsci.spectra.abundance.result import Abundance
     from lunarsci.spectra.mgm.columns import FitColumns
-    from lunarsci.spectra.mgm.fits import SpectraFits
+    from lunarsci.spectra.mgm.fit import SpectraFits
+    from lunarsci.spectra.mgm.intervals import Intervals
     from lunarsci.spectra.mgm.model import MgmModel
-    from lunarsci.spectra.mgm.profile import Intervals
     from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
     from lunarsci.spectra.mgm.selection import Choice
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
@@ -221,8 +221,7 @@ class MgmFits(Result):
     @cached_property
     def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
-        from lunarsci.io.record_blocks import in_blocks
-        from lunarsci.io.records import Records
+        from lunarsci.io.records import Records, in_blocks
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)
@@ -256,8 +255,7 @@ class MgmFits(Result):
         return self.rows(bands=False)
 
     def rows(self, *, bands: bool = True) -> Sequence[dict[str, Any]]:
-        from lunarsci.io.record_blocks import in_blocks
-        from lunarsci.io.records import Records
+        from lunarsci.io.records import Records, in_blocks
         from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
         if not self._as_arrays:
@@ -305,7 +303,7 @@ def fit(
     """
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
     from lunarsci.spectra.mgm.continua import spread_over_continua
-    from lunarsci.spectra.mgm.posterior import intervals_of
+    from lunarsci.spectra.mgm.intervals import intervals_of
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(FitRequest, request, options)
@@ -326,7 +324,7 @@ def fit(
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
     from lunarsci.spectra.mgm.continua import check_continuum_removed
-    from lunarsci.spectra.mgm.fits import SpectraFits
+    from lunarsci.spectra.mgm.fit import SpectraFits
     from lunarsci.spectra.mgm.result import MgmFailure
 
     found: dict[str, Any]

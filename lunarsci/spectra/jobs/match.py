@@ -13,8 +13,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.io.record_blocks import RecordsInBlocks
-    from lunarsci.io.records import Records
+    from lunarsci.io.records import Records, RecordsInBlocks
     from lunarsci.parallel.blocks import Progress
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
@@ -147,7 +146,7 @@ class Matches(Result):
         return f"not to be trusted: the crater is not decided for {some_of(left, NAMED)}" if left else ""
 
     def content(self) -> dict[str, Any]:
-        from lunarsci.io.record_blocks import in_blocks
+        from lunarsci.io.records import in_blocks
         from lunarsci.spectra.origin.match import match_records
 
         return {
@@ -165,7 +164,7 @@ class Matches(Result):
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a crater, and one for other sources, of each rock."""
-        from lunarsci.io.record_blocks import in_blocks
+        from lunarsci.io.records import in_blocks
         from lunarsci.spectra.origin.match import match_table
 
         count, each = len(self.matches), len(self.matches[0].craters) + 1

@@ -12,7 +12,16 @@ from scipy.optimize import least_squares
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.estimate import (
+    GAUGE,
+    Equations,
+    MixtureSeries,
+    _posterior,
+    _solve,
+    estimate_series,
+    shares,
+    unmix,
+)
 from lunarsci.spectra.abundance.learned import MINERALS as WEIGHED
 from lunarsci.spectra.abundance.mixing import (
     METHODS,
@@ -34,7 +43,6 @@ from lunarsci.spectra.abundance.powders import (
 )
 from lunarsci.spectra.abundance.result import MineralFraction
 from lunarsci.spectra.abundance.shares import CalibratedShares, Mixed
-from lunarsci.spectra.abundance.unmix import GAUGE, Equations, MixtureSeries, _posterior, _solve, shares, unmix
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -11,8 +11,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.fit import fit_spectra, starting_points
+from lunarsci.spectra.mgm.intervals import ratios_of
 from lunarsci.spectra.mgm.model import MgmContinuum, mgm_model
-from lunarsci.spectra.mgm.profile import ratios_of
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

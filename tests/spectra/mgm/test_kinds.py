@@ -10,7 +10,6 @@ from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.batch import channels_of, problem_of
 from lunarsci.spectra.mgm.data import prepare_rows
 from lunarsci.spectra.mgm.fit import fit_arrays, scaled, starting_points
-from lunarsci.spectra.mgm.kinds import PartModel, askers, kinds_of, likest_of
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
     Channels,
@@ -20,6 +19,7 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     workspace_for,
 )
 from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.region import PartModel, askers, kinds_of, likest_of
 
 MODEL = mgm_model("OPX-CPX")
 

@@ -11,8 +11,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import correct_coarse, force_of, model_and_jacobian
+from lunarsci.spectra.mgm.intervals import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
-from lunarsci.spectra.mgm.posterior import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 from lunarsci.spectra.mgm.result import MgmFit
 
 GRID = np.arange(450.0, 2396.0, 5.0)

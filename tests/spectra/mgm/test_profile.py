@@ -10,9 +10,9 @@ import pytest
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
+from lunarsci.spectra.mgm.intervals import profile_intervals
 from lunarsci.spectra.mgm.lmfit_interop import to_lmfit, to_minimizer
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
-from lunarsci.spectra.mgm.profile import profile_intervals
 from lunarsci.spectra.mgm.result import MgmFit
 
 GRID = np.arange(450.0, 2396.0, 5.0)

@@ -12,7 +12,6 @@ from lunarsci.errors import ParameterError
 from lunarsci.parallel.blocks import computing
 from lunarsci.spectra.mgm import selection
 from lunarsci.spectra.mgm.assemblages import BandPrior
-from lunarsci.spectra.mgm.evidence import ln_all_negative, ln_evidence
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
@@ -23,6 +22,8 @@ from lunarsci.spectra.mgm.selection import (
     TEMPER,
     Choice,
     choose,
+    ln_all_negative,
+    ln_evidence,
 )
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -7,12 +7,12 @@ import pytest
 from scipy.optimize import least_squares
 
 from lunarsci.arrays import FloatArray
+from lunarsci.spectra.mgm.batch import follow_shifts, misfit_curvature
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.mgm.uncertainty import follow_shifts, misfit_curvature
 
 GRID = np.arange(450.0, 2396.0, 10.0)
 

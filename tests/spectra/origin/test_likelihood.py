@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from lunarsci.spectra.origin.composition import MINERALS, Composition
-from lunarsci.spectra.origin.evidence import composition_evidence, ln_shares_broad, ln_shares_crater
+from lunarsci.spectra.origin.match import composition_evidence, ln_shares_broad, ln_shares_crater
 
 ROCK = {"olivine": (0.25, 0.05), "orthopyroxene": (0.35, 0.06), "clinopyroxene": (0.40, 0.06)}
 

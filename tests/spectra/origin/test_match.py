@@ -12,8 +12,7 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
 from lunarsci.spectra.origin.composition import MINERALS, Composition, Rock
-from lunarsci.spectra.origin.evidence import CompositionRows
-from lunarsci.spectra.origin.match import OTHER, MatchSettings, RockMatch, match_arrays, match_rocks
+from lunarsci.spectra.origin.match import OTHER, CompositionRows, MatchSettings, RockMatch, match_arrays, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range
 
 PAPER_ROCK = Rock(
