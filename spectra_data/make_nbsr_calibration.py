@@ -37,7 +37,8 @@ def known(folder: Path, assemblage: str) -> pd.DataFrame:
         spectra = [one for one in read_spectra(read_input(str(folder / name / "reflectance.csv"))) if one.id in share]
         fits = [fit for fit in fit_spectra(spectra, mgm_model(assemblage)) if isinstance(fit, MgmFit)]
         ratio = {fit.id: fit.nbsr["um2"].opx for fit in fits if fit.nbsr["um2"]}
-        parts.append(pd.DataFrame({"ratio": ratio, "share": share}).dropna())
+        sigma = {fit.id: fit.nbsr["um2"].sigma for fit in fits if fit.nbsr["um2"]}
+        parts.append(pd.DataFrame({"ratio": ratio, "sigma": sigma, "share": share}).dropna())
     found = pd.concat(parts)
     series = found.index.str.split("-").str[:2].str.join("-")
     return found.assign(series=series.str.replace(r"^(pomix|MIX|OOC|PYX).*", "laboratory mixtures", regex=True))
@@ -45,18 +46,19 @@ def known(folder: Path, assemblage: str) -> pd.DataFrame:
 
 def scale_law(taken: pd.DataFrame) -> FloatArray:
     """c0 and c1 of the likeliest errors; each series weighs as the root of its number of spectra."""
-    ratio, weight = taken["ratio"].to_numpy(), 1 / np.sqrt(taken.groupby("series")["share"].transform("size"))
-    error = taken["share"].to_numpy() - ratio
+    weight = 1 / np.sqrt(taken.groupby("series")["share"].transform("size"))
+    error = (taken["share"] - taken["ratio"]).to_numpy()
 
     def cost(law: FloatArray) -> float:
-        return -float(np.sum(weight * student.logpdf(error, FREEDOM, scale=scale(law, ratio))))
+        return -float(np.sum(weight * student.logpdf(error, FREEDOM, scale=scale(law, taken))))
 
     return np.asarray(minimize(cost, [-3.0, 2.0], method="Nelder-Mead").x)
 
 
-def scale(law: FloatArray, ratio: FloatArray) -> FloatArray:
-    """Of the error at a ratio."""
-    return np.asarray(np.exp(law[0] + law[1] * 4 * ratio * (1 - ratio)))
+def scale(law: FloatArray, taken: pd.DataFrame) -> FloatArray:
+    """Of the errors, those of the ratios among them."""
+    ratio, sigma = taken["ratio"].to_numpy(), taken["sigma"].to_numpy()
+    return np.hypot(np.exp(law[0] + law[1] * 4 * ratio * (1 - ratio)), sigma)
 
 
 def left_out(found: pd.DataFrame) -> dict[str, float]:
@@ -64,7 +66,7 @@ def left_out(found: pd.DataFrame) -> dict[str, float]:
     error, scales = (found["share"] - found["ratio"]).abs().to_numpy(), np.empty(len(found))
     for series in found["series"].unique():
         own = (found["series"] == series).to_numpy()
-        scales[own] = scale(scale_law(found[~own]), found["ratio"].to_numpy()[own])
+        scales[own] = scale(scale_law(found[~own]), found[own])
     inside = 2 * student.cdf(GOOD / scales, FREEDOM) - 1 >= LIKELY
     held = {f"held_{level}": float(np.mean(error < scales * student.ppf(0.5 + level / 200, FREEDOM)))
             for level in (68, 95)}  # fmt: skip

@@ -16,7 +16,7 @@ import csv
 import pickle
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,9 +51,10 @@ CUTS_NM = ((0, 1000), (0, 1300), (0, 1700), (700, 2500), (1000, 2500), (800, 170
 """Ranges that spectra are cut to, one after the other, so that what is missing weighs as it should."""
 Known = dict[tuple[str, str], float]
 WEIGHT_TERMS = ("constant", "ln_strange", "plagioclase", "ln_odds_dark")
-TERMS = ("constant", "dark", "strange", "rock", "mixed", "missing")
-CENTRE = {("logit_doubt", "constant"): -3.0, ("logit_doubt", "strange"): 1.0}
-"""Where coefficients are drawn to, others to 0: few spectra of known modes are strangers. Assumed."""
+TERMS = ("constant", "dark", "strange", "rock", "mixed", "missing", "shallow")
+CENTRE = {("logit_doubt", "constant"): -3.0, ("logit_doubt", "strange"): 1.0, ("logit_doubt", "shallow"): 4.0}
+"""Where coefficients are drawn to, others to 0: few spectra of known modes are outliers, and nine have bands less than
+0.03 deep, three of them pyroxenes without iron that look like plagioclase. Assumed."""
 DRAWN_TO = 0.003
 """How strongly; assumed."""
 
@@ -76,13 +77,10 @@ class Cases:
 
     def part(self, chosen: np.ndarray) -> "Cases":
         """Some of them."""
-        names = ("probabilities", "ln_distance", "missing")
-        own = Foretold(*(getattr(self.foretold, name)[chosen] for name in names))
-        mixed = None
-        if self.mixed is not None:
-            mixed = Mixed(
-                *(getattr(self.mixed, f)[chosen] for f in ("probabilities", "strange", "rms_ln")), self.mixed.series
-            )
+        own = Foretold(*(getattr(self.foretold, one.name)[chosen] for one in fields(Foretold)))
+        mixed = self.mixed and replace(
+            self.mixed, **{name: getattr(self.mixed, name)[chosen] for name in ("probabilities", "strange", "rms_ln")}
+        )
         rest = (getattr(self, f.name)[chosen] for f in fields(self)[4:])
         return Cases(self.way, self.rows[chosen], own, mixed, *rest)
 
@@ -118,15 +116,14 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
     everything, named = np.ones((count, 4)), (powders.shares > 0).astype(float)
     cut_ones = [cut(spectrum, CUTS_NM[row % len(CUTS_NM)]) for row, spectrum in enumerate(spectra)]
     seen = {"all": (spectra, everything), "named": (spectra, named), "cut": (cut_ones, everything)}
-    foretold = {way: Foretold(np.zeros((count, 4, 21)), np.zeros(count), np.zeros(count)) for way in seen}
+    foretold = {way: Foretold.of_nothing(count) for way in seen}
     for k in range(FOLDS):
         with np.load(networks / f"fold-{k}.npz") as found:
             learned = unpacked(found)
         rows = np.flatnonzero(fold == k)
         for way, (some, allowed) in seen.items():
             one = foretell_each([some[row] for row in rows], allowed[rows], learned)
-            for name in ("probabilities", "ln_distance", "missing"):
-                getattr(foretold[way], name)[rows] = getattr(one, name)
+            foretold[way].put(rows, one)
     library = embedded_end_members(on_common_channels(spectra[:1]).wavelength_nm)
     alone = mixtures_of(
         powders, spectra, fold, library, [[row] for row in np.flatnonzero(named.sum(axis=1) > 1)], named
@@ -136,7 +133,8 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
     together_named = np.array(
         [named[names == name].max(axis=0) if name else own for name, own in zip(names, named, strict=True)]
     )
-    series = mixtures_of(powders, spectra, fold, library, [g for g in groups if len(g) > 2], together_named)
+    several = [group for group in groups if len(group) > 2]
+    series = mixtures_of(powders, spectra, fold, library, several, together_named)
     base = (dark, rock, powders.suites, fold, group)
     whole = Cases("all", np.arange(count), foretold["all"], None, everything, powders.shares, *base)
     short = (np.maximum(how_dark(find_kinds(cut_ones)), rock), *base[1:])
@@ -184,7 +182,7 @@ def learn(every: Sequence[Cases], without: int | None = None) -> Known:
     known: Known = {("ln_distance", "usual"): usual[1], ("ln_distance", "spread"): (usual[2] - usual[0]) / 2}
     for one in some:
         if one.mixed is not None:
-            name = "weight_series" if one.mixed.series else "weight"
+            name = one.mixed.weight_name
             known |= {(name, term): value for term, value in zip(WEIGHT_TERMS, _weights(one), strict=True)}
     keys = [(quantity, term) for quantity in ("ln_sharpness", "logit_doubt") for term in TERMS]
     centre = np.array([CENTRE.get(key, 0.0) for key in keys])

@@ -41,7 +41,8 @@ OPTIONS = {
         panel=KNOWN,
     ),
     "together": option(
-        "Take all spectra as mixtures of the same powders, which are then found far better than one by one.",
+        "With --assemblage or --library: take all spectra as mixtures of the same powders of minerals, which are then "
+        "found far better than one by one. Of rocks it changes nothing.",
         panel=KNOWN,
     ),
     "known": option(

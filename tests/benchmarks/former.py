@@ -71,7 +71,7 @@ ROCKS: dict[str, str] = {
     "--tie cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10",
     "unmix": "spectra unmix rock.ecsv --kind solid-rock",
     "unmix hapke": "spectra unmix rock.ecsv --kind solid-rock --assemblage OL-OPX-CPX --method hapke --iron",
-    "unmix known": "spectra unmix rock.ecsv --kind solid-rock --together --opaque",
+    "unmix known": "spectra unmix rock.ecsv --kind solid-rock --assemblage OL-OPX-CPX-PLG --together --opaque",
     "match modes": "spectra match --modes ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05 --name fin",
     "match bands": "spectra match bands.json --site=-45,177 --ejecta-law housen",
     "write library": "spectra library import rock.ecsv --mineral other -o library.ecsv",

@@ -265,11 +265,14 @@ def test_a_composition_beyond_its_trend_is_not_sold_as_one(run: Run, tmp_path: P
     assert "where the trend was measured: do not use" in done.out
 
 
-def test_pyroxenes_of_other_bands_than_the_lines_have_no_shares(run: Run, rock: Path) -> None:
-    pyroxenes = fitted(run, rock)["abundance"]
+def test_shares_of_pyroxenes_are_the_ratio_with_a_wide_error_where_it_is_that_of_a_pair(run: Run, rock: Path) -> None:
+    record = fitted(run, rock)
+    pyroxenes, ratio = record["abundance"], record["nbsr"]["um2"]
     assert pyroxenes["method"] == "nbsr" and "olivine" not in pyroxenes
-    assert pyroxenes["orthopyroxene"]["fraction"] is None, "made bands are not those of the line's powders"
-    assert "not determined" in pyroxenes["status"]
+    share = pyroxenes["orthopyroxene"]
+    assert share["fraction"] == pytest.approx(ratio["opx"])
+    assert share["high"] - share["low"] > 2 * ratio["sigma"]
+    assert not pyroxenes["in_domain"] and "out of domain" in pyroxenes["status"]
 
 
 @pytest.mark.parametrize("law", ["both", "hapke", "absorbance"])

@@ -180,7 +180,7 @@ def test_what_of_shares_may_be_quoted_is_said() -> None:
         "abundance": shares | {"ratios": {}},
     }
     told = "orthopyroxene 49 % (95 %: 10 to 89)"
-    assert shares_verdict(record) == f"uncertain; quote the 95 % intervals alone: {told}; surely there: orthopyroxene"
+    assert shares_verdict(record) == f"uncertain; quote the 95 % intervals alone: {told}; likely there: orthopyroxene"
     ratio = {"olivine_in_mafic": {"fraction": 0.28, "low95": 0.0, "high95": 0.75}}
     rock = record | {"abundance": shares | {"in_domain": True, "ratios": ratio}}
     assert shares_verdict(rock).startswith(told)
@@ -191,7 +191,7 @@ def test_what_of_shares_may_be_quoted_is_said() -> None:
     assert shares_verdict(soil).startswith("no shares of minerals")
     assert shares_counted([record, rock, soil]) == [
         "shares likely within 15 %: 1 of 3 spectra; of the others quote the 95 % intervals",
-        "surely there: orthopyroxene in 3",
+        "likely there: orthopyroxene in 3",
         "weathered soils, not unmixed: 1 of 3 spectra",
     ]
 

@@ -59,6 +59,11 @@ def on_common_channels(spectra: Sequence[Spectrum]) -> CommonChannels:
     return CommonChannels(table[..., 0].mean(axis=0), table[..., 1], table[..., 2])
 
 
+def reaches(spectrum: Spectrum) -> bool:
+    """Whether a spectrum reaches over `NEEDED_NM`."""
+    return reaches_over(spectrum.wavelength_nm[spectrum.usable], *NEEDED_NM)
+
+
 def _end(index: float) -> float:
     return (index + 1) * STEP_NM + LOWEST_NM
 
@@ -67,7 +72,7 @@ def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
     """Mean wavelength, mean ln R and its standard error by number of the channel."""
     usable = spectrum.usable
     wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
-    if not reaches_over(wavelength, *NEEDED_NM):
+    if not reaches(spectrum):
         raise DataError(
             f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, without gaps above "
             f"{WIDEST_GAP_NM:g} nm between usable channels"

@@ -237,7 +237,7 @@ def kinds_of_rows(
     if stated is None:
         return place, dark, weathered
     own = KINDS.index(stated)
-    return np.full(count, own), np.full(count, float(own > 0)), np.full(count, stated == "weathered-soil")
+    return np.full(count, own), np.full(count, float(own > 0)), weathered | (stated == "weathered-soil")
 
 
 def _named_rows(law: KindModel, features: FloatArray, chance: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:

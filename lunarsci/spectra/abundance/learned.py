@@ -16,7 +16,6 @@ from importlib.resources import files
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError
 from lunarsci.io.tables import SPECTRA_DATA
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -93,12 +92,25 @@ class Background:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Foretold:
-    """Probabilities of `SHARES` of each mineral, (n, 4, 21); of the spectra `ln_distance` (`Background`) and the part
-    of `GRID_NM` that is `missing`, (n,)."""
+    """Probabilities of `SHARES` of each mineral, (n, 4, 21); of the spectra `ln_distance` (`Background`), the part of
+    `GRID_NM` that is `missing`, and `shallow`, ln of `LEAST_DEPTH` over the depth of the deepest band, 0 if that is
+    deeper, at most ln 3; (n,)."""
 
     probabilities: FloatArray
     ln_distance: FloatArray
     missing: FloatArray
+    shallow: FloatArray
+
+    @classmethod
+    def of_nothing(cls, count: int) -> "Foretold":
+        """Of spectra that have no channel here: any share is as likely."""
+        even = np.full((count, len(MINERALS), SHARES.size), 1.0 / SHARES.size)
+        return cls(even, np.zeros(count), np.ones(count), np.full(count, np.log(3.0)))
+
+    def put(self, rows: Sequence[int], found: "Foretold") -> None:
+        """Take over what was found of some."""
+        for name in ("probabilities", "ln_distance", "missing", "shallow"):
+            getattr(self, name)[rows] = getattr(found, name)
 
 
 def only(probabilities: FloatArray, allowed: FloatArray) -> FloatArray:
@@ -171,17 +183,20 @@ def unpacked(found: Mapping[str, FloatArray]) -> tuple[tuple[Network, ...], Back
 def on_grid(wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Weights (101, c) that make channels of `GRID_NM` of ascending channels (c,), and which of them are there (101,).
 
-    Means where channels lie within 10 nm, else straight between the neighbours up to `GAP_NM` apart.
+    Means of channels within 10 nm where they are denser than that, else straight between neighbours up to `GAP_NM`
+    apart.
     """
     weights = (np.abs(GRID_NM[:, None] - wavelength_nm) <= STEP_NM / 2).astype(np.float64)
     there = np.asarray(weights.any(axis=1))
     weights[there] /= weights[there].sum(axis=1, keepdims=True)
-    for row in np.flatnonzero(~there):
-        after = int(np.searchsorted(wavelength_nm, GRID_NM[row]))
-        if 0 < after < wavelength_nm.size and wavelength_nm[after] - wavelength_nm[after - 1] <= GAP_NM:
-            part = (GRID_NM[row] - wavelength_nm[after - 1]) / (wavelength_nm[after] - wavelength_nm[after - 1])
-            weights[row, after - 1 : after + 1] = 1.0 - part, part
-            there[row] = True
+    after = np.searchsorted(wavelength_nm, GRID_NM)
+    inside = np.flatnonzero((after > 0) & (after < wavelength_nm.size))
+    low, high = wavelength_nm[after[inside] - 1], wavelength_nm[after[inside]]
+    sparse = (high - low > STEP_NM / 2) & (high - low <= GAP_NM)
+    rows, part = inside[sparse], ((GRID_NM[inside] - low) / (high - low))[sparse]
+    weights[rows] = 0.0
+    weights[rows, after[rows] - 1], weights[rows, after[rows]] = 1.0 - part, part
+    there[rows] = True
     return weights, there
 
 
@@ -201,16 +216,16 @@ def foretell(
     allowed : (n, 4) 1 for minerals that there may be, else 0.
     noise : (n, c) standard deviation of ln R; up to `NOISE` at 20 nm it is not looked at. [-]
 
-    Raises DataError where no channel lies from 450 to 2450 nm.
+    Where no channel lies from 450 to 2450 nm any share is as likely.
     """
-    weights, there = on_grid(wavelength_nm)
+    weights, there = on_grid(wavelength_nm) if wavelength_nm.size else (np.empty((0, 0)), np.zeros(GRID_NM.size, bool))
     if not there.any():
-        raise DataError("no channel lies from 450 to 2450 nm, so no mineral can be told; give a spectrum of this range")
+        return Foretold.of_nothing(len(reflectance))
     networks, background = learned or embedded_networks()
     seen = np.log(np.maximum(reflectance, SMALLEST)) @ weights[there].T
     error = np.zeros_like(seen) if noise is None else np.sqrt(noise**2 @ (weights[there] ** 2).T)
     quiet = error.max(axis=1) <= NOISE
-    found, distance = np.zeros((len(seen), len(MINERALS), SHARES.size)), np.zeros(len(seen))
+    found, distance, shallow = np.zeros((len(seen), len(MINERALS), SHARES.size)), *np.zeros((2, len(seen)))
     for rows in (np.flatnonzero(quiet), *np.flatnonzero(~quiet)[:, None]):
         own = np.zeros(seen.shape[1]) if rows.size == 0 or quiet[rows[0]] else error[rows[0]]
         distance[rows] = background.ln_distance(seen[rows], there, own)
@@ -222,17 +237,18 @@ def foretell(
         count = max(1, AT_ONCE // drawn.shape[1])
         for start in range(0, rows.size, count):
             part = slice(start, start + count)
-            found[rows[part]] = _mean_of(networks, drawn[part], allowed[rows[part]])
-    return Foretold(found, distance, np.full(len(seen), 1.0 - there.mean()))
+            found[rows[part]], shallow[rows[part]] = _mean_of(networks, drawn[part], allowed[rows[part]])
+    return Foretold(found, distance, np.full(len(seen), 1.0 - there.mean()), shallow)
 
 
-def _mean_of(networks: Sequence[Network], drawn: FloatArray, allowed: FloatArray) -> FloatArray:
-    """Over networks and draws (n, d, 101) of each spectrum, (n, 4, 21)."""
+def _mean_of(networks: Sequence[Network], drawn: FloatArray, allowed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Over networks and draws (n, d, 101) of each spectrum probabilities, (n, 4, 21), and how shallow it is, (n,)."""
     flat, count = drawn.reshape(-1, drawn.shape[-1]), drawn.shape[1]
-    seen = {shaped: features(flat, shaped) for shaped in {network.shaped for network in networks}}
+    seen = {shaped: features(flat, shaped) for shaped in (False, True)}
     may = np.repeat(allowed, count, axis=0)
     found = np.mean([network.probabilities(seen[network.shaped], may) for network in networks], axis=0)
-    return np.asarray(found.reshape(len(drawn), count, *found.shape[1:]).mean(axis=1))
+    shallow = np.maximum(np.log(LEAST_DEPTH) - seen[True][:, -1], 0.0).reshape(len(drawn), count).mean(axis=1)
+    return np.asarray(found.reshape(len(drawn), count, *found.shape[1:]).mean(axis=1)), shallow
 
 
 def foretell_each(
@@ -242,16 +258,10 @@ def foretell_each(
     groups: dict[bytes, list[int]] = {}
     for index, spectrum in enumerate(spectra):
         groups.setdefault(spectrum.wavelength_nm[spectrum.usable].tobytes(), []).append(index)
-    probabilities = np.zeros((len(spectra), len(MINERALS), SHARES.size))
-    distance, missing = np.zeros(len(spectra)), np.zeros(len(spectra))
+    result = Foretold.of_nothing(len(spectra))
     for channels, indices in groups.items():
         some = [spectra[k] for k in indices]
         rows = np.array([one.reflectance[one.usable] for one in some])
         errors = [np.zeros(rows.shape[1]) if one.uncertainty is None else one.uncertainty[one.usable] for one in some]
-        try:
-            found = foretell(np.frombuffer(channels), rows, allowed[indices], np.array(errors) / rows, learned)
-        except DataError as reason:
-            raise DataError(f"{some[0].id}: {reason}") from reason
-        probabilities[indices], distance[indices] = found.probabilities, found.ln_distance
-        missing[indices] = found.missing
-    return Foretold(probabilities, distance, missing)
+        result.put(indices, foretell(np.frombuffer(channels), rows, allowed[indices], np.array(errors) / rows, learned))
+    return result

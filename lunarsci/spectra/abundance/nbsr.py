@@ -3,10 +3,11 @@
 Orthopyroxene's share of all pyroxene, by volume, is the ratio r itself. Its error follows Student's law with 4 degrees
 of freedom and a scale that grows from end members, r = 0 or 1, to pairs:
 
-    ln scale = c0 + 4 c1 r (1 - r)
+    ln scale = c0 + 4 c1 r (1 - r),
 
-One pyroxene between both, such as pigeonite, has the bands of a pair. `nbsr_calibrations.csv` has c0 and c1, learned
-from powders, mixtures and meteorites of known modes, and how often intervals hold of suites left out.
+to which the error of the ratio itself is added in quadrature. One pyroxene between both, such as pigeonite, has the
+bands of a pair. `nbsr_calibrations.csv` has c0 and c1, learned from powders, mixtures and meteorites of known modes,
+and how often intervals hold of suites left out.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -75,16 +76,17 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows) -> PyroxeneSha
     if told.any():
         own = np.flatnonzero(told)
         weathered[own] = kinds_of_rows(*rows.seen(own))[2]
-    ratio = batch.um2[:, 0]
+    ratio, sigma = batch.um2[:, 0], np.nan_to_num(batch.um2[:, 2])
     spread = np.where(weathered, 1.0, 4.0 * ratio * (1.0 - ratio))
     law = _law_of(batch.model.assemblage.name)
-    scale = np.exp(float(law["ln_scale"]) + float(law["ln_scale_of_pairs"]) * spread)
+    scale = np.hypot(np.exp(float(law["ln_scale"]) + float(law["ln_scale_of_pairs"]) * spread), sigma)
     near = 2.0 * stdtr(FREEDOM, GOOD / scale) - 1.0
     reach = stdtrit(FREEDOM, np.array([0.16, 0.84, 0.025, 0.975]))
     shares = np.column_stack([ratio, 1.0 - ratio])
     ends = np.clip(shares[:, :, None] + scale[:, None, None] * reach, 0.0, 1.0)
-    inside = told & ~weathered & (near >= LIKELY)
-    return PyroxeneShares(told, inside, shares, ends, list(map(_status, near, weathered, inside)))
+    doubted = batch.strained.any(axis=1) | batch.beyond_trend.any(axis=1) | batch.ratios_differ
+    inside = told & ~weathered & ~doubted & (near >= LIKELY)
+    return PyroxeneShares(told, inside, shares, ends, list(map(_status, near, weathered, doubted, inside)))
 
 
 def _law_of(assemblage: str) -> Mapping[str, str]:
@@ -92,10 +94,12 @@ def _law_of(assemblage: str) -> Mapping[str, str]:
     return next((law for law in laws if law["assemblage"] == assemblage), laws[0])
 
 
-def _status(near: float, weathered: bool, inside: bool) -> str:
+def _status(near: float, weathered: bool, doubted: bool, inside: bool) -> str:
     within = f"with a probability of {near:.2f} within {100 * GOOD:.0f} %"
     if weathered:
         return "out of domain: it looks weathered, as no spectrum of known shares does"
+    if doubted:
+        return "out of domain: the fit is strained, so that its bands may be those of other minerals"
     return within if inside else f"out of domain: only {within}, as of one pyroxene that has the bands of two"
 
 
@@ -165,6 +169,8 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
             "rms_ln": self._rms,
             "learned": None,
             "ratios": Same({}),
+            "prior": None,
+            "returned": None,
             "published": None,
         }
         for k, mineral in enumerate(PYROXENES):
@@ -181,8 +187,8 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         columns: dict[str, Column] = {"nbsr_in_domain": Where(own.told, own.in_domain)}
         for k, mineral in enumerate(PYROXENES):
             columns[f"nbsr_{mineral}"] = Where(own.told, own.shares[:, k])
-            columns[f"nbsr_{mineral}_low"] = Where(own.told, own.ends[:, k, 0])
-            columns[f"nbsr_{mineral}_high"] = Where(own.told, own.ends[:, k, 1])
+            for number, end in enumerate(("low", "high", "low95", "high95")):
+                columns[f"nbsr_{mineral}_{end}"] = Where(own.told, own.ends[:, k, number])
         return columns
 
 

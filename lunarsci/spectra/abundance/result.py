@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class MineralFraction:
     """Share of one mineral: the mean of its posterior, and the shortest intervals that hold 68 and 95 % of it.
 
-    By volume; of `nbsr` by weight, with the calibrated value and central intervals. `fraction` is NaN where the share
+    By volume; of `nbsr` in pyroxene, with central intervals. `fraction` is NaN where the share
     is not determined: there is an interval, and no centre. `present` is the probability of more than 5 %, NaN where the
     method has none. [-]
     """

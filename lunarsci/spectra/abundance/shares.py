@@ -6,7 +6,7 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 
     p' = (1 - d) p^s / sum p^s + d / 21,
 
-    ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w + c5 missing
+    ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w + c5 missing + c6 shallow
 
 That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied.
 
@@ -17,13 +17,14 @@ networks and end members that knew nothing of their suite; and the levels at whi
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import combinations
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.abundance.kinds import KindVerdict
+from lunarsci.spectra.abundance.kinds import WEATHERED, KindVerdict
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only, shared_out
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.rock_prior import KEPT, PRIOR, posterior
@@ -57,6 +58,11 @@ class Mixed:
     rms_ln: FloatArray
     series: bool = False
     own: bool = False
+
+    @property
+    def weight_name(self) -> str:
+        """Of the coefficients of its weight."""
+        return "weight_series" if self.series else "weight"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +116,13 @@ class CalibratedShares:
         uniform = np.random.default_rng(0).random((KEPT, len(MINERALS)))
         each = [np.interp(uniform[:, k], self.below[row, k], FINE) for k in range(len(MINERALS))]
         return np.column_stack(each) * self.there(row)
+
+    def exchanged(self, row: int, some: Sequence[int]) -> tuple[int, int] | None:
+        """Of some minerals the two whose sum is known best, if it is better known than either share."""
+        square = self.probabilities[row] @ SHARES**2 - (self.probabilities[row] @ SHARES) ** 2
+        pairs = {(a, b): square.sum() - square[a] - square[b] for a, b in combinations(some, 2)}
+        best = min(pairs, key=lambda pair: pairs[pair], default=None)
+        return best if best and pairs[best] < min(square[list(best)]) else None
 
     def there(self, row: int) -> tuple[bool, ...]:
         """Which minerals there may be in a spectrum."""
@@ -189,9 +202,8 @@ def weight_of_mixtures(foretold: Foretold, mixed: Mixed, dark: FloatArray, known
     """Of the end members' estimate beside the networks', (n,); 1 where the user knows them. [-]"""
     if mixed.own:
         return np.ones(len(dark))
-    name = "weight_series" if mixed.series else "weight"
     terms = weight_terms(foretold, mixed, dark)
-    return _logistic(np.sum([known[name, key] * term for key, term in terms.items()], axis=0))
+    return _logistic(np.sum([known[mixed.weight_name, key] * term for key, term in terms.items()], axis=0))
 
 
 def weight_terms(foretold: Foretold, mixed: Mixed, dark: FloatArray) -> dict[str, FloatArray]:
@@ -223,7 +235,18 @@ def sharpened(
     sharp = np.maximum(pooled, 1e-6) ** power[:, None, None]
     sharp /= sharp.sum(axis=-1, keepdims=True)
     mixed = (1.0 - doubt)[:, None, None] * sharp + doubt[:, None, None] / SHARES.size
-    return only(mixed, allowed), doubt
+    return _summing_to_one(only(mixed, allowed), allowed), doubt
+
+
+def _summing_to_one(probabilities: FloatArray, allowed: FloatArray) -> FloatArray:
+    """Of one mineral the share is 1; of two that of one is 1 less that of the other, which both tell."""
+    found, count = probabilities.copy(), (allowed > 0).sum(axis=1)
+    found[count == 1] = np.where((allowed[count == 1] > 0)[:, :, None], SHARES == 1.0, SHARES == 0.0)
+    for row in np.flatnonzero(count == 2):
+        one, two = np.flatnonzero(allowed[row])
+        found[row, one] = 0.5 * (found[row, one] + found[row, two, ::-1])
+        found[row, two] = found[row, one, ::-1]
+    return found
 
 
 def terms_of(
@@ -232,7 +255,7 @@ def terms_of(
     """What sharpness and doubt depend on; `strange` counts standard deviations beyond the usual distance."""
     far = np.maximum((foretold.ln_distance - known["ln_distance", "usual"]) / known["ln_distance", "spread"], 0.0)
     return {"constant": np.ones_like(dark), "dark": dark, "strange": far, "rock": rock, "mixed": weight,
-            "missing": foretold.missing}  # fmt: skip
+            "missing": foretold.missing, "shallow": foretold.shallow}  # fmt: skip
 
 
 def answer(
@@ -295,8 +318,11 @@ def abundances(
             for k, (mineral, own) in enumerate(zip(MINERALS, numbers, strict=True))
             if allowed[row, k]
         )
-        inside = bool(told and trusted[row] and near[row] >= LIKELY and not kinds[row].is_weathered)
-        status = _status(near[row], bool(told), kinds[row], fractions)
+        weathered = kinds[row].weathered >= WEATHERED
+        inside = bool(told and trusted[row] and near[row] >= LIKELY and not weathered)
+        status = _status(found, row, near[row], weathered, fractions)
+        if mixed is not None and found.weight[row] < SOME:
+            status += "; mixtures of end members have no weight in it"
         left = None if mixed is None else float(mixed.rms_ln[row])
         one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - found.weight[row]),
                         prior=prior)  # fmt: skip
@@ -309,7 +335,8 @@ def abundances(
 def _with_prior(one: Abundance, returned: float, moved: FloatArray, alone: bool) -> Abundance:
     """What the prior of returned rocks did: `moved` (4,) the shares; `alone` where the spectrum says nothing."""
     k = int(np.argmax(np.abs(moved)))
-    status = one.status if one.in_domain or "out of domain" in one.status else f"out of domain: {one.status}"
+    none = "" if one.in_domain or "out of domain" in one.status else "out of domain: without the prior it would be; "
+    status = none + one.status
     said = f"prior of returned rocks (like them with a probability of {returned:.2f}): {MINERALS[k]} moves by "
     said += f"{100 * moved[k]:+.0f} %"
     said += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
@@ -324,34 +351,43 @@ def shares_of_rows(
     weathered: BoolArray,
     mixed: Mixed | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Of many spectra shares (n, 4), ends of their 68 % intervals (n, 4, 2), and whether they are in domain (n,)."""
+    """Of many spectra shares (n, 4), low, high, low95 and high95 (n, 4, 4), and whether they are in domain (n,)."""
     found = answer(foretold, allowed, dark, rock, mixed)
     told = found.doubt < NOTHING
     mean = np.where(told[:, None], found.mean, np.nan)
-    return mean, found.intervals(calibration())[0], told & ~weathered & (found.near() >= LIKELY)
+    ends = np.concatenate(found.intervals(calibration()), axis=-1)
+    return mean, ends, told & ~weathered & (found.near() >= LIKELY)
 
 
-def _status(near: float, told: bool, kind: KindVerdict, fractions: Sequence[MineralFraction]) -> str:
-    if not told:
+def _status(
+    found: CalibratedShares, row: int, near: float, weathered: bool, fractions: Sequence[MineralFraction]
+) -> str:
+    if found.doubt[row] >= NOTHING:
         return "not determined: unlike all spectra of known shares, so that nothing is known of these minerals"
-    within = f"with a probability of {near:.2f} each share is within {100 * GOOD:.0f} %"
-    parts = [within if near >= LIKELY else f"out of domain: only {within}"]
-    if kind.is_weathered:
-        parts = [f"out of domain: it looks weathered, as no spectrum of known shares does; {parts[0]}"]
-    open_ones = [item for item in fractions if OPEN[0] < item.present < OPEN[1]]
-    if open_ones:
-        parts.append(_open(open_ones))
-    return "; ".join(parts)
+    if len(fractions) == 1:
+        return "the only mineral that there may be"
+    near = found.near()[row]
+    parts = [
+        f"{'' if near >= LIKELY else 'only '}with a probability of {near:.2f} each share is within {100 * GOOD:.0f} %"
+    ]
+    if weathered:
+        parts.insert(0, "it looks weathered, as no spectrum of known shares does")
+    if weathered or near < LIKELY:
+        parts[0] = f"out of domain: {parts[0]}"
+    return "; ".join([*parts, *_open(found, row, fractions)])
 
 
-def _open(found: Sequence[MineralFraction]) -> str:
-    """Minerals that may be there or not: of several, which of them is not known."""
-    names = [item.mineral for item in found]
-    if len(found) == 1:
-        return f"may be absent: {names[0]}"
-    total = 100 * sum(item.fraction for item in found)
-    between = ", or a pyroxene between both, such as pigeonite" if {*MAFIC[1:]} <= {*names} else ""
-    return f"not told apart: {' or '.join(names)}{between} (together {total:.0f} %)"
+def _open(found: CalibratedShares, row: int, fractions: Sequence[MineralFraction]) -> list[str]:
+    """Minerals that may be there or not, and those of them that stand for each other."""
+    open_ones = [item.mineral for item in fractions if OPEN[0] < item.present < OPEN[1]]
+    pair, parts = found.exchanged(row, [MINERALS.index(name) for name in open_ones]), []
+    if pair is not None:
+        names = [MINERALS[k] for k in pair]
+        between = ", or a pyroxene between both, such as pigeonite" if {*MAFIC[1:]} == {*names} else ""
+        total = 100 * found.mean[row, list(pair)].sum()
+        parts = [f"not told apart: {' or '.join(names)}{between} (together {total:.0f} %)"]
+        open_ones = [name for name in open_ones if name not in names]
+    return parts + ([f"may be absent: {' or '.join(open_ones)}"] if open_ones else [])
 
 
 def _ratios(drawn: FloatArray, there: BoolArray) -> tuple[MineralFraction, ...]:

@@ -313,7 +313,8 @@ class UnmixProduct:
             for mineral in self.minerals:
                 name = f"share_{mineral}{own}"
                 found.append(Layer(name, f"share of {mineral} by volume, method: {method}"))
-                found += [Layer(f"{name}_{end}", f"{end} end of its interval of 68 %") for end in ("low", "high")]
+                found += [Layer(f"{name}_{end}{level}", f"{end} end of its interval of {level or 68} %")
+                          for level in ("", "95") for end in ("low", "high")]  # fmt: skip
             if not own:
                 found.append(Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)))
             meaning = f"whether all shares are likely within 15 %, method: {method}"
@@ -386,7 +387,9 @@ class UnmixProduct:
             values[f"shares{own}_in_domain"] = inside
             for k in map(MINERALS.index, self.minerals):
                 name = f"share_{MINERALS[k]}{own}"
-                values |= {name: mean[:, k], f"{name}_low": ends[:, k, 0], f"{name}_high": ends[:, k, 1]}
+                values[name] = mean[:, k]
+                for number, end in enumerate(("low", "high", "low95", "high95")):
+                    values[f"{name}_{end}"] = ends[:, k, number]
         return values
 
 

@@ -7,7 +7,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
-from lunarsci.errors import DataError, Failure, ParameterError, RequestError
+from lunarsci.errors import DataError, Failure, ParameterError, RequestError, warn
 from lunarsci.names import some_of
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.jobs.fit import Progress
@@ -50,7 +50,7 @@ class UnmixRequest:
     kind : of the target; `auto`: found for each spectrum, and weighed by its probability.
     method : mixing law of end members, or both, weighted by their evidence.
     library : file of end members, instead of the embedded ones.
-    together : whether all spectra are mixtures of the same powders.
+    together : whether all spectra are mixtures of the same powders, beside `assemblage`, `library` or `known`.
     known : table of mixtures whose modes are known; implies `together`.
     opaque, iron : whether there may be an opaque powder, or nanophase iron on all grains, beside the end members.
     prior : of the shares; `powders`: the mixtures that networks learned from; `lunar-rocks`: rocks that were returned.
@@ -78,17 +78,14 @@ class UnmixRequest:
         if self.method == "absorbance" and self.iron:
             raise RequestError("`iron` needs `method` hapke or both")
         if (self.opaque or self.iron) and not self.mixes:
-            raise RequestError(
-                "`opaque` and `iron` are of mixtures of end members; name the minerals (`assemblage`), or take the "
-                "spectra `together`"
-            )
+            raise RequestError("`opaque` and `iron` are of mixtures of end members; name the minerals (`assemblage`)")
         if self.assemblage is not None:
             named_minerals(self.assemblage)
 
     @property
     def mixes(self) -> bool:
         """Whether end members are mixed: networks alone are better where nothing is known of the minerals."""
-        return bool(self.assemblage or self.library or self.in_series)
+        return bool(self.assemblage or self.library or self.known)
 
     @property
     def in_series(self) -> bool:
@@ -247,6 +244,8 @@ def unmix(
     end_members = read_library(library) if library else None
     modes = _known_modes([one.id for one in batch.spectra], known)
     kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
+    if asked.together and not asked.mixes:
+        warn("`together` needs the minerals by name (`assemblage`): each spectrum is answered by itself")
     named = named_minerals(asked.assemblage) if asked.assemblage else list(MINERALS)
     soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not known]
     taken = [index for index in range(len(kinds)) if index not in set(soils)]
@@ -328,47 +327,44 @@ def mixed_estimate(
     request: UnmixRequest,
     progress: Progress | None,
 ) -> "Mixed":
-    """What mixtures of end members say; one by one the networks stand in where they say nothing.
+    """What mixtures of end members say; the networks stand in where they say nothing.
 
-    That is where a spectrum is too short, or has one mineral only. With end members of the user it is an error.
+    That is where a spectrum is too short, or has one mineral only. Raises DataError where no spectrum can be mixed.
     """
     import numpy as np
 
-    from lunarsci.spectra.abundance.end_members import OPAQUE
+    from lunarsci.spectra.abundance.end_members import NEEDED_NM, OPAQUE, reaches
     from lunarsci.spectra.abundance.estimate import estimate_series
     from lunarsci.spectra.abundance.learned import MINERALS
     from lunarsci.spectra.abundance.shares import Mixed
 
-    own = end_members is not None
     how: dict[str, Any] = {
         "method": "unmix" if request.method == "both" else request.method,
         "end_members": end_members,
         "iron": request.iron,
     }
     dark = [OPAQUE] * request.opaque
+    there = [index for index, spectrum in enumerate(spectra) if reaches(spectrum)]
+    names = [[name for k, name in enumerate(MINERALS) if row[k]] for row in allowed]
     if request.in_series:
-        minerals = [name for k, name in enumerate(MINERALS) if allowed[:, k].any()]
-        present = [[name for k, name in enumerate(MINERALS) if row[k]] + dark for row in allowed]
+        groups, minerals = [there], [name for k, name in enumerate(MINERALS) if allowed[:, k].any()]
         known = [modes.known.get(spectrum.id) for spectrum in spectra]
-        free = [None if told else some for told, some in zip(known, present, strict=True)]
-        return replace(estimate_series(spectra, minerals + dark, present=free, known=known, **how), own=own)
-    parts = []
-    for index, spectrum in enumerate(spectra):
-        minerals = [name for k, name in enumerate(MINERALS) if allowed[index, k]]
-        one = Mixed(foretold.probabilities[index : index + 1], np.ones(1), np.full(1, np.nan))
-        if len(minerals) > 1:
-            try:
-                one = estimate_series([spectrum], minerals + dark, **how)
-            except DataError:
-                if own:
-                    raise
-        parts.append(one)
+        free = [None if told else some + dark for told, some in zip(known, names, strict=True)]
+        how |= {"present": [free[k] for k in there], "known": [known[k] for k in there]}
+    else:
+        groups = [[index] for index in there if len(names[index]) > 1]
+    if not there and end_members is not None:
+        raise DataError(f"no spectrum reaches over {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, as mixing needs")
+    count = len(spectra)
+    found = Mixed(foretold.probabilities.copy(), np.ones(count), np.full(count, np.nan), request.in_series,
+                  end_members is not None)  # fmt: skip
+    for done, rows in enumerate(filter(None, groups), start=1):
+        wanted = minerals if request.in_series else names[rows[0]]
+        one = estimate_series([spectra[k] for k in rows], wanted + dark, **how)
+        found.probabilities[rows], found.strange[rows], found.rms_ln[rows] = one.probabilities, one.strange, one.rms_ln
         if progress:
-            progress(index + 1, len(spectra))
-    probabilities, strange, rms_ln = (
-        np.concatenate([getattr(one, name) for one in parts]) for name in ("probabilities", "strange", "rms_ln")
-    )
-    return Mixed(probabilities, strange, rms_ln, own=own)
+            progress(done, len(groups))
+    return found
 
 
 def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes":

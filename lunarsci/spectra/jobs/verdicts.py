@@ -17,7 +17,7 @@ SEEN = 2.0
 WEAK = ("OL M1-1", "OPX M1", "CPX M1")
 """Bands that a mineral may lack: its weakest beside others of its own."""
 SURE_THERE = 0.9
-"""Probability of more than 5 % of a mineral from which it is called surely there; assumed."""
+"""Probability of more than 5 % of a mineral from which it is called likely there; assumed."""
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 
@@ -177,7 +177,7 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
         return f"no share to be quoted: {shares['status']}"
     likely = [name for name in MINERALS if name in shares and (shares[name]["present"] or 0.0) > SURE_THERE]
     parts = [f"{'' if shares['in_domain'] else 'uncertain; quote the 95 % intervals alone: '}{values}"]
-    parts += [f"surely there: {', '.join(likely)}"] if likely else []
+    parts += [f"likely there: {', '.join(likely)}"] if likely else []
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in shares["ratios"].items()]
     return "; ".join(parts + ([f"ratios: {', '.join(ratios)}"] if ratios else []))
 
@@ -189,7 +189,7 @@ def shares_doubt(record: Mapping[str, Any]) -> str:
 
 
 def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Of many spectra, how many have shares in domain, and in how many each mineral is surely there."""
+    """Of many spectra, how many have shares in domain, and in how many each mineral is likely there."""
     total = len(records)
     soils = sum(record["kind"]["name"] == "weathered-soil" for record in records)
     inside = sum(record["abundance"]["in_domain"] for record in records)
@@ -200,7 +200,7 @@ def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
         if name in record["abundance"] and (record["abundance"][name]["present"] or 0.0) > SURE_THERE
     )
     parts = [f"shares likely within 15 %: {inside} of {total} spectra; of the others quote the 95 % intervals"]
-    parts += [f"surely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []
+    parts += [f"likely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []
     return parts + ([f"weathered soils, not unmixed: {soils} of {total} spectra"] if soils else [])
 
 

@@ -213,7 +213,8 @@ def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
         columns[f"{modes.method}_in_domain"] = modes.in_domain
         for share in modes.fractions:
             name = f"{modes.method}_{share.mineral}"
-            columns |= {name: share.fraction, f"{name}_low": share.low, f"{name}_high": share.high}
+            columns |= {name: share.fraction}
+            columns |= {f"{name}_{end}": getattr(share, end) for end in ("low", "high", "low95", "high95")}
     return columns
 
 

@@ -212,6 +212,11 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
     One that is not determined counts with the middle and half the width of its interval; where none is, nothing is
     known. Out of the domain errors are at least those that were measured of the kind.
     """
+    if (prior := abundance.get("prior")) == "lunar-rocks":
+        text = (
+            f"its shares hold the prior {prior}, which is no evidence of a crater, and do not count; unmix without it"
+        )
+        return Rock(name, Composition(), (text,))
     given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     told = [mineral for mineral in modes if given[mineral].get("fraction") is not None]

@@ -230,7 +230,7 @@ def _with_wavelengths(item: Any) -> Any:
 def _from_memory(
     batch: SpectraBatch, item: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
 ) -> Iterator[SpectrumRows]:
-    before, told = len(batch.origins), list[str]()
+    before, told = len(batch.origins) + len(batch.failures), list[str]()
     name = f"spectrum {before + 1}"
     try:
         if isinstance(item, Spectrum):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lunarsci
+from lunarsci.errors import LunarSciWarning
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.kinds import find_kinds, kinds_of_rows
@@ -67,7 +68,10 @@ def test_sharpness_and_doubt_are_as_written() -> None:
 
 def test_end_members_of_the_user_count_alone_and_others_by_their_fit() -> None:
     foretold = Foretold(
-        at({20: 1.0}, {0: 1.0}, {0: 1.0}, {0: 1.0}), np.array([calibration()["ln_distance", "usual"]]), np.zeros(1)
+        at({20: 1.0}, {0: 1.0}, {0: 1.0}, {0: 1.0}),
+        np.array([calibration()["ln_distance", "usual"]]),
+        np.zeros(1),
+        np.zeros(1),
     )
     other = at({0: 1.0}, {20: 1.0}, {0: 1.0}, {0: 1.0})
     found = {}
@@ -86,7 +90,8 @@ def strangers() -> list[Spectrum]:
     """What holds none of the four minerals, or shows none."""
     x = NM / 1e3
     return [
-        Spectrum("flat and dark", NM, np.full(NM.size, 0.1)),
+        *(Spectrum(f"flat {level}", NM, np.full(NM.size, level)) for level in (0.1, 0.3, 0.7)),
+        Spectrum("ramp", NM, 0.1 + 0.3 * (NM - 450) / 2000),
         Spectrum("noise", NM, 0.3 * np.exp(0.2 * np.random.default_rng(0).standard_normal(NM.size))),
         Spectrum("ice", NM, 0.9 * np.exp(-2 * np.exp(-50 * (x - 1.5) ** 2) - 3 * np.exp(-50 * (x - 2.0) ** 2))),
         Spectrum("leaf", NM, np.where(NM < 700, 0.05, 0.5)),
@@ -122,8 +127,40 @@ def test_many_at_once_are_found_as_each_alone() -> None:
     mean, ends, inside = shares_of_rows(foretell(NM, rows, allowed), allowed, dark, np.zeros(len(own)), weathered)
     for row, one in enumerate(lunarsci.unmix(spectra).shares):
         assert [item.fraction for item in one.fractions] == pytest.approx(mean[row].tolist(), abs=1e-9, nan_ok=True)
-        assert [[item.low, item.high] for item in one.fractions] == pytest.approx(ends[row], abs=1e-9)
+        held = [[item.low, item.high, item.low95, item.high95] for item in one.fractions]
+        np.testing.assert_allclose(held, ends[row], atol=1e-9)
         assert one.in_domain == inside[row]
+
+
+def test_shares_of_two_minerals_mirror_each_other_and_one_alone_is_all() -> None:
+    item = next(one for one in embedded_end_members(NM) if one.mineral == "orthopyroxene")
+    spectrum = Spectrum("a", NM, item.reflectance)
+    [two] = lunarsci.unmix(spectrum, assemblage="OL-OPX").shares
+    first, second = two.fractions
+    assert first.fraction + second.fraction == pytest.approx(1.0)
+    assert [first.low, first.high] == pytest.approx([1 - second.high, 1 - second.low], abs=0.011)
+    assert [first.low95, first.high95] == pytest.approx([1 - second.high95, 1 - second.low95], abs=0.011)
+    [alone] = lunarsci.unmix(spectrum, assemblage="OL").shares
+    assert [(one.fraction, one.high95) for one in alone.fractions] == [(1.0, 1.0)]
+    assert alone.fractions[0].low95 > 0.94
+    assert "only mineral" in alone.status
+
+
+def test_what_has_no_channel_here_is_not_determined_and_leaves_the_others() -> None:
+    whole = Spectrum("whole", NM, next(item.reflectance for item in embedded_end_members(NM)))
+    empty, far = Spectrum("empty", NM, np.full(NM.size, np.nan)), Spectrum("far", NM + 4000, np.full(NM.size, 0.3))
+    for options in ({}, {"assemblage": "OL-OPX"}, {"assemblage": "OL-OPX", "together": True}):
+        found = lunarsci.unmix([whole, empty, far], **options)
+        assert [one.determined for one in found.shares] == [True, False, False], options
+        assert "empty" in found.untrusted and "far" in found.untrusted
+
+
+def test_series_without_named_minerals_are_answered_one_by_one() -> None:
+    own = [Spectrum(item.id, NM, item.reflectance) for item in embedded_end_members(NM)[:3]]
+    with pytest.warns(LunarSciWarning, match="needs the minerals by name"):
+        together = lunarsci.unmix(own, together=True)
+    alone = lunarsci.unmix(own)
+    assert [one.fractions for one in together.shares] == [one.fractions for one in alone.shares]
 
 
 def test_the_kind_weighs_by_its_probability_and_a_stated_one_is_certain() -> None:

@@ -64,7 +64,7 @@ def test_files_and_memory_go_together_and_a_bad_one_is_remembered(tmp_path: Path
     FRAME.to_csv(tmp_path / "a.csv", index=False)
     batch = read_batch([(WAVELENGTH[[0, 0, 1]], REFLECTANCE), IN_MEMORY["spectrum"], tmp_path / "*.csv", "none.csv"])
     assert batch.origins == [str(tmp_path / "a.csv"), "<rock>"]
-    assert [failure.partition(":")[0] for failure in batch.failures] == ["none.csv", "spectrum 2"]
+    assert [failure.partition(":")[0] for failure in batch.failures] == ["none.csv", "spectrum 3"]
 
 
 def test_nothing_to_read_is_an_error() -> None:
