@@ -34,7 +34,7 @@ MOST_ASSUMED = 6
 """Values of a rover that are listed one by one."""
 MOST_CHOICES = 6
 """Spectra of which what is open is told one by one."""
-MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 40, 40, 12, 5
+MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 48, 40, 12, 5
 """Of a table, of a list, across, and of names in a line, on the page; the files hold all."""
 
 
