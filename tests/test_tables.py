@@ -2,15 +2,18 @@
 
 import csv
 import hashlib
+import io
 import tomllib
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile, open_input
-from lunarsci.io.tables import csv_tables, read_csv_table, table_hashes, table_rows
+from lunarsci.io.tables import csv_bytes, csv_tables, nine_digits, read_csv_table, table_hashes, table_rows
 
 FOLDER = Path(__file__).parents[1] / "spectra_data"
 NAMES = sorted(path.name for path in FOLDER.glob("*.csv"))
@@ -48,3 +51,30 @@ def test_semicolons_and_decimal_commas_are_those_of_the_same_table() -> None:
     assert piece.time_s.tolist() == [0.5, 1.0, 1.5] and piece.x_m.tolist()[::2] == [-1.25e-3, 2.0]
     with pytest.raises(DataError, match=r"line 2: 4 fields, the header has 2.* decimal comma needs ';'"):
         read_csv_table(InputFile("sent.csv", b"time_s,x_m\n0,5,1,25\n"))
+
+
+def test_a_written_table_is_what_pandas_reads_again() -> None:
+    """Nine digits of numbers of any size, texts with commas, truths, blanks and whole numbers."""
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame({
+        "count": np.arange(-3, 497),
+        "wheel": ["FL", 'a "b", c', "", "Ä"] * 125,
+        "there": rng.random(500) > 0.5,
+        "value": rng.normal(size=500) * 10.0 ** rng.integers(-30, 30, 500),
+        "blank": np.where(rng.random(500) > 0.5, np.nan, 0.1 + 0.2),
+    })  # fmt: skip
+    written = csv_bytes(table)
+    again = pd.read_csv(io.BytesIO(written), keep_default_na=False, na_values={"blank": [""]})
+    assert list(again) == list(table)
+    for name in ("count", "wheel", "there"):
+        assert again[name].tolist() == table[name].tolist(), name
+    np.testing.assert_allclose(again["value"], table["value"], rtol=5e-9)
+    np.testing.assert_array_equal(again["blank"], np.where(np.isnan(table["blank"]), np.nan, 0.3))
+    assert csv_bytes(table.iloc[:0]) == b"count,wheel,there,value,blank\n"
+
+
+def test_numbers_are_rounded_to_nine_digits_as_text_would_be() -> None:
+    values = np.random.default_rng(1).normal(size=2000) * 10.0 ** np.random.default_rng(2).integers(-12, 15, 2000)
+    assert nine_digits(values).tolist() == [float(f"{value:.9g}") for value in values]
+    odd = np.array([0.0, -0.0, np.nan, np.inf, 999999999.5, 5e-324])
+    np.testing.assert_array_equal(nine_digits(odd)[:5], [0.0, -0.0, np.nan, np.inf, 1e9])
