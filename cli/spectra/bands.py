@@ -119,17 +119,16 @@ def _chemistry_tables(result: "MeasuredBands") -> list[TextTable]:
 
 
 def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
+    """What may be read of the bands; regressions that do not apply are counted."""
+    every = [item for item in record["chemistry"].items() if item[1]]
     rows = [
-        [
-            f"{SHORT[item['quantity']]}{_unit(item)}",
-            regression(key),
-            _usable(item),
-            item["reason"] or f"if {item['domain']}",
-        ]
-        for key, item in record["chemistry"].items()
-        if item
+        [f"{SHORT[item['quantity']]}{_unit(item)}", regression(key), _usable(item), f"if {item['domain']}"]
+        for key, item in every
+        if not item["reason"]
     ]
     notes = ["errors: the regression's, on laboratory minerals, and the band's; temperature: --json, caveat"]
+    if left := len(every) - len(rows):
+        notes.append(f"{left} other regressions do not apply to it; why not: --json")
     return TextTable(["from the bands", "by", "value", "valid only"], rows, notes=notes)
 
 
