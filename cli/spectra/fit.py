@@ -246,21 +246,20 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-    from lunarsci.spectra.mgm.assemblages import BIC_OF_CHOICE, SURE
+    from lunarsci.spectra.mgm.assemblages import SURE
 
-    rows = [
-        [item["assemblage"], f"{100 * item['probability']:.0f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
-        for item in choice["candidates"]
-    ]
-    headers = ["assemblage", "probability [%]", "ln evidence", "BIC"]
+    shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]
+    rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if percent != "0"]
+    headers = ["assemblage", "probability [%]", "ln evidence"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
     notes = [
         f"together {100 * SURE:.0f} % or more: {', '.join(choice['family'])}",
         "probability: of the evidence, as far as laboratory spectra taught to believe it; fewer minerals come first",
         f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
-        BIC_OF_CHOICE,
     ]
-    return TextTable(headers, rows, title="all assemblages, the most probable first", notes=notes)
+    if left := len(shown) - len(rows):
+        notes.append(f"{left} others, each below half a per cent: --json")
+    return TextTable(headers, rows, title="assemblages, the most probable first", notes=notes)
 
 
 def _abundance_table(found: "Sequence[Abundance]") -> TextTable:

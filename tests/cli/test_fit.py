@@ -137,7 +137,7 @@ def test_the_assemblage_can_be_chosen_by_the_spectrum(run: Run, rock: Path) -> N
     assert record["assemblage"] == record["choice"]["assemblage"] == record["choice"]["candidates"][0]["assemblage"]
     assert len(record["choice"]["candidates"]) == 15
     table = run("spectra", "fit", *options).out
-    assert "all assemblages" in table
+    assert "assemblages, the most probable first" in table and "each below half a per cent" in table
     assert record["choice"]["status"] in table
 
 
