@@ -35,6 +35,7 @@ UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 BLANK = ("nan", "na", "-", "")
 EXACT_POWER = 22
 """Up to this power of ten a float64 is exact."""
+POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
 _BEGINNING = 1 << 16
 ALIKE = 0.72
@@ -193,7 +194,8 @@ def nine_digits(values: FloatArray) -> FloatArray:
     """The nearest numbers of nine significant digits, (n,)."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         power = np.floor(np.log10(np.abs(values))) - 8.0
-        up, down = 10.0 ** np.maximum(-power, 0.0), 10.0 ** np.maximum(power, 0.0)
+        places = np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0).astype(int)
+        up, down = (POWERS[np.clip(sign * places, 0, EXACT_POWER)] for sign in (-1, 1))
         rounded = np.round(values * up / down) / up * down
     rounded = np.where(np.isfinite(rounded), rounded, values)
     for row in np.flatnonzero(np.isfinite(power) & (np.abs(power) > EXACT_POWER)):
