@@ -5,7 +5,7 @@ from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from lunarsci.io.printable import printable
+from lunarsci.printable import printable
 
 from .shared.layout import terminal_width
 from .shared.printing import render

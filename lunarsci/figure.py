@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.io.printable import printable
+from lunarsci.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,8 +10,8 @@ import pytest
 from lunarsci.cli import main
 
 from lunarsci.io.documents import json_document, toml_document
-from lunarsci.io.printable import LONGEST, cell, printable, shortened
 from lunarsci.io.tables import csv_bytes
+from lunarsci.printable import LONGEST, cell, printable, shortened
 
 RED, TITLE, CSI, TURNED = "\x1b[31mred", "\x1b]0;owned\x07", "\x9b2J", "\u202eexe.txt"
 

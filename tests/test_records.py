@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from lunarsci.io import records as module
-from lunarsci.io.printable import cell
 from lunarsci.io.records import Codes, Listed, Records, RecordsInBlocks, Same, Where, in_blocks
+from lunarsci.printable import cell
 from lunarsci.provenance import json_chunks, to_json
 
 

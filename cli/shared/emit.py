@@ -10,8 +10,8 @@ import typer
 
 from lunarsci.errors import DataError, Failure, OutputError, RequestError
 from lunarsci.io.atomic import write_files
-from lunarsci.io.printable import printable
 from lunarsci.names import meant, some_of
+from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 from lunarsci.result import doubt_about
 

@@ -5,7 +5,7 @@ import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
 
-from lunarsci.io.printable import printable
+from lunarsci.printable import printable
 
 from .table import TextTable, bare
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.io.printable import cell, printable
 from lunarsci.names import known_name
+from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain
 
 from .layout import fitted

@@ -6,7 +6,7 @@ import sys
 from typing import Any
 
 from lunarsci.errors import LunarSciError
-from lunarsci.io.printable import printable, shortened
+from lunarsci.printable import printable, shortened
 
 FAILED, USAGE, UNTRUSTED, NO_FILES = 1, 2, 3, 4
 _heard = [int(signal.SIGINT)]

@@ -21,8 +21,8 @@ from lunarsci.heights.projections import NO_RASTERIO
 from lunarsci.heights.rasters import DRIVERS, check_count, read_height_raster
 from lunarsci.heights.texts import AXES, NODE, TEXTS, is_ascii_grid, plain_name, read_ascii, read_nodes, read_table
 from lunarsci.heights.units import metres_in
-from lunarsci.io.printable import shortened
 from lunarsci.names import one_of
+from lunarsci.printable import shortened
 
 HIGHEST_M = 2e4
 """No height is farther from the median: the Moon's span 19.9 km (Smith et al. 2017, Icarus 283, 70,

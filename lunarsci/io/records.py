@@ -26,8 +26,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.io.printable import cell, printable
 from lunarsci.parallel.checkpoint import spans
+from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain, to_text
 
 INDENT = "  "

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from lunarsci.errors import ParameterError
-from lunarsci.io.printable import printable
 from lunarsci.pages import parts
 from lunarsci.pages.answers import answer, as_written, contradictions, namesakes
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
 from lunarsci.pages.sentences import DOUBT, GO, STOP, ResultAnswer, of_first_page
+from lunarsci.printable import printable
 from lunarsci.provenance import installed_version
 
 MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}

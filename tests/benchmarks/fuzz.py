@@ -31,7 +31,7 @@ from fuzz_readers import BETWEEN, Reader, reader_of, readers
 from lunarsci.cli.shared.talk import failure_line
 
 from lunarsci.errors import LunarSciError
-from lunarsci.io.printable import LONGEST, printable
+from lunarsci.printable import LONGEST, printable
 
 SLOWEST_S, MOST_BYTES = 5.0, 2 << 30
 STUCK_S = 60.0
