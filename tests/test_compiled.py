@@ -11,7 +11,8 @@ from types import ModuleType
 import llvmlite.binding as llvm
 import pytest
 
-from lunarsci.compiled import _content, _imported, _tell, compiled, sources, sources_digest
+from lunarsci.compiled import compiled
+from lunarsci.compiled.machine_code import _content, _imported, _tell, sources, sources_digest
 from lunarsci.errors import LunarSciWarning
 
 MODULE = """
@@ -105,7 +106,7 @@ def test_a_disk_that_takes_nothing_is_no_failure(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("lunarsci.compiled._Entries._open_for_write", full)
+    monkeypatch.setattr("lunarsci.compiled.machine_code._Entries._open_for_write", full)
     assert module.twice(1.5) == 3.0
 
 
@@ -114,15 +115,15 @@ def test_a_disk_that_takes_nothing_is_no_failure(
 def test_a_cache_that_others_can_write_is_said_and_not_used(
     load: Callable[[], ModuleType], tmp_path: Path, place: str, mode: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lunarsci.compiled._is_own_group", lambda number: False)
+    monkeypatch.setattr("lunarsci.compiled.machine_code._is_own_group", lambda number: False)
     _tell.cache_clear()
     load().twice(1.5)
     [folder] = tmp_path.glob(place)
     folder.chmod(mode)
     with pytest.warns(LunarSciWarning, match="can be written by others: compiled code is not kept there") as told:
         found, again = load(), load()
+        assert found.twice(1.5) == again.twice(1.5) == 3.0 and found.twice._cache.cache_path is None
     assert len(told) == 1 and str(folder) in str(told[0].message)
-    assert found.twice(1.5) == again.twice(1.5) == 3.0 and found.twice._cache.cache_path is None
     folder.chmod(0o755)
     assert load().twice(1.5) == 3.0
 
@@ -131,8 +132,8 @@ def test_a_cache_of_another_user_is_said_and_not_used(
     load: Callable[[], ModuleType], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _tell.cache_clear()
-    monkeypatch.setattr("lunarsci.compiled.os.getuid", lambda: 12345)
-    monkeypatch.setattr("lunarsci.compiled.ROOT", 54321)
+    monkeypatch.setattr("lunarsci.compiled.machine_code.os.getuid", lambda: 12345)
+    monkeypatch.setattr("lunarsci.compiled.machine_code.ROOT", 54321)
     with pytest.warns(LunarSciWarning, match="belongs to another user: compiled code is not kept there"):
         assert load().twice(1.5) == 3.0
 
@@ -150,7 +151,7 @@ def test_a_shared_folder_may_hold_a_cache_where_only_owners_delete(
 def test_code_is_stale_when_a_file_changes_that_its_file_imports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lunarsci.compiled.PACKAGE", tmp_path)
+    monkeypatch.setattr("lunarsci.compiled.machine_code.PACKAGE", tmp_path)
 
     def digest() -> str:
         for kept in (_imported, _content, sources, sources_digest):

@@ -1,113 +1,91 @@
-"""The one door to compiled code: numba, with machine code that is the same wherever it comes from, and kept on disk.
+"""Functions that numba compiles when they are first called: the one door to compiled code.
 
-**The same digits.** A function that numba compiles carries copies of the functions it calls, and every copy is
-optimised where it stands, so that two copies may round differently. As numba makes them, the copies are weak symbols:
-the process that compiles uses whichever copy it loaded first, one that reads the cache the function's own. Here each
-function keeps its own copies to itself.
-
-**The cache.** Numba renews a cached function when its own file changes. Here it is renewed when any file changes that
-its own one imports, and compiled again where its entry is cut off or was changed. It is read by pickle, so that whoever
-may write it runs what he likes: a folder that others can write is not used.
+Importing a module of compiled functions costs nothing of numba, which takes a third of a second to import and is not
+needed by the help of a command. `machine_code` says how the code is kept, and why all processes get the same digits.
 """
 
-import contextlib
-import hashlib
-import os
-import pickle
-import re
-import stat
-import time
-import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from pathlib import Path
+from functools import update_wrapper
+from threading import RLock
+from types import CodeType
 from typing import Any
-
-import llvmlite.binding as llvm
-import numba
-from numba.core.caching import IndexDataCacheFile
-from numba.core.codegen import CPUCodeLibrary
-
-from lunarsci.errors import LunarSciWarning
-
-PACKAGE = Path(__file__).parents[1]
-IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
-DIGEST_BYTES = 32
-BEGAN = time.time()
-"""About when this process began to read its sources: what is newer need not be what it compiles. [s]"""
-ROOT = 0
-"""The user who may write everywhere."""
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
 LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 """Options of `in_lanes`."""
+_MAKING = RLock()
+
+
+class Compiled:
+    """A function that is compiled with numba when it is first called; what else is asked of it, numba's has.
+
+    Before that, the compiled functions that it names are made, too, and stand in their modules in place of these, since
+    numba compiles calls of its own dispatchers alone.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self._options, self._dispatcher, self._ready = options, None, False
+
+    def __call__(self, *arguments: Any) -> Any:
+        return (self._dispatcher if self._ready else self.dispatcher())(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.dispatcher(), name)
+
+    def __reduce__(self) -> Any:
+        return self.dispatcher().__reduce__()
+
+    def dispatcher(self) -> Any:
+        """What numba compiles and calls."""
+        from lunarsci.compiled import machine_code
+
+        with _MAKING:
+            if self._dispatcher is None:
+                function = self.__dict__["__wrapped__"]
+                self._dispatcher = machine_code.dispatcher(function, self._options)
+                _make_callees(function)
+                self._ready = True
+        return self._dispatcher
+
+
+def _make_callees(function: Callable[..., Any]) -> None:
+    """Dispatchers in place of the compiled functions that a function names, in its module or around it."""
+    namespace, names = function.__globals__, _names(function.__code__)
+    for name in names & namespace.keys():
+        if isinstance(namespace[name], Compiled):
+            namespace[name] = namespace[name].dispatcher()
+    for cell in function.__closure__ or ():
+        if isinstance(cell.cell_contents, Compiled):
+            cell.cell_contents = cell.cell_contents.dispatcher()
+
+
+def _names(code: CodeType) -> set[str]:
+    """Global names in a function and in those inside of it."""
+    return set(code.co_names).union(*(_names(part) for part in code.co_consts if isinstance(part, CodeType)))
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile `function` with numba, caching the machine code on disk when some folder is writable.
+    """Compile `function` with numba when it is first called; its machine code is cached where a folder can be written.
 
-    On a read-only installation without a writable home numba refuses `cache=True`, and a folder that others can write
-    is refused here; the function is then compiled anew in each process, which is slower to start and gives the same
-    numbers.
+    On a read-only installation without a writable home, or where others can write to the folder, the function is
+    compiled anew in each process, which is slower to start and gives the same numbers.
 
     The cache of a function is renewed when its own file changes, or any that it imports. A process whose sources were
     changed after it began, as by an update of lunarsci, neither reads nor keeps anything there.
     """
-    if function is None:
-        return lambda f: compiled(f, **options)
-    keep_copies_apart()
-    try:
-        made = numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        return numba.njit(**options)(function)
-    if _is_open_to_others(made, Path(function.__code__.co_filename)):
-        return numba.njit(**options)(function)
-    tend_cache(made)
-    return made
+    return Compiled(function, options) if function is not None else lambda one: Compiled(one, options)
 
 
-def _is_open_to_others(dispatcher: Any, source: Path) -> bool:
-    """Whether others may have written the cache of a function; said once. Beside the sources it is as safe as these."""
-    beside = source.parent / "__pycache__"
-    folder = Path(getattr(getattr(dispatcher, "_cache", None), "_cache_path", beside))
-    if folder == beside:
-        return False
-    why = why_unsafe(folder) or why_unsafe(folder.parent, shared=True)
-    if why:
-        _tell(f"{why}: compiled code is not kept there; set NUMBA_CACHE_DIR to a folder that only you can write")
-    return bool(why)
+def threads() -> int:
+    """Threads that compiled code computes in."""
+    import numba
 
-
-def why_unsafe(folder: Path, shared: bool = False) -> str:
-    """What lets another user but root put files into a folder, or, where it may be `shared`, replace yours; '' if none.
-
-    The group that bears the user's name is the user's own.
-    """
-    if not hasattr(os, "getuid"):
-        return ""
-    found = folder.stat()
-    if found.st_uid not in (ROOT, os.getuid()):
-        return f"{folder} belongs to another user"
-    others = found.st_mode & stat.S_IWOTH or (found.st_mode & stat.S_IWGRP and not _is_own_group(found.st_gid))
-    kept_apart = shared and found.st_mode & stat.S_ISVTX
-    return f"{folder} can be written by others" if others and not kept_apart else ""
-
-
-def _is_own_group(number: int) -> bool:
-    import grp
-    import pwd
-
-    with contextlib.suppress(KeyError):
-        name, group = pwd.getpwuid(os.getuid()).pw_name, grp.getgrgid(number)
-        return group.gr_name == name and set(group.gr_mem) <= {name}
-    return False
-
-
-@cache
-def _tell(remark: str) -> None:
-    warnings.warn(remark, LunarSciWarning, stacklevel=2)
+    return int(numba.get_num_threads())
 
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
@@ -128,7 +106,7 @@ def each_in_threads(
     Gives two cores to functions compiled with `nogil=True`. `progress` is called with (done, count). An error, and
     Ctrl-C, drops the tasks that have not begun; Ctrl-C does not wait for the others.
     """
-    pool = ThreadPoolExecutor(numba.get_num_threads())
+    pool = ThreadPoolExecutor(threads())
     try:
         for done, _ in enumerate(pool.map(task, range(count)), start=1):
             if progress is not None:
@@ -137,137 +115,3 @@ def each_in_threads(
         pool.shutdown(wait=not isinstance(error, KeyboardInterrupt), cancel_futures=True)
         raise
     pool.shutdown()
-
-
-def keep_copies_apart() -> None:
-    """Make functions that numba compiles from now on keep their copies of others to themselves.
-
-    Where numba's inside is another than is known here, it is left as it is; then last digits may depend on what was
-    compiled or loaded before.
-    """
-    known = getattr(CPUCodeLibrary, "_optimize_final_module", None)
-    if known is None or getattr(known, "keeps_copies_apart", False):
-        return
-
-    def optimized(library: Any) -> None:
-        known(library)
-        with contextlib.suppress(AttributeError):
-            _keep_to_itself(library)
-
-    optimized.keeps_copies_apart = True  # type: ignore[attr-defined]
-    CPUCodeLibrary._optimize_final_module = optimized
-
-
-def _keep_to_itself(library: Any) -> None:
-    """Weak copies become the module's own; what other functions will copy is put aside before."""
-    module = library._final_module
-    shared = module.clone()
-    for function in shared.functions:
-        if not function.is_declaration and function.linkage == llvm.Linkage.external:
-            function.linkage = llvm.Linkage.linkonce_odr
-    library._shared_module = shared
-    for function in module.functions:
-        if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
-            function.linkage = llvm.Linkage.internal
-
-
-def tend_cache(dispatcher: Any) -> None:
-    """Give a function that numba caches a cache that knows all its sources and notices damage."""
-    with contextlib.suppress(AttributeError):
-        own, base = dispatcher._cache, dispatcher._cache._impl.filename_base
-        own._cache_file = _Entries(own._cache_path, base, dispatcher.py_func.__code__.co_filename)
-
-
-class _Entries(IndexDataCacheFile):  # type: ignore[misc]
-    """Index and machine code of one function, each entry with a digest."""
-
-    def __init__(self, cache_path: str, filename_base: str, source: str) -> None:
-        super().__init__(cache_path, filename_base, None)
-        self._source = source
-
-    @property
-    def _source_stamp(self) -> str:
-        return sources_digest(self._source)
-
-    @_source_stamp.setter
-    def _source_stamp(self, value: object) -> None:
-        """Numba's own stamp, of one file, is of no use."""
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep an entry; a full disk or a folder that went read-only is no reason to fail."""
-        if changed_since(self._source, BEGAN):
-            return
-        with contextlib.suppress(OSError):
-            super().save(key, data)
-
-    def _load_index(self) -> Any:
-        if changed_since(self._source, BEGAN):
-            return {}
-        try:
-            return super()._load_index()
-        except Exception:  # whatever a damaged pickle raises, the function is compiled anew
-            return {}
-
-    def _load_data(self, name: str) -> Any:
-        found = Path(self._data_path(name)).read_bytes()
-        payload = found[DIGEST_BYTES:]
-        if found[:DIGEST_BYTES] != self._digest(payload):
-            raise OSError("not as it was written")  # to numba: no such entry
-        return pickle.loads(payload)
-
-    def _save_data(self, name: str, data: Any) -> None:
-        payload = self._dump(data)
-        with self._open_for_write(self._data_path(name)) as file:
-            file.write(self._digest(payload) + payload)
-
-    def _digest(self, payload: bytes) -> bytes:
-        return hashlib.sha256(self._source_stamp.encode() + payload).digest()
-
-
-@cache
-def sources_digest(source: str) -> str:
-    """SHA-256 over the `sources` of a file."""
-    whole = hashlib.sha256()
-    for path in sources(source):
-        whole.update(path.name.encode() + _content(path))
-    return whole.hexdigest()
-
-
-def changed_since(source: str, moment_s: float) -> bool:
-    """Whether one of the `sources` of a file was changed, or taken away, after a moment of the clock."""
-    try:
-        return any(path.stat().st_mtime > moment_s for path in sources(source))
-    except OSError:
-        return True
-
-
-@cache
-def sources(source: str) -> tuple[Path, ...]:
-    """A file of this package and all of the package that it imports, directly or not, in order."""
-    found, wanted = {Path(source)}, [Path(source)]
-    while wanted:
-        for path in _imported(wanted.pop()) - found:
-            found.add(path)
-            wanted.append(path)
-    return tuple(sorted(found))
-
-
-@cache
-def _content(path: Path) -> bytes:
-    return path.read_bytes() if path.is_file() else b""
-
-
-@cache
-def _imported(path: Path) -> frozenset[Path]:
-    """Files of this package that a file names in its import statements, wherever they stand."""
-    names = set()
-    for origin, what, alone in IMPORTS.findall(_content(path).decode("utf-8", errors="replace")):
-        module = origin or alone
-        names |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", what))}
-    files = (_files_of(name.split(".")[1:]) for name in names)
-    return frozenset(path for both in files for path in both if path.is_file())
-
-
-def _files_of(parts: list[str]) -> tuple[Path, Path]:
-    place = PACKAGE.joinpath(*parts)
-    return place.with_name(f"{place.name}.py"), place / "__init__.py"

@@ -99,7 +99,7 @@ def _extra(name: str) -> HealthCheck:
 def _cache() -> HealthCheck:
     """The folder of compiled code: NUMBA_CACHE_DIR, or beside the modules."""
     import lunarsci
-    from lunarsci.compiled import why_unsafe
+    from lunarsci.compiled.machine_code import why_unsafe
 
     named = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(named) if named else Path(lunarsci.__file__).parent
@@ -115,10 +115,10 @@ def _cache() -> HealthCheck:
 
 
 def _threads() -> HealthCheck:
-    import numba
+    from lunarsci.compiled import threads
 
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return HealthCheck("installation", "threads", f"{numba.get_num_threads()} of {usable} usable cores")
+    return HealthCheck("installation", "threads", f"{threads()} of {usable} usable cores")
 
 
 def _tested(name: str, test: Callable[[], tuple[str, str]]) -> HealthCheck:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from lunarsci.compiled import threads
 from lunarsci.errors import RequestError
 from lunarsci.parallel.checkpoint import Arrays, KeptBlocks, spans
 
@@ -83,9 +84,7 @@ class Computing:
     @property
     def threads(self) -> int:
         """Threads of this process that compute."""
-        import numba
-
-        return self.workers or int(numba.get_num_threads())
+        return self.workers or threads()
 
     def client(self) -> Any:
         """The connection to the scheduler, made when it is first needed."""

@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numba
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.compiled import each_in_threads
+from lunarsci.compiled import each_in_threads, threads
 from lunarsci.compiled.formulas import LANES
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
@@ -322,7 +321,7 @@ def fit_batch(
         np.ascontiguousarray(np.where(usable, data, 0.0)),
         np.ascontiguousarray(np.sqrt(np.where(usable, weight, 0.0))),
     )
-    parts = max(1, -(-n_spectra // MOST_ROWS), min(numba.get_num_threads(), n_spectra // LANES))
+    parts = max(1, -(-n_spectra // MOST_ROWS), min(threads(), n_spectra // LANES))
     edges = np.linspace(0, n_spectra, parts + 1).astype(int)
     searches: list[Multistart | None] = [None] * parts
 
