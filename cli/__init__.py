@@ -25,6 +25,25 @@ GROUPS = {
     "images": "What pictures show: terrain, where the rover stands, how deep its tracks are, and rocks.",
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
 }
+COMMANDS = {
+    "spectra": ("calibrate", "simulate", "bands", "indices", "fit", "unmix", "match", "map", "library"),
+    "regolith": ("forces", "identify", "infer", "compare"),
+    "images": ("cameras", "calibrate", "render", "dem", "locate", "merge", "track", "rocks"),
+    "twin": (
+        "terrain",
+        "plan",
+        "predict",
+        "simulate",
+        "states",
+        "forces",
+        "loads",
+        "update",
+        "compare",
+        "history",
+        "sweep",
+    ),
+}
+"""Of the groups, each a module of that name, in the order of their help."""
 SINGLE = {
     "info": "What a file is, what is in it, and which commands take it.",
     "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
@@ -52,14 +71,18 @@ EXIT_CODES = (
 
 
 def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
-    """The program; parts that are not wanted are there by name alone, which spares importing them."""
+    """The program; parts that are not wanted are left out or there by name alone, which spares importing them.
+
+    `wanted` has groups, single commands, and the commands wanted of a group; all of it where none is named.
+    """
     program = typer.Typer(no_args_is_help=True, help=HELP, epilog=EXIT_CODES, context_settings=HELP_NAMES)
     program.callback()(lunarsci)
     for name, text in GROUPS.items():
         group = typer.Typer(no_args_is_help=True, help=text)
         group.callback()(lambda: None)
         if name in wanted:
-            import_module(f".{name}", __name__).add_to(group)
+            for command in [one for one in COMMANDS[name] if one in wanted] or COMMANDS[name]:
+                import_module(f".{name}.{command}", __name__).add_to(group)
         program.add_typer(group, name=name)
     for name, text in SINGLE.items():
         if name in wanted:
@@ -76,11 +99,12 @@ def _program(*wanted: str) -> Callable[..., Any]:
 
 
 def _parts(arguments: Sequence[str]) -> list[str]:
-    """Which parts of the program are needed: the first argument's, or that of what a shell wants to complete."""
+    """Which parts of the program are needed: a group and its command, or those of what a shell wants to complete."""
     if COMPLETING not in os.environ:
-        return list(arguments[:1])
+        return list(arguments[:2])
     typed = [word for name in TYPED for word in os.environ.get(name, "").split()]
-    return [word for word in typed if word in (*GROUPS, *SINGLE)][:1]
+    first = next((k for k, word in enumerate(typed) if word in (*GROUPS, *SINGLE)), len(typed))
+    return typed[first : first + 2]
 
 
 def _show_version(value: bool) -> None:

@@ -1,18 +1,15 @@
 """`lunarsci report`: one page of several results."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.pages.job import ReportRequest
+from lunarsci.pages.job import ReportedResults, ReportRequest
 
 from .shared.command import command
 from .shared.options import option
 from .shared.report import Report
 from .shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.pages.job import ReportedResults
 
 OPTIONS = {
     "title": option("Title of the page."),

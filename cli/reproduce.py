@@ -1,21 +1,15 @@
 """`lunarsci reproduce`: the published numbers beside ours."""
 
-from typing import TYPE_CHECKING
-
 import typer
 
-from lunarsci.reproduce.job import ReproduceRequest
+from lunarsci.reproduce.job import ReproduceRequest, Reproduction
+from lunarsci.reproduce.numbers import Number
 
 from .shared.command import command
 from .shared.options import SPREAD, Output, option
 from .shared.progress import progress
 from .shared.report import Report
 from .shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.reproduce.job import Reproduction
-    from lunarsci.reproduce.numbers import Number
-
 
 OPTIONS = {
     "part": option("Which of the numbers, and of the pages of --plot; rock is another name of spectra."),

@@ -3,16 +3,13 @@
 from collections.abc import Sequence
 from html import escape
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
+from lunarsci.result import Result
 
 from .shared.layout import terminal_width
 from .shared.printing import render
 from .shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.result import Result
 
 COMMAND_OF = {
     "Calibrations": "spectra.calibrate",

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 _MARK = r"\\u0000"
@@ -74,7 +75,6 @@ class Provenance:
 @cache
 def installed_version(package: str) -> str | None:
     """Version of an installed package, None when it is not installed."""
-    from importlib.metadata import PackageNotFoundError, version
 
     try:
         return version(package)

@@ -22,7 +22,10 @@ from textwrap import fill
 from types import FrameType, NoneType, UnionType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, RequestError
+from lunarsci.figure import styled
 from lunarsci.names import one_of
 from lunarsci.provenance import Provenance, document, plain, to_json
 
@@ -352,7 +355,6 @@ class Result(ABC):
 
     def plot(self, page: int = 0) -> "Figure":
         """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
-        from lunarsci.figure import styled
 
         with styled():
             found = next(islice(self.figures(), page, None), None)
@@ -426,7 +428,6 @@ def _heard(caller: FrameType) -> Iterator[list[str]]:
 
 
 def _column(name: str, cells: list[Any]) -> Any:
-    import numpy as np
     from astropy import units
 
     present = [cell for cell in cells if cell is not None]

@@ -1,11 +1,12 @@
 """`lunarsci images calibrate`: cameras from pictures of a board."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest
+from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest, CalibratedCameras, calibrate_cameras
+from lunarsci.images.moments import matching
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -13,9 +14,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .cameras import SHOWN, number
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.calibrate_cameras import CalibratedCameras
 
 BOARD = "Board"
 OPTIONS = {
@@ -61,8 +59,6 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     the rig is written with its covariance as `images dem` reads it. The picture of --plot shows residuals, and how
     uncertain directions are. Where the pictures leave focal length or baseline open, the exit code is 3.
     """
-    from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras
-    from lunarsci.images.moments import matching
 
     with progress("looking for the board", quiet=output.quiet) as update:
         found = calibrate_cameras(

@@ -2,19 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lunarsci.images.jobs.cameras import CamerasRequest
+from lunarsci.images.jobs.cameras import CameraSheet, CamerasRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.cameras import CameraSheet
 
 OPTIONS = {
     "disparity_error": option("Random error of a disparity, in px, for the ranges' errors."),

@@ -2,20 +2,18 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.images.jobs.dem import DemRequest
+from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
+from lunarsci.images.jobs.dem import DemRequest, StereoTerrain
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.dem import StereoTerrain
 
 OPTIONS = {
     "rig": option(
@@ -60,7 +58,6 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
 
 
 def _content(found: "StereoTerrain", path: Path) -> Callable[[], bytes]:
-    from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
 
     return lambda: elevation_bytes(found.model) if path.suffix == ".npz" else elevation_geotiff(found.model)
 

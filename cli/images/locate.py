@@ -1,19 +1,16 @@
 """`lunarsci images locate`: where stations were, from their pictures."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.images.jobs.locate import LocateRequest
+from lunarsci.images.jobs.locate import LocatedStations, LocateRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.locate import LocatedStations
 
 ERRORS = "Errors before the pictures (assumed)"
 OPTIONS = {

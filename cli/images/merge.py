@@ -1,20 +1,17 @@
 """`lunarsci images merge`: elevation models of several stations as one map."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lunarsci.images.jobs.merge import MergeRequest
+from lunarsci.images.jobs.merge import MergedStations, MergeRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.merge import MergedStations
 
 OPTIONS = {
     "positions": option(

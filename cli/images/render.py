@@ -1,19 +1,16 @@
 """`lunarsci images render`: SYNTHETIC pairs of pictures."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.images.jobs.render import RenderRequest
+from lunarsci.images.jobs.render import RenderRequest, SyntheticPair
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.render import SyntheticPair
 
 CAMERA, GROUND, LIGHT = "Camera", "Ground", "Light"
 OPTIONS = {

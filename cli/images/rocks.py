@@ -1,11 +1,11 @@
 """`lunarsci images rocks`: rocks in an elevation model."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
-from lunarsci.images.jobs.rocks import RocksRequest
+from lunarsci.images.jobs.rocks import RockList, RocksRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -13,9 +13,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .track import Elevation
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.rocks import RockList
 
 OPTIONS = {
     "largest": option("Diameter of the largest rock, in m; what is wider is ground."),

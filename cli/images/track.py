@@ -1,19 +1,16 @@
 """`lunarsci images track`: how deep a track is, and the sinkage that follows."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.images.jobs.track import TrackRequest
+from lunarsci.images.jobs.track import TrackRequest, TrackSinkage
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.images.jobs.track import TrackSinkage
 
 TRACK, ERRORS = "Track and wheel", "Errors (assumed)"
 OPTIONS = {

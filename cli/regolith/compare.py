@@ -1,20 +1,17 @@
 """`lunarsci regolith compare`: the site beside other soils."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.regolith.jobs.compare_soils import CompareSoilsRequest, compare_soils
+from lunarsci.regolith.compare import WORDS, SoilComparison, nearest
+from lunarsci.regolith.jobs.compare_soils import ComparedSoils, CompareSoilsRequest, compare_soils
+from lunarsci.rovers import called
 
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.regolith.compare import SoilComparison
-    from lunarsci.regolith.jobs.compare_soils import ComparedSoils
-
 
 SHOWN = 8
 GIVEN = "The site, instead of a result"
@@ -52,8 +49,6 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
 
 def result_tables(result: "ComparedSoils") -> list[TextTable]:
     """The nearest soils in both aspects."""
-    from lunarsci.regolith.compare import WORDS, nearest
-    from lunarsci.rovers import called
 
     found, tables = result.soils, []
     for aspect, title in (("bearing", "Alike in bearing"), ("strength", "Alike in shear strength")):

@@ -1,20 +1,17 @@
 """`lunarsci regolith forces`: forces of the soil on one wheel."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
-from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest, wheel_forces
+from lunarsci.regolith.jobs.wheel_forces import ForcesOnWheel, WheelForcesRequest, wheel_forces
+from lunarsci.regolith.traction import Traction
 
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.regolith.jobs.wheel_forces import ForcesOnWheel
-    from lunarsci.regolith.traction import Traction
 
 SOIL, EXACT = "Soil", "Exact integrals"
 ROVER = "Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file."

@@ -1,12 +1,14 @@
 """`lunarsci regolith identify`: the soil that wheel states reveal, each by itself."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from lunarsci.regolith.identify import UNITS, Estimate, Identification
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest
 from lunarsci.regolith.jobs.identify import identify as identify_soil
+from lunarsci.regolith.sensitivity import Sensitivity
 from lunarsci.regolith.states_agreement import LABELS
 
 from ..shared.command import command
@@ -15,11 +17,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, plus_minus
 from .forces import READING, ROVER
-
-if TYPE_CHECKING:
-    from lunarsci.regolith.identify import Estimate, Identification
-    from lunarsci.regolith.sensitivity import Sensitivity
-
 
 ERRORS = "Errors (where the file gives none)"
 SYMBOLS = {
@@ -143,7 +140,6 @@ def _share(value: float | None) -> str:
 
 
 def _observation_tables(found: "Identification", title: str) -> list[TextTable]:
-    from lunarsci.regolith.identify import UNITS, Estimate
 
     if len(found.observations) > MANY_STATES:
         return []
@@ -177,7 +173,6 @@ def _site_title(result: IdentifiedSoil) -> str:
 
 
 def _site_row(label: str, estimate: "Estimate", name: str) -> list[str]:
-    from lunarsci.regolith.identify import UNITS
 
     interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"
     remark = "assumed" if estimate.assumed else estimate.reason

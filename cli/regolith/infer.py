@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from lunarsci.regolith.inference.posterior import SoilPosterior
 from lunarsci.regolith.jobs.identify import alone_title
 from lunarsci.regolith.jobs.infer import InferredSoil, InferRequest
 from lunarsci.regolith.jobs.infer import infer as infer_soil
@@ -17,10 +18,6 @@ from ..shared.report import Report
 from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
 from .identify import States, read_as, single_tables, wheel_text
-
-if TYPE_CHECKING:
-    from lunarsci.regolith.inference.posterior import SoilPosterior
-
 
 LAW, INTERVALS, OTHER = "Wheel-soil law", "Intervals", "Forces of other states"
 LABELS = {

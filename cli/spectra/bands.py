@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lunarsci.spectra.jobs.bands import SHORT, BandsRequest, regression
+from lunarsci.spectra.band_status import with_errors
+from lunarsci.spectra.jobs.bands import SHORT, BandsRequest, MeasuredBands, regression
 from lunarsci.spectra.jobs.verdicts import bands_verdict
 
 from ..shared.command import command
@@ -15,9 +16,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
 from .options import ONLY, UNITS, Files
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.bands import MeasuredBands
 
 OPTIONS = {
     "continuum": option(
@@ -84,7 +82,6 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
 
 def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
     """The centre with the error of its noise, and what methods differ by."""
-    from lunarsci.spectra.band_status import with_errors
 
     center, sigma = record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]
     if center is None:

@@ -1,22 +1,18 @@
 """`lunarsci spectra calibrate`: VNIS radiance to reflectance factor."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.spectra.jobs.calibrate import CalibrateRequest
+from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations
+from lunarsci.spectra.vnis.calibration import Calibration
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.calibrate import Calibrations
-    from lunarsci.spectra.vnis.calibration import Calibration
-
 
 Products = Annotated[
     list[str],

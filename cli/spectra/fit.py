@@ -2,13 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
+from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
 from lunarsci.spectra.jobs.verdicts import fit_verdict, fits_counted
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
+from lunarsci.spectra.mgm.assemblages import SURE
+from lunarsci.spectra.mgm.compositions import compositions
+from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
@@ -16,11 +20,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
 from .options import ONLY, UNITS, Files
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.abundance.result import Abundance
-    from lunarsci.spectra.mgm.result import FittedBand, MgmFit
-
 
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
@@ -166,7 +165,6 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
 
 
 def _composition_notes(fit: "MgmFit") -> list[str]:
-    from lunarsci.spectra.mgm.compositions import compositions
 
     notes = []
     for item in compositions(fit):
@@ -246,7 +244,6 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-    from lunarsci.spectra.mgm.assemblages import SURE
 
     shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]
     rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if percent != "0"]

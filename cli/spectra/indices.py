@@ -1,19 +1,17 @@
 """`lunarsci spectra indices`: spectral indices of the Moon."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
-from lunarsci.spectra.jobs.indices import IndicesRequest
+from lunarsci.spectra.indices import INDICES, NO_CHANNELS
+from lunarsci.spectra.jobs.indices import FoundIndices, IndicesRequest
 
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import ONLY, UNITS, Files
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.indices import FoundIndices
 
 OPTIONS = {
     "index": option("Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.", metavar="NAME"),
@@ -50,7 +48,6 @@ def result_tables(found: "FoundIndices") -> list[TextTable]:
 
 
 def _one(found: "FoundIndices") -> TextTable:
-    from lunarsci.spectra.indices import INDICES
 
     record = found.records()[0]
     rows = [
@@ -60,7 +57,6 @@ def _one(found: "FoundIndices") -> TextTable:
 
 
 def _many(found: "FoundIndices") -> TextTable:
-    from lunarsci.spectra.indices import INDICES, NO_CHANNELS
 
     records = found.records()
     shown = [name for name, column in found.columns.items() if (column.status != NO_CHANNELS).any()]

@@ -3,22 +3,26 @@
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.jobs.library import ImportRequest
+from lunarsci.figure import picture_bytes
+from lunarsci.spectra.jobs.library import (
+    CheckedLibrary,
+    ImportRequest,
+    Library,
+    check_library,
+    import_library,
+    open_library,
+)
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .options import UNITS, Files
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.library import CheckedLibrary, Library
-
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -53,7 +57,6 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
 
     Libraries among the files are merged.
     """
-    from lunarsci.spectra.jobs.library import import_library
 
     library = import_library(files, request)
     if output.path is not None and output.path.suffix.lower() not in (".ecsv", ".json"):
@@ -70,7 +73,6 @@ def list_(files: Libraries) -> Report:
 @command(app, "check", batch=True)
 def check(files: Libraries) -> Report:
     """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
-    from lunarsci.spectra.jobs.library import check_library
 
     checked = check_library(files)
     return Report.of(checked, [_findings(checked)])
@@ -85,7 +87,6 @@ def plot(files: Libraries, output: Output) -> Report:
 
 
 def _list(files: list[str]) -> Report:
-    from lunarsci.spectra.jobs.library import open_library
 
     library = open_library(files)
     return Report.of(
@@ -94,7 +95,6 @@ def _list(files: list[str]) -> Report:
 
 
 def _picture(library: "Library", suffix: str, _: Mapping[str, Any]) -> bytes:
-    from lunarsci.figure import picture_bytes
 
     return picture_bytes(library.figures(), Path(f"library{suffix}"))
 

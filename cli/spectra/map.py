@@ -1,10 +1,11 @@
 """`lunarsci spectra map`: maps of bands, fits and shares of minerals from an image cube."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum, map, pixel
 from lunarsci.spectra.jobs.map_request import MapRequest
 
 from ..shared.command import command
@@ -13,10 +14,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import FILE
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum
-
 
 PIXELS, SETTINGS = "Pixels", "Products"
 
@@ -102,7 +99,6 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
 
     -o MAP.nc writes NetCDF (CF conventions), -o MAP.tif GeoTIFF; --plot draws a quick look.
     """
-    from lunarsci.spectra.jobs.map import map, pixel
 
     if spectrum is not None:
         found = pixel(cube, spectrum, request)

@@ -1,22 +1,18 @@
 """`lunarsci spectra match`: the crater a rock came from."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from lunarsci.spectra.jobs.match import MatchRequest
+from lunarsci.spectra.jobs.match import Matches, MatchRequest
+from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.match import Matches
-    from lunarsci.spectra.origin.match import CraterMatch, RockMatch
-
 
 ROCK, CRATERS, PRIOR, EXPOSURE = "Rock", "Craters", "Prior", "Survival and re-excavation"
 
@@ -115,7 +111,6 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
 
 def result_tables(result: "Matches") -> list[TextTable]:
-    from lunarsci.spectra.origin.match import OTHER
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
@@ -138,7 +133,6 @@ def _best(match: "RockMatch") -> float:
 
 
 def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
-    from lunarsci.spectra.origin.match import OTHER
 
     headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]
     headers.append("compared")

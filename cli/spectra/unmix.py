@@ -1,10 +1,10 @@
 """`lunarsci spectra unmix`: shares of minerals."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import typer
 
+from lunarsci.spectra.abundance.result import BOULDERS, MineralFraction
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
 from lunarsci.spectra.jobs.verdicts import shares_counted, shares_verdict
 
@@ -14,9 +14,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
 from .options import ONLY, UNITS, Files
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.abundance.result import MineralFraction
 
 KNOWN, MIXTURE = "What is known", "End members"
 NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
@@ -119,7 +116,6 @@ def _percent(share: "MineralFraction") -> list[str]:
 
 def ratio_table(found: UnmixedSpectra) -> list[TextTable]:
     """Ratios of the mafic minerals of solid rocks, beside published ones."""
-    from lunarsci.spectra.abundance.result import BOULDERS
 
     rows = [[one.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for one in found.shares for ratio in one.ratios]
     headers = ["spectrum", "ratio", "[%]", "68 %", "95 %"]

@@ -1,11 +1,16 @@
 """`lunarsci twin compare`: what was predicted beside what happened."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from lunarsci.errors import RequestError
+from lunarsci.twin.comparison.checks import EndCheck, PathCheck
+from lunarsci.twin.comparison.matched import Miss, miss_of
+from lunarsci.twin.comparison.verdict import DriveComparison
+from lunarsci.twin.jobs import compare_trials as job
+from lunarsci.twin.jobs.compare import ComparedDrive
 from lunarsci.twin.jobs.compare_trials import OF_A_PREDICTION, OF_TRIALS, TrialsRequest
 
 from ..shared.command import command
@@ -13,15 +18,9 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+from .belief_tables import discrepancy_table
 from .options import AS_WRITTEN, GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
 from .trial_tables import trial_tables
-
-if TYPE_CHECKING:
-    from lunarsci.twin.comparison.checks import EndCheck, PathCheck
-    from lunarsci.twin.comparison.matched import Miss
-    from lunarsci.twin.comparison.verdict import DriveComparison
-    from lunarsci.twin.jobs.compare import ComparedDrive
-
 
 FORECAST = "prediction.json"
 """By which a folder of `twin predict -o` is known."""
@@ -131,7 +130,6 @@ def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Repo
 
 
 def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
-    from lunarsci.twin.jobs import compare_trials as job
 
     if save is not None:
         raise RequestError("`save` keeps what a belief learns from a prediction, not from trials; leave it out")
@@ -142,7 +140,6 @@ def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Pat
 
 def result_tables(found: "ComparedDrive") -> list[TextTable]:
     """The verdict with what it rests on, and what a belief learned of it."""
-    from .belief_tables import discrepancy_table
 
     tables, before, after = _tables(found), found.before, found.belief
     if before is None or after is None:
@@ -151,7 +148,6 @@ def result_tables(found: "ComparedDrive") -> list[TextTable]:
 
 
 def _tables(compared: "ComparedDrive") -> list[TextTable]:
-    from lunarsci.twin.comparison.matched import miss_of
 
     matched, found, states = compared.matched, compared.found, compared.states
     forecast, pace = matched.forecast, compared.pace

@@ -1,23 +1,21 @@
 """`lunarsci twin history`: what a belief of the soil rests on, and the way back."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.jobs.history import HistoryRequest
+from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.belief_history import BeliefDistance, parameter_rows
+from lunarsci.regolith.written_names import ground_name
+from lunarsci.twin.jobs.history import BeliefHistory, HistoryRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.report import Report
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.regolith.belief_history import BeliefDistance
-    from lunarsci.twin.jobs.history import BeliefHistory
-
+from .belief_tables import discrepancy_table, parameter_table
 
 OPTIONS = {
     "against": option(
@@ -70,9 +68,6 @@ def history(
 
 
 def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
-    from lunarsci.regolith.belief_history import parameter_rows
-
-    from .belief_tables import parameter_table
 
     now = parameter_table(parameter_rows(found.belief), "What is believed now")
     drives = found.drives
@@ -86,7 +81,6 @@ def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
-    from lunarsci.regolith.written_names import ground_name
 
     headers = [
         "drive",
@@ -135,7 +129,6 @@ def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
 
 def _physics_table(belief: "SoilBelief") -> TextTable:
     """What the twin's physics is off by, and the drives that taught it."""
-    from .belief_tables import discrepancy_table
 
     found = discrepancy_table(belief.discrepancy)
     lines = [f"taught by {one.get('states')} ({one.get('how')})" for one in belief.discrepancy.scored]

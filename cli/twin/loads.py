@@ -6,8 +6,10 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
+from lunarsci.twin.jobs import loads as job
 from lunarsci.twin.jobs.forces import TOGETHER
 from lunarsci.twin.jobs.loads import LoadsRequest, MotionLoads, UncertainLoads
+from lunarsci.twin.lanes import outcome_texts
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -86,7 +88,6 @@ def loads(
     forces. Forces that were computed from a soil cannot prove it, so the search uses only the sinkages under the loads,
     and the slips beside the pull of all wheels together. Exit code 3: the rounds do not converge.
     """
-    from lunarsci.twin.jobs import loads as job
 
     if save is not None and request.iterate is None:
         raise RequestError("`save` takes the soil of `iterate`; give that, or leave it out")
@@ -108,7 +109,6 @@ def result_tables(found: MotionLoads | UncertainLoads) -> list[TextTable]:
 
 
 def _notes_of_motion(found: MotionLoads) -> list[str]:
-    from lunarsci.twin.lanes import outcome_texts
 
     notes = [*outcome_texts(found.found.outcome), *found.known.remarks]
     if missing := found.missing:

@@ -1,12 +1,10 @@
 """A planned mission for people: its targets, and its legs."""
 
-from typing import TYPE_CHECKING
+from lunarsci.twin.jobs.planned_mission import PlannedMission
+from lunarsci.twin.judgement.keeping import least_of_95
+from lunarsci.twin.mission.legs import MissionLeg
 
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.twin.jobs.planned_mission import PlannedMission
-    from lunarsci.twin.mission.legs import MissionLeg
 
 
 def mission_tables(found: "PlannedMission") -> list[TextTable]:
@@ -42,7 +40,6 @@ def _targets(found: "PlannedMission") -> TextTable:
 
 
 def _legs(found: "PlannedMission") -> TextTable:
-    from lunarsci.twin.judgement.keeping import least_of_95
 
     rows = [_row(leg) for leg in found.driven.legs]
     headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]

@@ -2,11 +2,20 @@
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 import typer
 
+from lunarsci.heights.projections import lonlat_of
+from lunarsci.twin.choice.choice import DriveCandidate
+from lunarsci.twin.jobs import plan as job
+from lunarsci.twin.jobs.chosen_drive import ChosenDrive
 from lunarsci.twin.jobs.plan_request import PlanRequest
+from lunarsci.twin.jobs.planned_mission import PlannedMission
+from lunarsci.twin.jobs.terrain import TerrainSurvey
+from lunarsci.twin.plans.plan import Leg
+from lunarsci.twin.routes.planner import PlannedPath
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
@@ -16,14 +25,6 @@ from ..shared.table import TextTable
 from .mission_tables import mission_tables
 from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
-
-if TYPE_CHECKING:
-    from lunarsci.twin.choice.choice import DriveCandidate
-    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-    from lunarsci.twin.jobs.terrain import TerrainSurvey
-    from lunarsci.twin.plans.plan import Leg
-    from lunarsci.twin.routes.planner import PlannedPath
-
 
 PATH, CHOICE = "Path", "Drives compared by their risk"
 OPTIONS = {
@@ -140,7 +141,6 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     that fits. Exit code 3 says that a target is not reached, or the chance is too small. With -o DIR leg-NNN.toml are
     the plans, legs.csv the timetable, mission.geojson the map.
     """
-    from lunarsci.twin.jobs import plan as job
 
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
@@ -151,8 +151,6 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
 
 def result_tables(found: "TerrainSurvey") -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
-    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-    from lunarsci.twin.jobs.planned_mission import PlannedMission
 
     if isinstance(found, PlannedMission):
         return mission_tables(found)
@@ -208,7 +206,6 @@ def _percent(chance: float) -> str:
 
 
 def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
-    import numpy as np
 
     limits = found.site.mobility
     rows = [
@@ -247,7 +244,6 @@ def _driven(leg: "Leg") -> str:
 
 def _place_notes(path: "PlannedPath", light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
-    from lunarsci.heights.projections import lonlat_of
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())
     notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []

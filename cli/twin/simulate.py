@@ -2,7 +2,7 @@
 
 import typer
 
-from lunarsci.twin.jobs.simulate import MadeUpDrive, SimulateDriveRequest
+from lunarsci.twin.jobs.simulate import MadeUpDrive, SimulateDriveRequest, simulate_drive
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -49,7 +49,6 @@ def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = Non
     With -o DIR the telemetry goes to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
     truth.csv. All of it is made up and says so. `lunarsci twin states` reads the first two.
     """
-    from lunarsci.twin.jobs.simulate import simulate_drive
 
     with progress("driving", quiet=output.quiet) as update:
         found = simulate_drive(plan, request, progress=update)

@@ -1,10 +1,10 @@
 """`lunarsci twin states`: from telemetry to slip, side slip and sinkage of every wheel."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lunarsci.twin.jobs.states import DEEPEST, StatesRequest
+from lunarsci.twin.jobs.states import DEEPEST, MeasuredStates, StatesRequest
 
 from ..shared.command import command
 from ..shared.options import option
@@ -12,10 +12,6 @@ from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import spread_headers
 from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
-
-if TYPE_CHECKING:
-    from lunarsci.twin.jobs.states import MeasuredStates
-
 
 OPTIONS = {
     "rover": ROVER,

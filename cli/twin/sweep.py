@@ -4,6 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lunarsci.twin.jobs import sweep as job
 from lunarsci.twin.jobs.sweep import DesignTrade, SweepRequest
 
 from ..shared.command import command
@@ -44,7 +45,6 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
     energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
     """
-    from lunarsci.twin.jobs import sweep as job
 
     with progress("designs", quiet=output.quiet) as update:
         found = job.sweep(plans, request, progress=update)

@@ -1,11 +1,10 @@
 """Tables of trials beside their predictions, for people."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from lunarsci.twin.jobs.compare_trials import ScoredTrials
 
 from ..shared.table import TextTable
-
-if TYPE_CHECKING:
-    from lunarsci.twin.jobs.compare_trials import ScoredTrials
 
 UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
 

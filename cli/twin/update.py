@@ -2,23 +2,24 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from lunarsci.twin.jobs.update import UpdateRequest
+from lunarsci.regolith.belief_history import parameter_rows
+from lunarsci.regolith.written_names import short_name
+from lunarsci.twin.assimilation.segments import Segment
+from lunarsci.twin.assimilation.update import SURPRISING
+from lunarsci.twin.jobs import update as job
+from lunarsci.twin.jobs.update import LearnedSoil, UpdateRequest
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+from .belief_tables import discrepancy_table, parameter_table
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
-
-if TYPE_CHECKING:
-    from lunarsci.twin.assimilation.segments import Segment
-    from lunarsci.twin.jobs.update import LearnedSoil
-
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 DRIVE, BELIEF = "Drive", "Belief"
@@ -112,7 +113,6 @@ def update(
 
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
-    from lunarsci.twin.jobs import update as job
 
     output.check_extra("--save", save, (".json",))
     output.check_extra("--save-map", save_map, (".json",))
@@ -125,10 +125,6 @@ def update(
 
 
 def result_tables(found: "LearnedSoil") -> list[TextTable]:
-    from lunarsci.regolith.belief_history import parameter_rows
-    from lunarsci.regolith.written_names import short_name
-
-    from .belief_tables import discrepancy_table, parameter_table
 
     known = found.known
     title = f"Soil after {found.states.name}: {known.plan.name}; {short_name(known.rover.name)} on {known.terrain.name}"
@@ -140,7 +136,6 @@ def result_tables(found: "LearnedSoil") -> list[TextTable]:
 
 
 def _notes(learned: "LearnedSoil") -> list[str]:
-    from lunarsci.twin.assimilation.update import SURPRISING
 
     found = learned.found
     notes = [

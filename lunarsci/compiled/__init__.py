@@ -27,7 +27,8 @@ class Compiled:
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
-        self._options, self._dispatcher, self._ready = options, None, False
+        self._options, self._ready = options, False
+        self._dispatcher: Any = None
 
     def __call__(self, *arguments: Any) -> Any:
         return (self._dispatcher if self._ready else self.dispatcher())(*arguments)

@@ -7,12 +7,12 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, LINE_STYLES, as_label, headline, legend_below, page
+from lunarsci.images.calibration import CameraCalibration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from lunarsci.images.calibration import CameraCalibration
 
 MARK = "#D55E00"
 LONG = 0.08

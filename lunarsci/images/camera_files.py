@@ -12,7 +12,8 @@ camera models) count pixels from the corner of the first one, so that its centre
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -20,13 +21,10 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.cahv import COARSE_PX, CahvModel, count_of, fit_cahv, orthonormal
 from lunarsci.images.camera import Camera, rotation_of
+from lunarsci.images.pictures import open_cv
 from lunarsci.images.rig import StereoRig, covariance_of, is_swapped
 from lunarsci.io.documents import json_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, text
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
-
 
 COLMAP: Mapping[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -260,7 +258,6 @@ class _LensModel(CahvModel):
     fisheye: bool
 
     def project(self, points: FloatArray) -> FloatArray:
-        from lunarsci.images.pictures import open_cv
 
         cv2, matrix = open_cv(), np.stack([self.vectors[name] for name in "HVA"])
         own = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints

@@ -4,7 +4,7 @@ Both say where a camera looked, in their own words. Here a `Camera` and a `Pose`
 fit misses is part of the answer.
 """
 
-from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of
 from lunarsci.images.rig import StereoRig, covariance_of
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, text
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
 
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
 RIGHT_ANGLE_DEG = 15.0

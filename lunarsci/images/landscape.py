@@ -1,5 +1,6 @@
 """What a rover's cameras look at: ground as triangles on a grid, rocks as ellipsoids, and the Sun."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -152,7 +153,6 @@ def landscape_on(
 
 
 def _with_rocks(bare: Landscape, places: FloatArray, random: np.random.Generator) -> Landscape:
-    import dataclasses
 
     count = len(places)
     width = np.minimum(0.04 / np.sqrt(np.maximum(random.random(count), 0.01)), 0.4)
@@ -169,7 +169,6 @@ def with_track(landscape: Landscape, places_m: FloatArray, depth_m: FloatArray, 
 
     Rocks stay as they are. Raises ParameterError where no place is on the ground.
     """
-    import dataclasses
 
     nodes, reach = np.zeros(landscape.height_m.shape), 0.5 * width_m / landscape.spacing_m
     columns, rows = (np.asarray(places_m, dtype=float) - (landscape.x0_m, landscape.y0_m)).T / landscape.spacing_m

@@ -10,6 +10,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel
+from lunarsci.io.inputs import read_input, read_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,7 +46,6 @@ def read_line(given: str) -> FloatArray:
 
     Raises ParameterError for text that is no line, DataError for a file without one.
     """
-    from lunarsci.io.inputs import read_input, read_json
 
     if not given.lower().endswith((".json", ".geojson")):
         try:

@@ -1,5 +1,6 @@
 """Pictures as grey numbers: PNG, TIFF and JPEG of 8 to 16 bits, and raw frames of PDS4 labels."""
 
+import io
 import math
 import re
 import warnings
@@ -95,7 +96,6 @@ def _picture(file: InputFile, found: npt.NDArray[Any]) -> Picture:
 
 def _check_size(file: InputFile) -> None:
     """Raise DataError for what is no PNG, TIFF or JPEG, and for more pixels than are unpacked: its header says both."""
-    import io
 
     from PIL import Image
 
@@ -159,7 +159,6 @@ def open_cv() -> Any:
 
 def png_bytes(values: npt.NDArray[np.uint16], words: dict[str, str]) -> bytes:
     """A grey PNG of 16 bits with words in its text chunks. (height, width)"""
-    import io
 
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo

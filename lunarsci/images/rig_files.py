@@ -11,6 +11,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
+from lunarsci.images.camera_files import rig_or_camera
+from lunarsci.images.labels import rig_of_labels
 from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of, is_swapped
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
@@ -66,16 +68,12 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
     Raises DataError for anything else.
     """
     if 1 <= len(sources) <= 2 and sources[0] not in known_rigs():
-        from lunarsci.images.camera_files import rig_or_camera
-
         given = [read_input(source) for source in sources] if _are_files(sources) else []
         if isinstance(found := rig_or_camera(given), StereoRig):
             return found
         if found is not None:
             raise DataError(f"{given[0].name}: {ONE_CAMERA}")
     if len(sources) == 2:
-        from lunarsci.images.labels import rig_of_labels
-
         return rig_of_labels(read_input(sources[0]), read_input(sources[1]))
     if len(sources) != 1:
         raise DataError("a rig is a name, a TOML file, or two labels, left and right; give one of these")

@@ -6,12 +6,11 @@ import math
 import re
 import tomllib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 from lunarsci.errors import DataError
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
 
 LARGEST = 2**63
 """Whole numbers are smaller: those of 64 bits, as in TOML 1.0."""
@@ -99,8 +98,6 @@ def xml_root(name: str, data: bytes) -> "Element":
     Whatever could expand or fetch something needs a document type declaration, and the label of a data product has no
     use for one. Raises DataError for such a declaration, broken XML, more than 2 MB or 64 levels.
     """
-    from xml.etree.ElementTree import TreeBuilder
-    from xml.parsers import expat
 
     if len(data) > LABEL_BYTES:
         raise DataError(f"{name}: {len(data)} bytes are too many for a label; fetch it again")

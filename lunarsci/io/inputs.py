@@ -16,15 +16,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeVar
 
 from lunarsci.errors import DataError, NoFilesError, ParameterError, warn
 from lunarsci.io.documents import json_document
 from lunarsci.names import some_of
+from lunarsci.result import unit_of
 
 if TYPE_CHECKING:
-    from typing import IO, BinaryIO
-
     import pandas as pd
     from astropy.table import Table
 
@@ -179,8 +178,6 @@ def _filled(name: str, data: bytes) -> InputFile:
 def _table_bytes(table: Any) -> bytes:
     """An astropy table as ECSV with commas, which readers of CSV take too."""
     from astropy.io import ascii
-
-    from lunarsci.result import unit_of
 
     plain = table.copy()
     for name in plain.colnames:

@@ -20,6 +20,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import InputFile, InputStream, csv_rows, read_input, text
+from lunarsci.io.records import Records, coded
 from lunarsci.provenance import sha256
 
 if TYPE_CHECKING:
@@ -171,7 +172,6 @@ def parquet_tables(stream: InputStream) -> "Iterator[pd.DataFrame]":
 
 def csv_bytes(table: "pd.DataFrame") -> bytes:
     """A table as CSV, nine significant digits: by compiled code, which writes five times as fast as pandas."""
-    from lunarsci.io.records import Records
 
     columns = {str(name): _written(table[name]) for name in table}
     head = io.StringIO()
@@ -181,7 +181,6 @@ def csv_bytes(table: "pd.DataFrame") -> bytes:
 
 def _written(column: "pd.Series") -> Any:
     """A column as records have it."""
-    from lunarsci.io.records import coded
 
     if column.dtype.kind in "iu":
         return column.to_numpy()

@@ -18,14 +18,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from lunarsci.compiled import threads
 from lunarsci.errors import RequestError
 from lunarsci.parallel.checkpoint import Arrays, KeptBlocks, spans
-
-if TYPE_CHECKING:
-    import numpy as np
+from lunarsci.parallel.dask_cluster import connect, on_cluster
 
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -89,8 +89,6 @@ class Computing:
     def client(self) -> Any:
         """The connection to the scheduler, made when it is first needed."""
         if self._client is None:
-            from lunarsci.parallel.dask_cluster import connect
-
             self._client = connect(str(self.scheduler))
         return self._client
 
@@ -244,7 +242,6 @@ def _found(
 ) -> Iterator[tuple[range, Any]]:
     if here.scheduler is None or not blocks:
         return _in_threads(here, work, blocks, fetch)
-    from lunarsci.parallel.dask_cluster import on_cluster
 
     return on_cluster(here.client(), here.scheduler, work, blocks, fetch)
 
@@ -323,7 +320,6 @@ def arrays_in_blocks(
     work: Callable[[Any], Arrays], total: int, rows: int, **how: Any
 ) -> "dict[str, np.ndarray[Any, Any]]":
     """Whole arrays of `total` rows, of what `blocks_in_order`, whose parameters these are, gives block by block."""
-    import numpy as np
 
     whole: dict[str, np.ndarray[Any, Any]] = {}
     for block, arrays in blocks_in_order(work, total, rows, **how):

@@ -4,15 +4,16 @@ import contextlib
 import io
 import json
 import os
+import shutil
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TypeAlias
+from typing import IO, Any, TypeAlias
+
+import numpy as np
 
 from lunarsci.errors import OutputError, TakenError
-
-if TYPE_CHECKING:
-    import numpy as np
+from lunarsci.parallel.dask_cluster import build
 
 Arrays: TypeAlias = "Mapping[str, np.ndarray[Any, Any]]"
 MANIFEST = "manifest.jsonl"
@@ -37,7 +38,6 @@ class KeptBlocks:
     """
 
     def __init__(self, folder: Path, about: Mapping[str, str], total: int, rows: int, *, force: bool = False) -> None:
-        from lunarsci.parallel.dask_cluster import build
 
         self.folder = folder
         self.done: dict[int, int] = {}
@@ -69,7 +69,6 @@ class KeptBlocks:
 
     def keep(self, block: range, arrays: Arrays) -> None:
         """Keep what a block gave: when this returns, a power cut does not lose it. Raises OutputError."""
-        import numpy as np
 
         if wrong := [name for name, values in arrays.items() if np.asarray(values).dtype.hasobject]:
             raise TypeError(f"arrays of Python objects are not kept: {', '.join(wrong)}")
@@ -84,7 +83,6 @@ class KeptBlocks:
 
     def load(self, block: range) -> Arrays:
         """What a block gave. Raises OutputError where its file has changed since."""
-        import numpy as np
 
         with self._telling():
             data = self._file(block.start).read_bytes()
@@ -96,8 +94,6 @@ class KeptBlocks:
     def close(self, *, remove: bool) -> None:
         """Let others at it, or take it away. What cannot be taken away does no harm."""
         if remove:
-            import shutil
-
             shutil.rmtree(self.folder, ignore_errors=True)
             with contextlib.suppress(OSError):
                 self.folder.parent.rmdir()

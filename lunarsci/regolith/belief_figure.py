@@ -1,11 +1,9 @@
 """Pictures of what is believed of a soil: each parameter before any drive and now, and after each drive."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, headline, legend_below, page
@@ -13,6 +11,9 @@ from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 OWN, OTHER, REFUSED = "#0072B2", "#D55E00", "#26323a"
 
@@ -24,7 +25,7 @@ def belief_history_figure(
     names: tuple[str, str] = ("", ""),
     *,
     synthetic: bool = False,
-) -> Figure:
+) -> "Figure":
     """One panel for each parameter; a second belief beside the first where there is one.
 
     Bars are 68 %; the band is the interval of the priors. Drives from which nothing was learned are crossed. What two
@@ -75,7 +76,7 @@ SOILS = 512
 """Drawn of a belief for its density; where it holds a population, that in turn."""
 
 
-def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) -> Figure:
+def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) -> "Figure":
     """What a belief says of the soil: each parameter before any drive and now, as the posterior of `infer`.
 
     Intervals are those of `SoilBelief.intervals`, the density that of its soils.
@@ -103,7 +104,7 @@ def posterior_figure(
     title: str,
     *,
     synthetic: bool = False,
-) -> Figure:
+) -> "Figure":
     """Prior and posterior density of each parameter; bars are the 68 and 95 % intervals of the posterior.
 
     Parameters
@@ -113,6 +114,7 @@ def posterior_figure(
 
     Draws that are all one value have no density: their median and interval alone are drawn.
     """
+    from matplotlib.ticker import LogLocator
     from scipy.stats import gaussian_kde
 
     figure = page(1.9 * -(-len(rows) // 2))

@@ -5,10 +5,9 @@ Picture of a site among reference soils in four panels, as Fig. 4 of Ding et al.
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lunarsci.figure import as_label, headline, legend_below, name_points, page, wrapped
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
@@ -18,6 +17,9 @@ from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLORS = dict(zip(KINDS, ("black", "#0072B2", "#009E73"), strict=True))
 MARKERS = dict(zip(KINDS, ("o", "^", "s"), strict=True))
@@ -50,7 +52,7 @@ Named = list[tuple[str, float, float]]
 
 def comparison_figure(
     site: Site, found: Sequence[SoilComparison], width_m: float, curves: Curves | None = None
-) -> Figure:
+) -> "Figure":
     """Bearing; shear beside terrestrial soils and simulants; shear beside lunar missions; lateral shear.
 
     Parameters
@@ -163,7 +165,7 @@ def forces_over_slip(
     side_slip_deg: float,
     reading: ShearSign,
     model: ContactModel | None = None,
-) -> Figure:
+) -> "Figure":
     """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked states marked."""
 
     def forces(slip: Any) -> WheelForces | ContactForces:
@@ -189,7 +191,7 @@ def forces_over_slip(
     return figure
 
 
-def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_n: float) -> Figure:
+def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_n: float) -> "Figure":
     """Pull per weight and tractive efficiency over slip, above; torque and sinkage below; 20 % slip marked."""
     figure = page(5.4, 5.2)
     pull, effort = figure.subplots(2, 1, sharex=True)
@@ -217,7 +219,7 @@ def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_
     return figure
 
 
-def characteristic_curves(found: Identification, *, synthetic: bool = False) -> Figure:
+def characteristic_curves(found: Identification, *, synthetic: bool = False) -> "Figure":
     """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
     figure = page(3.6)
     bearing, shear, lateral = figure.subplots(1, 3)

@@ -29,6 +29,8 @@ from lunarsci.regolith.written_columns import (
     SHARES,
     TRAVEL,
     NamedColumns,
+    by_rim,
+    by_travel,
     named_columns,
 )
 from lunarsci.regolith.written_names import check_written_for
@@ -172,7 +174,6 @@ def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | N
 
 def converted_slip(slip: FloatArray, unit: str) -> FloatArray:
     """lunarsci's slip ratio from slips of a unit or definition."""
-    from lunarsci.regolith.written_columns import by_rim, by_travel
 
     return by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from lunarsci.arrays import FloatArray
-    from lunarsci.regolith.identify import Estimate
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.regolith.identify import Estimate
 
 LABELS = {
     "stiffness_kpa_m_n": "stiffness K_s",
@@ -62,7 +62,6 @@ class StatesAgreement:
 
 def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray") -> StatesAgreement | None:
     """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
-    import numpy as np
     from scipy.special import gammaincc
 
     pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]

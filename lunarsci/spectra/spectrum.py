@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.noise import scatter_noise_rows
 
 WIDEST_GAP_NM = 100.0
 """Channels farther apart than this may hide the bottom of a band of olivine or pyroxene, whose narrowest is
@@ -141,7 +142,6 @@ def scatter_noise(values: FloatArray, window: int = 61) -> FloatArray:
 
     von Neumann, Kent, Bellinson & Hart (1941), Ann. Math. Stat. 12, 153, 10.1214/aoms/1177731746, in robust form.
     """
-    from lunarsci.spectra.noise import scatter_noise_rows
 
     noise: FloatArray = scatter_noise_rows(np.asarray(values, dtype=np.float64)[None], window)[0]
     return noise

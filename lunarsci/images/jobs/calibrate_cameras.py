@@ -8,17 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from lunarsci.errors import DataError, RequestError
+import numpy as np
+
+from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.images.calibration import BoardView, CameraCalibration, calibrate
+from lunarsci.images.camera import INTRINSICS, vector_of
+from lunarsci.images.moments import files_of, of_moments
+from lunarsci.images.pictures import Picture, read_picture
+from lunarsci.images.rig import StereoRig, is_swapped
+from lunarsci.images.rig_files import camera_text, rig_text
+from lunarsci.images.targets import BoardTarget, Sighting, alike_turned, check_board, find_target
 from lunarsci.io.inputs import InputFile
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.images.calibration import CameraCalibration
-    from lunarsci.images.pictures import Picture
-    from lunarsci.images.rig import StereoRig
-    from lunarsci.images.targets import BoardTarget, Sighting
 
 
 SOURCES = [
@@ -86,7 +90,6 @@ class CalibrateCamerasRequest:
 
     def board_target(self) -> "BoardTarget":
         """The board as a target. Raises ParameterError."""
-        from lunarsci.images.targets import BoardTarget
 
         columns, rows = map(int, self.board.split("x"))
         return BoardTarget(
@@ -122,7 +125,6 @@ class CalibratedCameras(Result):
     @property
     def swapped(self) -> bool:
         """Whether the camera of the right pictures stands left of the other one."""
-        from lunarsci.images.rig import is_swapped
 
         return len(self.found.cameras) > 1 and is_swapped(self.found.translation_m)
 
@@ -136,7 +138,6 @@ class CalibratedCameras(Result):
         return f"these pictures do not determine the {vital[0]}" if vital else ""
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.images.camera import vector_of
 
         found = self.found
         cameras = [
@@ -164,7 +165,6 @@ class CalibratedCameras(Result):
 
     def _numbers(self, index: int) -> dict[str, float]:
         """Intrinsics of a camera with their errors."""
-        from lunarsci.images.camera import INTRINSICS
 
         vector = self.found.cameras[index].vector()
         sigma = self.found.covariance.diagonal()[9 * index : 9 * index + 9] ** 0.5
@@ -175,7 +175,6 @@ class CalibratedCameras(Result):
 
     def _corner(self, index: int) -> float:
         """Largest uncertainty of a direction at the picture's corners. [px]"""
-        import numpy as np
 
         right, low = (n - 1.0 for n in self.found.cameras[index].size)
         places = np.array([[u, v] for u in np.linspace(0, right, 7) for v in np.linspace(0, low, 7)])
@@ -230,7 +229,6 @@ class CalibratedCameras(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a picture: points found, and what is left of them."""
-        import numpy as np
 
         left: dict[str, Any] = {}
         for index, rows in enumerate(self.found.residuals):
@@ -249,14 +247,13 @@ class CalibratedCameras(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.images.camera_figures import calibration_page
 
         yield calibration_page(self.found, self.request.name)
 
     def rig(self) -> "StereoRig":
         """The stereo rig. Raises ParameterError for a single camera."""
-        from lunarsci.errors import ParameterError
-        from lunarsci.images.rig import StereoRig
 
         if len(self.found.cameras) < 2:
             raise ParameterError("one camera is no stereo rig; give the right camera's pictures too, as `right`")
@@ -273,7 +270,6 @@ class CalibratedCameras(Result):
 
     def toml(self) -> bytes:
         """The file of the rig, or of the camera, that `images cameras` reads."""
-        from lunarsci.images.rig_files import camera_text, rig_text
 
         if len(self.found.cameras) > 1:
             return rig_text(self.rig()).encode()
@@ -286,7 +282,6 @@ class CalibratedCameras(Result):
 
 def _with_scale(found: "CameraCalibration", square_error: float) -> "CameraCalibration":
     """The calibration with the error of the target's size in its translation."""
-    import numpy as np
 
     covariance = found.covariance.copy()
     if len(found.cameras) > 1:
@@ -295,14 +290,12 @@ def _with_scale(found: "CameraCalibration", square_error: float) -> "CameraCalib
 
 
 def _rms(rows: Any) -> float:
-    import numpy as np
 
     return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
 
 
 def _seen_share(found: "CameraCalibration", index: int) -> float:
     """Share of the cells of a picture, 8 x 8, in which a point of the board was seen."""
-    import numpy as np
 
     size = np.array(found.cameras[index].size, dtype=float)
     cells = np.clip((found.residuals[index][:, 1:3] / size * CELLS).astype(int), 0, CELLS - 1)
@@ -324,10 +317,6 @@ def calibrate_cameras(
     order. Raises RequestError, ParameterError, and DataError where the board is not found, is another one, or is seen
     too seldom or from one side.
     """
-    from lunarsci.images.calibration import BoardView, calibrate
-    from lunarsci.images.moments import files_of, of_moments
-    from lunarsci.images.pictures import read_picture
-    from lunarsci.images.targets import alike_turned
 
     asked = request_of(CalibrateCamerasRequest, request, options)
     target, steps = asked.board_target(), progress or (lambda *_: None)
@@ -367,7 +356,6 @@ def _sightings(
 
     Raises DataError where the board is another one.
     """
-    from lunarsci.images.targets import check_board, find_target
 
     seen: list[Sighting | None] = []
     for k, picture in enumerate(pictures):

@@ -6,19 +6,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.camera_files import LengthUnit
+from lunarsci.images.cahv import LabelCamera
+from lunarsci.images.camera import INTRINSICS, Camera, vector_of
+from lunarsci.images.camera_files import LengthUnit, WrittenCamera, is_rig, rig_or_camera
+from lunarsci.images.labels import read_label, rig_of_labels
+from lunarsci.images.rig import StereoRig
+from lunarsci.images.rig_files import SingleCamera, known_rigs, read_camera, read_rig, rig_text
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, Source, read_input, text
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.images.cahv import LabelCamera
-    from lunarsci.images.camera import Camera
-    from lunarsci.images.rig import StereoRig
-    from lunarsci.images.rig_files import SingleCamera
 
 
 SOURCES = [
@@ -69,7 +71,6 @@ class CameraSheet(Result):
         }
 
     def _rig(self, rig: "StereoRig") -> dict[str, Any]:
-        from lunarsci.images.camera import vector_of
 
         sigmas = rig.sigmas if rig.covariance.any() else {}
         numbers = {side: _numbers(getattr(rig, side), sigmas, f"{side}_") for side in ("left", "right")}
@@ -94,7 +95,6 @@ class CameraSheet(Result):
 
     def ranges(self, rig: "StereoRig", ranges_m: Sequence[float] = RANGES_M) -> list[dict[str, float]]:
         """Of a point in the middle of the view: disparity, size of a pixel, and errors of its range, by range."""
-        import numpy as np
 
         focal, found = rig.left.fx_px, []
         way = rig.left.rays([0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)])
@@ -121,7 +121,6 @@ class CameraSheet(Result):
         return [{"name": rig.name} | row for rig in self.rigs for row in self.ranges(rig)]
 
     def figures(self) -> "Iterator[Figure]":
-        import numpy as np
 
         from lunarsci.images.camera_figures import range_page
 
@@ -136,7 +135,6 @@ class CameraSheet(Result):
 
     def toml(self) -> bytes:
         """The file of the one rig, which `images dem` reads. Raises ParameterError for none or several."""
-        from lunarsci.images.rig_files import rig_text
 
         if len(self.rigs) != 1:
             raise ParameterError(f"a file holds one rig, not {len(self.rigs)}; name one, or two labels, left and right")
@@ -145,7 +143,6 @@ class CameraSheet(Result):
 
 def _numbers(camera: "Camera", sigmas: Mapping[str, float], before: str = "") -> dict[str, Any]:
     """Size, intrinsics with errors, and field of view of a camera."""
-    from lunarsci.images.camera import INTRINSICS
 
     cells: dict[str, Any] = {"width_px": camera.width_px, "height_px": camera.height_px}
     for name in INTRINSICS:
@@ -155,8 +152,6 @@ def _numbers(camera: "Camera", sigmas: Mapping[str, float], before: str = "") ->
 
 
 def _alone(name: str, found: "LabelCamera | SingleCamera") -> dict[str, Any]:
-    from lunarsci.images.camera import INTRINSICS
-    from lunarsci.images.rig_files import SingleCamera
 
     if isinstance(found, SingleCamera):
         sigmas = dict(zip(INTRINSICS, map(float, found.covariance.diagonal() ** 0.5), strict=True))
@@ -183,8 +178,6 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
     A label, or a file of ROS or OpenCV with one camera, alone is one camera; two are the left and the right one of a
     rig. Raises RequestError and DataError.
     """
-    from lunarsci.images.camera_files import is_rig, rig_or_camera
-    from lunarsci.images.rig_files import known_rigs, read_camera, read_rig
 
     asked = request_of(CamerasRequest, request, options)
     given = [sources] if isinstance(sources, str) else list(sources)
@@ -213,11 +206,6 @@ def _of_pair(
     files: list[InputFile], unit: LengthUnit | None
 ) -> "tuple[list[StereoRig], dict[str, LabelCamera | SingleCamera]]":
     """The rig of two labels or files of ROS or OpenCV, and cameras of one, or of labels. Raises DataError."""
-    import numpy as np
-
-    from lunarsci.images.camera_files import WrittenCamera, rig_or_camera
-    from lunarsci.images.labels import read_label, rig_of_labels
-    from lunarsci.images.rig_files import SingleCamera
 
     if len(files) > 2:
         raise RequestError(f"{len(files)} labels; give one, or those of the left and the right picture")

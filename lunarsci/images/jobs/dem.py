@@ -6,17 +6,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from lunarsci.errors import RequestError
+from lunarsci.images.camera import Pose
+from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.gridding import grid_of, levelled
+from lunarsci.images.matching import StereoMatches, match
+from lunarsci.images.pictures import read_picture
+from lunarsci.images.rig import StereoRig
+from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.images.camera import Pose
-    from lunarsci.images.elevation import ElevationModel
-    from lunarsci.images.matching import StereoMatches
-    from lunarsci.images.rig import StereoRig
 
 
 Progress = Callable[[int, int], None]
@@ -100,7 +104,6 @@ class StereoTerrain(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a ring of ranges: nodes, and medians of their errors."""
-        import numpy as np
 
         model = self.model
         x, y = np.meshgrid(model.x_m - self.pose.center_m[0], model.y_m - self.pose.center_m[1])
@@ -118,6 +121,7 @@ class StereoTerrain(Result):
         return found
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.images.dem_figure import dem_figure
 
         yield dem_figure(self.model, self.matches, self.pose)
@@ -147,10 +151,6 @@ def dem(
 
     Raises DataError where the pictures are none, do not belong to the rig or do not match, and says why.
     """
-    from lunarsci.images.gridding import grid_of, levelled
-    from lunarsci.images.matching import match
-    from lunarsci.images.pictures import read_picture
-    from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 
     asked = request_of(DemRequest, request, options)
     rig = read_rig(*asked.rig.split(",")) if asked.rig.count(",") == 1 else read_rig(asked.rig)
@@ -180,7 +180,6 @@ def dem(
 
 def nearest_ground_m(rig: "StereoRig", pose: "Pose | None", mast_m: float) -> float:
     """Depth of what may be nearest in a picture of level ground, with a quarter to spare for what stands on it. [m]"""
-    import numpy as np
 
     if pose is None:
         return max(0.6 * mast_m, 0.6 * rig.nearest_m)

@@ -6,19 +6,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.images.camera import Pose
+from lunarsci.images.jobs.dem import nearest_ground_m
+from lunarsci.images.localisation import ODD_SIGMAS, Localised, localise
+from lunarsci.images.matching import match
+from lunarsci.images.pictures import Picture, read_picture
+from lunarsci.images.rig import StereoRig
+from lunarsci.images.rig_files import check_rig_of, pose_text, read_pose, read_rig
+from lunarsci.images.ties import Station
+from lunarsci.io.documents import toml_document
+from lunarsci.io.inputs import InputFile, read_input, text
+from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.arrays import FloatArray
-    from lunarsci.images.camera import Pose
-    from lunarsci.images.localisation import Localised
-    from lunarsci.images.pictures import Picture
-    from lunarsci.images.rig import StereoRig
-    from lunarsci.images.ties import Station
 
 
 Progress = Callable[[int, int], None]
@@ -93,7 +99,6 @@ class LocatedStations(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.images.localisation import ODD_SIGMAS
 
         for number, station in enumerate(self.found.stations):
             if not self.found.tied[number]:
@@ -136,7 +141,6 @@ class LocatedStations(Result):
         return [self._row(k) for k in range(len(self.found.stations))]
 
     def _row(self, k: int) -> dict[str, Any]:
-        import numpy as np
 
         station, pose = self.found.stations[k], self.found.poses[k]
         place, before = self.found.place(k), self.found.shared(k, max(k - 1, 0))
@@ -162,8 +166,6 @@ class LocatedStations(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
-        from lunarsci.images.rig_files import pose_text
-        from lunarsci.io.tables import csv_bytes
 
         found = self.found
         made: dict[str, Callable[[], bytes]] = {"positions.csv": lambda: csv_bytes(self.to_table().to_pandas())}
@@ -185,6 +187,7 @@ class LocatedStations(Result):
         )
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.images.locate_figure import ties_figure
 
         if not self.found.pairs:
@@ -229,8 +232,6 @@ def locate(
 
     Raises DataError for folders that are none and pairs that do not match, RequestError for fewer than two.
     """
-    from lunarsci.images.localisation import localise
-    from lunarsci.images.rig_files import read_rig
 
     asked = request_of(LocateRequest, request, options)
     if len(stations) < 2:
@@ -276,8 +277,6 @@ class _Read(NamedTuple):
 
 def _read(folder: Path, rig: "StereoRig", asked: LocateRequest, inputs: dict[str, str]) -> _Read:
     """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
-    from lunarsci.images.pictures import read_picture
-    from lunarsci.images.rig_files import check_rig_of, read_pose
 
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
@@ -301,9 +300,6 @@ def _read(folder: Path, rig: "StereoRig", asked: LocateRequest, inputs: dict[str
 
 def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, before: "Station | None") -> "Station":
     """A station with its pair matched. Raises DataError where it does not match."""
-    from lunarsci.images.jobs.dem import nearest_ground_m
-    from lunarsci.images.matching import match
-    from lunarsci.images.ties import Station
 
     nearest = nearest_ground_m(rig, own.pose, rig.height_m)
     return Station(
@@ -318,8 +314,6 @@ def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, befo
 
 def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | None]":
     """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
-    from lunarsci.io.documents import toml_document
-    from lunarsci.io.inputs import text
 
     table = toml_document(text(file))
     known = [name for name in ("time_s", *ATTITUDE) if name in table]
@@ -332,10 +326,7 @@ def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | N
 
 def _rover(rig: "StereoRig", pose: "Pose", attitude: Sequence[float], mast_m: Sequence[float]) -> "Pose":
     """The rover's frame in that of the left camera: the middle between both cameras is `mast_m` in the rover's."""
-    import numpy as np
     from scipy.spatial.transform import Rotation
-
-    from lunarsci.images.camera import Pose
 
     turned = pose.rotation.T @ Rotation.from_euler("ZYX", attitude, degrees=True).as_matrix()
     middle = -0.5 * rig.rotation.T @ rig.translation_m
@@ -352,7 +343,6 @@ def _picture(folder: Path, side: str) -> Path:
 
 def _covariance(pose: "Pose", before: "Station | None", asked: LocateRequest) -> "FloatArray":
     """Of dead reckoning: of direction, and of the step from the station before. (6, 6)"""
-    import numpy as np
 
     way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))
     step = math.hypot(asked.drift * way, LEAST_DRIFT_M)

@@ -4,15 +4,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from lunarsci.errors import DataError, RequestError
+from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
+from lunarsci.images.merge import MergedMap, StationPosition
+from lunarsci.images.merge import merge as merged_map
 from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.images.elevation import ElevationModel
-    from lunarsci.images.merge import MergedMap, StationPosition
 
 
 SOURCES = [
@@ -76,7 +79,6 @@ class MergedStations(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station: what it was found to be off by, with errors; the offset in units of its common error."""
-        import numpy as np
 
         sigma = np.sqrt(np.diag(self.merged.covariance)).reshape(self.merged.corrections.shape)
         rows = []
@@ -89,13 +91,13 @@ class MergedStations(Result):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.images.figures import merge_page
 
         yield merge_page(self.merged)
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The map as the formats that have errors: ending to what makes the content."""
-        from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
 
         model = self.merged.model
         return {
@@ -116,8 +118,6 @@ def merge(
 
     Raises DataError, RequestError, and ParameterError where nothing overlaps.
     """
-    from lunarsci.images.elevation import read_elevation
-    from lunarsci.images.merge import merge as merged_map
 
     asked = request_of(MergeRequest, request, options)
     names = [terrains] if isinstance(terrains, str) else list(terrains)
@@ -134,10 +134,6 @@ def merge(
 
 def read_positions(source: InputFile, count: int) -> "list[StationPosition]":
     """Positions of stations from CSV, a row for each. Raises DataError."""
-    import numpy as np
-
-    from lunarsci.images.merge import StationPosition
-    from lunarsci.io.tables import numbers_of, read_csv_table
 
     table = read_csv_table(source)
     for name in NEEDED[:2]:

@@ -6,17 +6,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
+from lunarsci.figure import file_label, headline, page
+from lunarsci.images import render as renderer
+from lunarsci.images.camera import Pose
+from lunarsci.images.elevation import read_elevation
+from lunarsci.images.landscape import ROCK_COLUMNS, Landscape, landscape_on, read_track, with_track
+from lunarsci.images.pictures import png_bytes
+from lunarsci.images.render import RenderedPair
+from lunarsci.images.rig import StereoRig
+from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.arrays import FloatArray
-    from lunarsci.images.landscape import Landscape
-    from lunarsci.images.render import RenderedPair
-    from lunarsci.images.rig import StereoRig
 
 
 Progress = Callable[[int, int], None]
@@ -129,12 +136,10 @@ class SyntheticPair(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a rock, as `ROCK_COLUMNS` says."""
-        from lunarsci.images.landscape import ROCK_COLUMNS
 
         return [dict(zip(ROCK_COLUMNS, map(float, row), strict=True)) for row in self.landscape.rocks]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label, headline, page
 
         figure = page(3.9)
         headline(figure, f"{file_label(self.landscape.name)}, {self.told.name}", synthetic=True)
@@ -146,8 +151,6 @@ class SyntheticPair(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Pictures, the rig and pose that a solver is told, and the truth: name to what makes the content."""
-        from lunarsci.images.pictures import png_bytes
-        from lunarsci.images.rig_files import pose_text, rig_text
 
         words = {"Comment": "SYNTHETIC, rendered by lunarsci", "Source": self.landscape.name}
         note = "# SYNTHETIC pictures were taken with a rig near this one; its own numbers are in truth.npz\n"
@@ -160,9 +163,6 @@ class SyntheticPair(Result):
         }
 
     def _truth_bytes(self) -> bytes:
-        import numpy as np
-
-        from lunarsci.images.rig_files import rig_text
 
         ground, poses = self.landscape, {"left": self.pair.left_pose, "right": self.pair.right_pose}
         truth = self.pair.truth
@@ -200,12 +200,6 @@ def render(
 
     Raises DataError for a terrain that cannot be read, ParameterError where a camera cannot be.
     """
-    import numpy as np
-
-    from lunarsci.images import render as renderer
-    from lunarsci.images.camera import Pose
-    from lunarsci.images.landscape import landscape_on, read_track, with_track
-    from lunarsci.images.rig_files import read_rig
 
     asked = request_of(RenderRequest, request, options)
     rig = read_rig(asked.rig)
@@ -242,7 +236,6 @@ def render(
 
 def _heights(terrain: str) -> "tuple[float, float, float, FloatArray]":
     """x0, y0, spacing and heights (ny, nx) of a terrain file. [m]"""
-    from lunarsci.images.elevation import read_elevation
 
     found = read_elevation(terrain)
     return found.x0_m, found.y0_m, found.spacing_m, found.height_m

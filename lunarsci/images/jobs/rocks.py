@@ -7,14 +7,13 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
+from lunarsci.images.elevation import ElevationModel, read_elevation
+from lunarsci.images.rocks import RockSurvey, find_rocks
 from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.images.elevation import ElevationModel
-    from lunarsci.images.rocks import RockSurvey
 
 
 SOURCES = [
@@ -96,6 +95,7 @@ class RockList(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.images.figures import rocks_page
 
         yield rocks_page(self.model, self.survey)
@@ -137,8 +137,6 @@ def rocks(
 
     Raises DataError, RequestError, and ParameterError for a grid too coarse.
     """
-    from lunarsci.images.elevation import read_elevation
-    from lunarsci.images.rocks import find_rocks
 
     asked = request_of(RocksRequest, request, options)
     inputs = {terrain: read_input(terrain).sha256}

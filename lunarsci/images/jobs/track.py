@@ -4,17 +4,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
+from lunarsci.images.elevation import ElevationModel, read_elevation
+from lunarsci.images.lines import read_line
+from lunarsci.images.tracks import TrackDepths, track_depths
 from lunarsci.io.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.arrays import FloatArray
-    from lunarsci.images.elevation import ElevationModel
-    from lunarsci.images.tracks import TrackDepths
 
 
 SOURCES = [
@@ -86,7 +89,6 @@ class TrackSinkage(Result):
 
     @property
     def untrusted(self) -> str:
-        import numpy as np
 
         found = self.depths
         if not found.determined.any():
@@ -102,7 +104,6 @@ class TrackSinkage(Result):
         return self.model.height_m_sigma is not None or self.depths.ground_scatter_m is not None
 
     def to_dict(self) -> dict[str, Any]:
-        import numpy as np
 
         found = self.depths
         systematic = found.rut_m_systematic[found.determined]
@@ -128,7 +129,6 @@ class TrackSinkage(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a place; `x_m`, `y_m`, `rut_m` and `rut_m_sigma` are what `twin states --track` reads."""
-        import numpy as np
 
         found, whole = self.depths, 1.0 - self.rebound
         blank = np.where(found.determined, 1.0, np.nan)
@@ -148,6 +148,7 @@ class TrackSinkage(Result):
         return [row | {"status": reason or "ok"} for row, reason in zip(rows, found.reason, strict=True)]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.images.figures import track_page
 
         yield track_page(self.model, self.line, self.width_m, self.depths)
@@ -180,10 +181,6 @@ def track(
     `terrain` is a file of heights with errors as layers. Raises DataError and RequestError, and ParameterError for a
     line that is none.
     """
-    from lunarsci.images.elevation import read_elevation
-    from lunarsci.images.lines import read_line
-    from lunarsci.images.tracks import track_depths
-    from lunarsci.rovers import read_rover
 
     asked = request_of(TrackRequest, request, options)
     line = read_line(asked.line)

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtri, ndtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import ParameterError
@@ -35,7 +33,7 @@ MOST_OUTLIERS = 0.2
 FIRST_SHARE, ROUNDS, SETTLED = 0.2, 8, 0.05
 """Model error that the search for it begins with, large so that the way is smooth; fits at most; change of its
 logarithm that ends it."""
-RISES = (1.0, float(ndtri(0.025)) ** 2)
+RISES = (1.0, 3.841458820694127)
 """Of -2 ln posterior at the 68 and 95 % limits of a normal law."""
 FARTHEST, PROFILE_TOLERANCE = 8.0, 0.01
 """How far limits are looked for, in standard deviations of the prior; to what share of the posterior's."""
@@ -102,6 +100,8 @@ def _within(problem: JointProblem, point: FloatArray, kept: BoolArray) -> BoolAr
 
 def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
     """Squared residuals of each state over what the worst of as many good ones may have. (n,)"""
+    from scipy.special import chdtri
+
     white = problem.white(point[None])[0]
     measured = np.isfinite(problem.forces).sum(axis=1)
     limit = chdtri(np.maximum(measured, 1), OUTLIER / len(white))
@@ -140,6 +140,8 @@ def profile_limits(
 
 def _limit(problem: JointProblem, mode: FloatArray, k: int, side: int, rise: float, sd: float) -> float:
     """Of parameter k, transformed; at most FARTHEST away."""
+    from scipy.optimize import brentq
+
     fixed, lowest, start = np.arange(len(mode)) == k, problem.objective(mode), mode.copy()
 
     def excess(away: float) -> float:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import LunarSciWarning, ParameterError
@@ -127,6 +126,8 @@ class SoilPosterior:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a parameter, in its unit: median, 68 % and 95 % intervals, the prior's, what the states add."""
+        from scipy.special import ndtri
+
         keys = ("median", "low68", "high68", "low95", "high95")
         before = np.array([0.0, *map(float, ndtri(LEVELS))])
         found = []

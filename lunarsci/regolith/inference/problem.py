@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import gammaln
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import each_in_threads, in_lanes
@@ -254,6 +252,8 @@ def error_covariance(problem: JointProblem, slopes: FloatArray, shares: FloatArr
 
 def _fitted(problem: JointProblem, point: FloatArray, freedom: float, count: int) -> FloatArray:
     """Likeliest shares of F_N, F_DP, F_L, (3,), of `count` unknowns: 3, or 1 for one share of all."""
+    from scipy.optimize import minimize
+
     found, slopes = problem.residuals_and_slopes(point[None])
     measured = np.isfinite(problem.forces)
     number = int(measured.sum())
@@ -331,6 +331,8 @@ def states_alike(problem: JointProblem, point: FloatArray) -> float:
 
 def tail_of(white: FloatArray) -> float:
     """Degrees of freedom, of `TAILS`, of the Student law of unit variance that whitened residuals follow best."""
+
+    from scipy.special import gammaln
 
     def score(freedom: float) -> float:
         peak = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom) - 0.5 * np.log(np.pi * (freedom - 2))

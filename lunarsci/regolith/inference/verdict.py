@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
@@ -203,6 +202,8 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
 
 
 def _misfit(mode: Mode, reduced: float | None, given: bool, states: WheelStates) -> list[str]:
+    from scipy.special import chdtri
+
     own, left = _of_stated_errors(mode, given, states)
     if states.stated and not states.alike and left >= 1 and own < (low := least_chi_square(left)):
         return [
@@ -223,6 +224,8 @@ def _strange(mode: Mode) -> list[str]:
 
 def least_chi_square(left: float) -> float:
     """Below which errors are too large for what so many degrees of freedom are left over."""
+    from scipy.special import chdtri
+
     return min(REDUCED[0] * left, float(chdtri(left, 1 - RARE)))
 
 

@@ -8,15 +8,27 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input, text
+from lunarsci.provenance import sha256
+from lunarsci.regolith.belief import SCHEMA, doubt, read_belief
+from lunarsci.regolith.compare import (
+    OpenSite,
+    Site,
+    SoilComparison,
+    compare_site,
+    open_site,
+    reference_hash,
+    remarks,
+    site_of,
+    site_of_belief,
+    sources_of,
+)
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
-from lunarsci.regolith.wheel import PAPER
+from lunarsci.regolith.wheel import PAPER, read_wheel
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.rovers import DEFAULT_ROVER
+from lunarsci.rovers import DEFAULT_ROVER, read_rover
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.regolith.compare import OpenSite, Site, SoilComparison
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +53,6 @@ class _GivenSite:
     @classmethod
     def of(cls, found: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> "_GivenSite":
         """Of the result of `identify` or `infer`."""
-        from lunarsci.regolith.compare import open_site, site_of
 
         site, curves = site_of(found)
         left = open_site(found) if "joint" in found else None
@@ -118,6 +129,7 @@ class ComparedSoils(Result):
         return [item.to_dict(self.width_m) for item in self.soils]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.regolith.figure import comparison_figure
 
         yield comparison_figure(self.site, self.soils, self.width_m, self.curves)
@@ -136,10 +148,6 @@ def compare_soils(
 
     Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
     """
-    from lunarsci.provenance import sha256
-    from lunarsci.regolith.compare import compare_site, reference_hash, remarks, sources_of
-    from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.rovers import read_rover
 
     asked = request_of(CompareSoilsRequest, request, options)
     if (result is None) != asked.stated:
@@ -177,8 +185,6 @@ def compare_soils(
 
 def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) -> _GivenSite:
     """The site with what is known beside it, where the result has it."""
-    from lunarsci.regolith.belief import SCHEMA, doubt, read_belief
-    from lunarsci.regolith.compare import OpenSite, Site, site_of_belief
 
     if result is None:
         site = Site(

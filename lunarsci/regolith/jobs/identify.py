@@ -5,24 +5,26 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.provenance import sha256
+from lunarsci.regolith.identify import UNITS, Assumptions, Identification
+from lunarsci.regolith.identify import identify as identify_soil
+from lunarsci.regolith.questions import Question
+from lunarsci.regolith.sensitivity import Sensitivity, sensitivities
+from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
-from lunarsci.regolith.wheel import PAPER, ShearSign
+from lunarsci.regolith.wheel import PAPER, ShearSign, Wheel, left_to_defaults, read_wheel
+from lunarsci.regolith.written_names import NamedBy, rover_of_states
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
+from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, called, read_rover
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.arrays import FloatArray
-    from lunarsci.regolith.identify import Assumptions, Identification
-    from lunarsci.regolith.questions import Question
-    from lunarsci.regolith.sensitivity import Sensitivity
-    from lunarsci.regolith.states import MeasurementErrors, WheelStates
-    from lunarsci.regolith.wheel import Wheel
-    from lunarsci.regolith.written_names import NamedBy
 
 
 ITS_WHEELS = 6
@@ -75,7 +77,6 @@ class IdentifyRequest:
     @property
     def assumptions(self) -> "Assumptions":
         """As `lunarsci.regolith.identify.identify` takes them. Raises RequestError for a modulus that is no number."""
-        from lunarsci.regolith.identify import Assumptions
 
         given = self.lateral_modulus
         try:
@@ -96,7 +97,6 @@ class IdentifyRequest:
     @property
     def errors(self) -> "MeasurementErrors":
         """Of states whose table gives none."""
-        from lunarsci.regolith.states import MeasurementErrors
 
         return MeasurementErrors(
             sinkage_m=self.sinkage_error,
@@ -135,10 +135,6 @@ class StatesOfWheel:
 
 def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest) -> StatesOfWheel:
     """Read the states and the wheel: as asked for, as the table says, or Yutu-2's with a warning. Raises DataError."""
-    from lunarsci.provenance import sha256
-    from lunarsci.regolith.states import read_states
-    from lunarsci.regolith.wheel import left_to_defaults, read_wheel
-    from lunarsci.regolith.written_names import rover_of_states
 
     source = read_input(states)
     named, by = rover_of_states(source, rover, DEFAULT_ROVER)
@@ -158,7 +154,6 @@ def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest)
 
 def _warn_of_default(file: str, given: StatesOfWheel, rover: "RoverDescription") -> None:
     """Say that nobody named a rover, and which wheel is taken; names and loads like its own do not tell its size."""
-    import numpy as np
 
     mass = rover.table("mass")
     usual = (mass["body_kg"] / ITS_WHEELS + mass["wheel_kg"]) * LUNAR_GRAVITY.value
@@ -208,7 +203,6 @@ class IdentifiedSoil(Result):
     @property
     def wheel_of(self) -> str:
         """Whose wheel: the name in its file, and the file where one was given."""
-        from lunarsci.rovers import called
 
         return called(self.rover, self.called)
 
@@ -254,7 +248,6 @@ class IdentifiedSoil(Result):
 
     def answers(self) -> Sequence[Mapping[str, Any]]:
         """The values of the site, one row a parameter, the external friction angle at each assumed K_y."""
-        from lunarsci.regolith.identify import UNITS
 
         name = "external_friction_angle_deg"
         several = self.found.corners if len(self.found.corners) > 1 else ()
@@ -267,6 +260,7 @@ class IdentifiedSoil(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.regolith.figure import characteristic_curves
 
         yield characteristic_curves(self.found)
@@ -320,8 +314,6 @@ def identified(
     progress: Callable[[int, int], None] | None,
 ) -> IdentifiedSoil:
     """The same of states that are read."""
-    from lunarsci.regolith.identify import identify as identify_soil
-    from lunarsci.regolith.sensitivity import sensitivities
 
     same: dict[str, Any] = {"reading": asked.reading, "seed": asked.seed}
     found = identify_soil(given.states, given.wheel, known, draws=asked.draws, progress=progress, **same)

@@ -7,6 +7,16 @@ from typing import TYPE_CHECKING, Any, Literal
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
+from lunarsci.regolith.inference.prediction import (
+    PredictedStates,
+    WheelLaw,
+    WheelLawScore,
+    candidates,
+    compare_laws,
+    disputed,
+    predict_states,
+)
 from lunarsci.regolith.jobs.identify import (
     IdentifiedSoil,
     IdentifyRequest,
@@ -14,14 +24,12 @@ from lunarsci.regolith.jobs.identify import (
     identified,
     read_wheel_states,
 )
-from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
+from lunarsci.regolith.prior import prior_hash, read_prior
+from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw, read_wheel
 from lunarsci.result import job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.regolith.inference.posterior import SoilPosterior
-    from lunarsci.regolith.inference.prediction import PredictedStates, WheelLaw, WheelLawScore
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +86,6 @@ class InferRequest(IdentifyRequest):
     @property
     def wheel_law(self) -> "WheelLaw":
         """The law that the options name."""
-        from lunarsci.regolith.inference.prediction import WheelLaw
 
         model = ContactModel(
             shear=self.shear, bulldozing=self.bulldozing, density_kg_m3=self.density, gravity_m_s2=self.gravity
@@ -130,6 +137,7 @@ class InferredSoil(IdentifiedSoil):
 
     def figures(self) -> "Iterator[Figure]":
         """Prior and posterior of each parameter, then what each state allows by itself."""
+
         from lunarsci.regolith.belief_figure import posterior_figure
 
         found = self.posterior
@@ -160,9 +168,6 @@ def infer(
 
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
     """
-    from lunarsci.regolith.inference.prediction import predict_states
-    from lunarsci.regolith.prior import prior_hash
-    from lunarsci.regolith.wheel import read_wheel
 
     asked = request_of(InferRequest, request, options)
     known = asked.assumptions
@@ -197,9 +202,6 @@ def _posterior(
     asked: InferRequest, given: StatesOfWheel, progress: Callable[[int, int], None] | None
 ) -> "tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]":
     """The posterior, scores of the laws where one was chosen, and the file of priors."""
-    from lunarsci.regolith.inference.posterior import infer_soil
-    from lunarsci.regolith.inference.prediction import candidates, compare_laws, disputed
-    from lunarsci.regolith.prior import read_prior
 
     chooses = asked.chooses(given.states.alike)
     source = read_input(asked.prior) if asked.prior else None

@@ -5,8 +5,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
+
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
+from lunarsci.provenance import sha256
+from lunarsci.regolith.forces import MOST_COHESION, WheelForces, cohesion_share, warn_of_shear_sign
+from lunarsci.regolith.integrals import ContactForces, forces_by
+from lunarsci.regolith.inversion import reece_stiffness
+from lunarsci.regolith.soil import Soil, read_soil, soil_hash, warn_of_unusual
+from lunarsci.regolith.traction import LoadedState, LoadedWheel, Traction, traction
 from lunarsci.regolith.wheel import (
     DENSITY_KG_M3,
     MAX_VALID_SLIP,
@@ -15,17 +23,17 @@ from lunarsci.regolith.wheel import (
     ContactModel,
     ShearLaw,
     ShearSign,
+    SlipSinkageLaw,
+    Wheel,
+    read_wheel,
 )
+from lunarsci.regolith.written_names import written_for
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.regolith.forces import WheelForces
-    from lunarsci.regolith.integrals import ContactForces
-    from lunarsci.regolith.soil import Soil
-    from lunarsci.regolith.traction import LoadedState, LoadedWheel, Traction
-    from lunarsci.regolith.wheel import SlipSinkageLaw, Wheel
 
 WONG = "Wong (2008), Theory of Ground Vehicles, 4th ed., ch. 2: tractive efficiency"
 FREITAG = "Freitag, Green & Melzer (1970), Waterways Experiment Station TR M-70-2: wheels compared at 20 % slip"
@@ -151,7 +159,6 @@ class WheelForcesRequest:
         soil = soil.replace(**changes)
         if self.reece_cohesive is None or self.reece_frictional is None:
             return soil
-        from lunarsci.regolith.inversion import reece_stiffness
 
         stiffness = reece_stiffness(
             self.reece_cohesive,
@@ -209,7 +216,6 @@ class ForcesOnWheel(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.regolith.forces import MOST_COHESION
 
         if 0 <= self.cohesion_share <= MOST_COHESION:
             return ""
@@ -232,7 +238,6 @@ class ForcesOnWheel(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a slip, with the rover, so that `infer` reads them for its wheel."""
-        from lunarsci.regolith.written_names import written_for
 
         return [self._row(state) | {"rover": written_for(self.called, self.wheel)} for state in self.states]
 
@@ -245,6 +250,7 @@ class ForcesOnWheel(Result):
         return there | own
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.regolith.figure import forces_over_slip, traction_over_slip
 
         asked, first = self.request, self.states[0]
@@ -262,14 +268,6 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     Slip beyond 0.6 either way, and readings that only reproduce numbers, are said by a LunarSciWarning. Raises
     RequestError, ParameterError for a state or a soil out of range, DataError for a file that cannot be used.
     """
-    import numpy as np
-
-    from lunarsci.provenance import sha256
-    from lunarsci.regolith.forces import cohesion_share, warn_of_shear_sign
-    from lunarsci.regolith.soil import read_soil, soil_hash, warn_of_unusual
-    from lunarsci.regolith.traction import traction
-    from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.rovers import read_rover
 
     asked = request_of(WheelForcesRequest, request, options)
     description, slips = read_rover(asked.rover), asked.slips()
@@ -310,8 +308,6 @@ def _states(
     asked: WheelForcesRequest, wheel: "Wheel", soil: "Soil", slips: Sequence[float]
 ) -> "tuple[list[LoadedState], LoadedWheel | None]":
     """The wheel at each slip, under its load or at its sinkage; and the loaded wheel."""
-    from lunarsci.regolith.integrals import forces_by
-    from lunarsci.regolith.traction import LoadedState, LoadedWheel
 
     model = asked.model
     if asked.load is None:

@@ -16,6 +16,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
+from lunarsci.spectra.noise import scatter_noise_rows
 from lunarsci.spectra.spectrum import Spectrum
 
 Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
@@ -165,7 +166,6 @@ def features_of_rows(
     level of a spectrum that is 1 at a channel, or beyond 1.1, is not used: it was scaled. Of channels (c,) and
     reflectance above 0, (n, c). [nm, -]
     """
-    from lunarsci.spectra.noise import scatter_noise_rows
 
     rows, channels = reflectance.shape
     mean, error = (np.full((rows, len(WINDOWS_NM)), np.nan) for _ in range(2))

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.io.records import Column, Same, Where
@@ -23,6 +22,7 @@ from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import kinds_of_rows
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.shares import GOOD, LIKELY
+from lunarsci.spectra.library.end_member import CHEMISTRY
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
 from lunarsci.spectra.mgm.fit import SpectraFits
@@ -72,6 +72,8 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows) -> PyroxeneSha
     ----------
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025 (ratio).
     """
+    from scipy.special import stdtr, stdtrit
+
     told, weathered = _is_told(batch), np.zeros(len(batch), dtype=bool)
     if told.any():
         own = np.flatnonzero(told)
@@ -158,7 +160,6 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
 
     def record_columns(self) -> dict[str, Column]:
         """The key `abundance` of records."""
-        from lunarsci.spectra.library.end_member import CHEMISTRY
 
         own, keys = self.shares, ("low", "high", "low95", "high95")
         one: dict[str, Column] = {

@@ -6,7 +6,7 @@ over the few soils that were measured. The norm is what the oxides would crystal
     y = c0 + sum_k c_k (x_k - mean_k) / scale_k,   error s sqrt(1 + a^T H a),  a = (1, (x - mean) / scale)
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import as_label, headline, page
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import WINDOWS_NM, KindVerdict, spectral_features
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from matplotlib.figure import Figure
 
 TABLE = "soil_normative.csv"
@@ -184,7 +183,6 @@ TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %
 
 def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterator[Figure]":
     """One panel a quantity, one row a soil; a soil that is not determined has an empty row."""
-    from lunarsci.figure import as_label, headline, page
 
     for start in range(0, len(found), PER_PAGE):
         part, labels = found[start : start + PER_PAGE], names[start : start + PER_PAGE]

@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.figure import as_label, headline, page
+from lunarsci.spectra.library.end_member import CHEMISTRY
+from lunarsci.spectra.mgm.figure import COLORS, OTHER
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -68,7 +72,6 @@ class Abundance:
     @property
     def not_weighed(self) -> list[str]:
         """Minerals that may be there and were not looked for: shares are of the others alone."""
-        from lunarsci.spectra.library.end_member import CHEMISTRY
 
         return [mineral for mineral in CHEMISTRY if mineral not in {item.mineral for item in self.fractions}]
 
@@ -111,7 +114,6 @@ BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8
 
 def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
     """Shares in per cent; spectra outside the domain of the method have open circles, what is not determined none."""
-    from lunarsci.figure import as_label, headline, page
 
     minerals = list(dict.fromkeys(item.mineral for one in found for item in one.fractions))
     for start in range(0, len(found), PER_PAGE):
@@ -135,7 +137,6 @@ def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
 
 
 def _draw(panel: Any, row: int, one: Abundance, mineral: str) -> None:
-    from lunarsci.spectra.mgm.figure import COLORS, OTHER
 
     color = COLORS.get(mineral, OTHER)
     for item in one.fractions:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.figure import as_label, name_points, page
 from lunarsci.spectra.band_status import BandResult
 from lunarsci.spectra.bands import BandColumns, SpectrumBands, columns_of
 from lunarsci.spectra.chemistry.chondrite import area_ratio, bands_of_chondrites, chondrites
@@ -235,7 +236,6 @@ OLIVINE_COLOR = "#009E73"
 
 def plane_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":
     """One page: 2 um centre over 1 um centre, fields and trend of the pyroxenes, olivine below, spectra with errors."""
-    from lunarsci.figure import as_label, name_points, page
 
     figure = page(5.6)
     axes = figure.subplots()

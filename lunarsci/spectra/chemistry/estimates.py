@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.io.records import coded
 from lunarsci.spectra.chemistry.plane import Texts
 
 
@@ -70,7 +71,6 @@ class Estimates:
 
     def columns(self) -> dict[str, Any]:
         """The attributes of `CompositionEstimate` by name, as columns of records."""
-        from lunarsci.io.records import coded
 
         texts = {name: coded(getattr(self, name)) for name in ("reason", "domain", "caveat", "source")}
         own = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}

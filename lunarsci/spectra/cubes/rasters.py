@@ -44,12 +44,17 @@ from lunarsci.spectra.cubes.cube import (
     cube_of,
     sha256_of,
 )
+from lunarsci.spectra.photometry.correction import correction_factor
 from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
 from lunarsci.spectra.readers.pds import radiance
 from lunarsci.spectra.readers.pds_label import LABELS, data_file, is_pds_label, label_beside, read_pds_label
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
 from lunarsci.spectra.rows import number, quoted, separator_of, split_fields, split_lines
+from lunarsci.spectra.solar import sun_moon_distance_au
+from lunarsci.spectra.vnis.channels import CUBE_SHAPE, VNIR_NM, fwhm_nm
+from lunarsci.spectra.vnis.detector import IN_FLIGHT_VERSION, default_settings, irradiance_at, reflectance_factor
 from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.observation import find_parts, read_observation
 
 
 def label_of_cube(path: str) -> str | None:
@@ -271,11 +276,6 @@ def open_vnis(path: str) -> Layout:
     Each pixel as `spectra calibrate` does it for the mean of many, but that the angles are those of the image's middle
     for all of them. Raises DataError as `read_observation` does.
     """
-    from lunarsci.spectra.photometry.correction import correction_factor
-    from lunarsci.spectra.solar import sun_moon_distance_au
-    from lunarsci.spectra.vnis.channels import CUBE_SHAPE, VNIR_NM, fwhm_nm
-    from lunarsci.spectra.vnis.detector import IN_FLIGHT_VERSION, default_settings, irradiance_at, reflectance_factor
-    from lunarsci.spectra.vnis.observation import find_parts, read_observation
 
     observation, settings, file = read_observation(path), default_settings(), find_parts(path).cube
     label = observation.cube_label

@@ -5,17 +5,24 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
+from lunarsci.constants import PAPER, SMOOTHING
 from lunarsci.errors import Failure, RequestError
+from lunarsci.io.records import BLOCK_THINGS, Records, RecordsInBlocks, Where, in_blocks
+from lunarsci.io.tables import table_hashes
+from lunarsci.names import some_of
 from lunarsci.parallel.checkpoint import spans
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
+from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
+from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
+from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
+from lunarsci.spectra.chemistry.estimates import Estimates
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
+from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
+from lunarsci.spectra.spectrum import Smoothing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.io.records import Records, RecordsInBlocks
-    from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
-    from lunarsci.spectra.chemistry.estimates import Estimates
-    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
 
 
 MOST_NAMED = 5
@@ -106,16 +113,11 @@ class MeasuredBands(Result):
     @cached_property
     def chemistry(self) -> "Mapping[str, Estimates]":
         """What each regression makes of the bands."""
-        from lunarsci.spectra.chemistry.bands import chemistries
 
         return chemistries(self.measured.arrays.bands)
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.constants import PAPER, SMOOTHING
-        from lunarsci.io.tables import table_hashes
-        from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
-        from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
 
         tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE, CHONDRITES)
         sources = [PAPER, SMOOTHING, *self._regressions, *CHEMISTRY]
@@ -124,7 +126,6 @@ class MeasuredBands(Result):
     @cached_property
     def _regressions(self) -> list[str]:
         """The sources of those that some spectrum can use."""
-        from lunarsci.spectra.chemistry.bands import KEYS
 
         used = {str(one["source"]) for one in self.examples(KEYS).values()}
         return [text for source, text in REGRESSIONS.items() if source in used]
@@ -132,14 +133,11 @@ class MeasuredBands(Result):
     @property
     def good(self) -> "list[SpectrumBands]":
         """Those with a result."""
-        from lunarsci.spectra.bands import SpectrumBands
 
         return [item for item in self.measured if isinstance(item, SpectrumBands)]
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.names import some_of
-        from lunarsci.spectra.band_status import STATUS, TOO_NARROW
 
         narrow = self.measured.arrays.codes[:, -1, STATUS] == TOO_NARROW
         named = some_of([self.batch.spectra.ids[place] for place in narrow.nonzero()[0]], MOST_NAMED)
@@ -149,13 +147,11 @@ class MeasuredBands(Result):
         return self.batch.said | {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
-        from lunarsci.io.records import in_blocks
 
         return {**self.batch.said, "spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a spectrum; value, error and range of each regression in columns of their own."""
-        from lunarsci.io.records import in_blocks
 
         return in_blocks(len(self.measured), self._rows)
 
@@ -168,8 +164,6 @@ class MeasuredBands(Result):
         return MeasuredBands(batch, self.measured.part(block), self.failures)
 
     def _records(self, block: range) -> "Records":
-        from lunarsci.io.records import Records, Where
-        from lunarsci.spectra.chemistry.bands import KEYS
 
         own = self._part(block)
         found = own.chemistry
@@ -177,8 +171,6 @@ class MeasuredBands(Result):
         return Records(own.measured.columns() | {"chemistry": shown, "source": own.batch.origins})
 
     def _rows(self, block: range) -> "Records":
-        from lunarsci.io.records import Records, Where
-        from lunarsci.spectra.chemistry.bands import KEYS
 
         own = self._part(block)
         columns = own.measured.columns() | {"source": own.batch.origins}
@@ -191,7 +183,6 @@ class MeasuredBands(Result):
 
     def remarks(self) -> list[tuple[int, str, str, str]]:
         """Place and id of the spectrum, key of the band and sentence of every note and status that is not `ok`."""
-        from lunarsci.spectra.band_status import BANDS, NOTE, STATUS
 
         return [
             (place, self.batch.spectra.ids[place], band.key, text)
@@ -203,7 +194,6 @@ class MeasuredBands(Result):
 
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
-        from lunarsci.io.records import BLOCK_THINGS
 
         found: dict[str, Mapping[str, Any]] = {}
         for block in spans(len(self.measured), BLOCK_THINGS):
@@ -215,13 +205,13 @@ class MeasuredBands(Result):
         return {key: found[key] for key in keys if key in found}
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.spectra.mgm.figure import band_pages
 
         return band_pages(self.good)
 
     def plane(self) -> "Iterator[Figure]":
         """The 2 um centres over the 1 um centres, among those of pyroxenes."""
-        from lunarsci.spectra.chemistry.bands import plane_pages
 
         return plane_pages(self.good)
 
@@ -235,9 +225,6 @@ def bands(
     **options: Any,
 ) -> MeasuredBands:
     """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
-    from lunarsci.spectra.bands import measure_batch
-    from lunarsci.spectra.readers.batch import read_batch
-    from lunarsci.spectra.spectrum import Smoothing
 
     asked = request_of(BandsRequest, request, options)
     smoothing = Smoothing(window_nm=asked.smooth_nm, order=asked.smooth_order, channels=asked.smooth)

@@ -5,16 +5,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from lunarsci.constants import PAPER
 from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, ParameterError
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
+from lunarsci.io.tables import table_hashes
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
+from lunarsci.spectra.readers.solar_table import read_solar_spectrum
+from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
+from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.calibrate import calibrate_files
+from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure, calibration_pages, to_ecsv, to_fits
+from lunarsci.spectra.vnis.detector import Settings, read_channel_factors
+from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.observation import one_per_observation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.spectra.spectrum import Spectrum
-    from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-    from lunarsci.spectra.vnis.detector import Settings
 
 
 MOST_IN_FITS = 55
@@ -47,10 +54,6 @@ class CalibrateRequest:
 
     def settings(self) -> "Settings":
         """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
-        from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
-        from lunarsci.spectra.readers.solar_table import read_solar_spectrum
-        from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
-        from lunarsci.spectra.vnis.detector import Settings, read_channel_factors
 
         inputs: dict[str, str] = {}
 
@@ -90,8 +93,6 @@ class Calibrations(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.constants import PAPER
-        from lunarsci.io.tables import table_hashes
 
         phase = [self.settings.phase.source] if self.settings.photometry != "none" else []
         return MadeFrom(
@@ -121,19 +122,16 @@ class Calibrations(Result):
         return [row for item in self.observations for row in item.rows()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.spectra.vnis.calibration import calibration_pages
 
         return calibration_pages(self.observations)
 
     def to_ecsv(self, provenance: Mapping[str, Any]) -> bytes:
         """As `lunarsci.spectra.vnis.calibration.to_ecsv`."""
-        from lunarsci.spectra.vnis.calibration import to_ecsv
 
         return to_ecsv(self.observations, provenance)
 
     def to_fits(self, provenance: Mapping[str, Any]) -> bytes:
         """As `lunarsci.spectra.vnis.calibration.to_fits`."""
-        from lunarsci.spectra.vnis.calibration import to_fits
 
         return to_fits(self.observations, provenance)
 
@@ -150,8 +148,6 @@ def calibrate(
 
     Raises DataError when nothing could be calibrated, or a table of the request cannot be used.
     """
-    from lunarsci.spectra.vnis.calibrate import calibrate_files
-    from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 
     settings = request_of(CalibrateRequest, request, options).settings()
     paths, failures = _observations(products)
@@ -179,7 +175,6 @@ def check_fits(path: Path | None, products: Products) -> None:
 
 def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataError]]]:
     """One file of each observation, and the arguments that name none, with the reason."""
-    from lunarsci.spectra.vnis.observation import one_per_observation
 
     found: list[str] = []
     failures: list[tuple[str, DataError]] = []
@@ -193,7 +188,6 @@ def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataEr
 
 def _products(argument: str) -> list[str]:
     """The VNIS products of a folder or pattern; a file's own name whatever it is, since reading it tells."""
-    from lunarsci.spectra.vnis.name import product_name
 
     if argument == "-":
         raise DataError("-: a product is several files and cannot come from stdin; name its label")

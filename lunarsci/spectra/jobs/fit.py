@@ -7,23 +7,34 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import Failure, ParameterError, RequestError
+from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.records import Records, in_blocks
+from lunarsci.io.tables import table_hashes
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
+from lunarsci.spectra.abundance.kinds import TABLE as KINDS
+from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
+from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.jobs.other_causes import with_causes
+from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, PERCENT_OF, MgmContinuum
+from lunarsci.spectra.mgm.assemblages import MINERALS, TABLES
+from lunarsci.spectra.mgm.columns import FitColumns, rows_of, rows_one_by_one
+from lunarsci.spectra.mgm.compositions import beyond_any, compositions
+from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
+from lunarsci.spectra.mgm.continua import check_continuum_removed, spread_over_continua
+from lunarsci.spectra.mgm.damping import fit_damping
+from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR, SpectraFits, fit_spectra
+from lunarsci.spectra.mgm.fit_file import fit_file_text, read_fit_file
+from lunarsci.spectra.mgm.intervals import Intervals, intervals_of
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model, stated_for
+from lunarsci.spectra.mgm.program import fit_file_of, read_start
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.mgm.selection import Choice, choose, doubts_about
+from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
+from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.io.inputs import InputFile
-    from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
-    from lunarsci.spectra.abundance.result import Abundance
-    from lunarsci.spectra.mgm.columns import FitColumns
-    from lunarsci.spectra.mgm.fit import SpectraFits
-    from lunarsci.spectra.mgm.intervals import Intervals
-    from lunarsci.spectra.mgm.model import MgmModel
-    from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-    from lunarsci.spectra.mgm.selection import Choice
-    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
-    from lunarsci.spectra.spectrum import Spectrum
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
@@ -96,15 +107,12 @@ class ModelRequest:
 
     def model(self, assemblage: str, continuum: MgmContinuum) -> "MgmModel":
         """The model of an assemblage under a continuum, with composition and constraints."""
-        from lunarsci.spectra.mgm.constraints import parse_compositions
-        from lunarsci.spectra.mgm.model import mgm_model, stated_for
 
         stated = parse_compositions(self.composition) if self.composition else None
         return self.held(mgm_model(assemblage, continuum, stated_for(assemblage, stated) if self.automatic else stated))
 
     def held(self, model: "MgmModel") -> "MgmModel":
         """A model with the constraints."""
-        from lunarsci.spectra.mgm.constraints import constrained
 
         return constrained(model, fixed=self.fix, bounds=self.bound, ties=self.tie)
 
@@ -166,13 +174,11 @@ class MgmFits(Result):
     @property
     def good(self) -> "list[MgmFit]":
         """The fits without the failures."""
-        from lunarsci.spectra.mgm.result import MgmFit
 
         return [item for item in self.fits if isinstance(item, MgmFit)]
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.io.tables import table_hashes
 
         tables, sources = self._tables_and_sources()
         return MadeFrom(
@@ -183,15 +189,11 @@ class MgmFits(Result):
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-        from lunarsci.spectra.abundance.kinds import TABLE as KINDS
-        from lunarsci.spectra.abundance.nbsr import TABLE
-        from lunarsci.spectra.mgm.assemblages import TABLES
 
         return [*TABLES, TABLE, KINDS], [MGM, NBSR]
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.spectra.mgm.selection import doubts_about
 
         doubts = doubts_about(self.fits, self.choices)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
@@ -202,7 +204,6 @@ class MgmFits(Result):
     @property
     def _as_arrays(self) -> bool:
         """Whether the fits are columns; some kinds are made one by one."""
-        from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
 
         return isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
 
@@ -212,8 +213,6 @@ class MgmFits(Result):
         return lru_cache(maxsize=1)(self._columns_of)
 
     def _columns_of(self, block: range) -> "tuple[FitColumns, PyroxeneAbundances]":
-        from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
-        from lunarsci.spectra.mgm.columns import FitColumns
 
         fits: SpectraFits = self.fits.part(block)  # type: ignore[attr-defined]
         return FitColumns(fits, self.batch.origins[block.start : block.stop]), PyroxeneAbundances(fits)
@@ -221,7 +220,6 @@ class MgmFits(Result):
     @cached_property
     def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
-        from lunarsci.io.records import Records, in_blocks
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)
@@ -232,8 +230,6 @@ class MgmFits(Result):
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
-        from lunarsci.spectra.mgm.compositions import compositions
-        from lunarsci.spectra.mgm.result import MgmFit
 
         item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
         found = self.abundances.get(index, ())
@@ -246,8 +242,6 @@ class MgmFits(Result):
         }
 
     def may_have(self, key: str) -> Collection[str]:
-        from lunarsci.spectra.mgm import PERCENT_OF
-        from lunarsci.spectra.mgm.assemblages import MINERALS
 
         return PERCENT_OF if key == "compositions" else MINERALS.values() if key == "abundance" else ()
 
@@ -255,8 +249,6 @@ class MgmFits(Result):
         return self.rows(bands=False)
 
     def rows(self, *, bands: bool = True) -> Sequence[dict[str, Any]]:
-        from lunarsci.io.records import Records, in_blocks
-        from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
         if not self._as_arrays:
             return rows_one_by_one(self.records, self.abundances, bands=bands)
@@ -270,6 +262,7 @@ class MgmFits(Result):
         return in_blocks(len(self.fits), of_some, size=size)
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.spectra.mgm.figure import fit_pages
 
         weak = [self.fits[index] for index, choice in self.choices.items() if not choice.strong]
@@ -280,8 +273,6 @@ class MgmFits(Result):
 
         Raises ParameterError for a continuum that it has no letter for.
         """
-        from lunarsci.spectra.mgm.fit_file import fit_file_text, read_fit_file
-        from lunarsci.spectra.mgm.program import fit_file_of
 
         header = read_fit_file(self.files[0]) if self.request.start else None
         return fit_file_text(fit_file_of(self.good[0], header))
@@ -301,10 +292,6 @@ def fit(
 
     Raises RequestError for options that exclude each other; DataError where no spectrum can be read and fitted.
     """
-    from lunarsci.spectra.abundance.nbsr import nbsr_abundances
-    from lunarsci.spectra.mgm.continua import spread_over_continua
-    from lunarsci.spectra.mgm.intervals import intervals_of
-    from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(FitRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
@@ -323,9 +310,6 @@ def fit(
 
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
-    from lunarsci.spectra.mgm.continua import check_continuum_removed
-    from lunarsci.spectra.mgm.fit import SpectraFits
-    from lunarsci.spectra.mgm.result import MgmFailure
 
     found: dict[str, Any]
     if request.continuum == "none":
@@ -349,19 +333,14 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
 def _by_prior(
     spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **start: Any
 ) -> "Sequence[MgmFit | MgmFailure]":
-    from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR, fit_spectra
 
     if request.prior == "damping":
-        from lunarsci.spectra.mgm.damping import fit_damping
-
         error = DEFAULT_MODEL_ERROR if request.model_error is None else request.model_error
         return fit_damping(spectra, model, model_error=error, progress=progress, **start)
     return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=progress)
 
 
 def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
-    from lunarsci.io.inputs import read_input
-    from lunarsci.spectra.mgm.program import read_start
 
     source = read_input(str(request.start))
     model, file = read_start(source, request.band_minerals)
@@ -371,11 +350,6 @@ def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: P
 
 def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
-    from lunarsci.spectra.jobs.other_causes import with_causes
-    from lunarsci.spectra.mgm.compositions import beyond_any
-    from lunarsci.spectra.mgm.constraints import parse_compositions
-    from lunarsci.spectra.mgm.result import MgmFit
-    from lunarsci.spectra.mgm.selection import Choice, choose
 
     stated = parse_compositions(request.composition) if request.composition else None
     found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)

@@ -4,17 +4,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.constants import SMOOTHING
 from lunarsci.errors import DataError, Failure, RequestError
+from lunarsci.io.records import Codes, Records
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.spectra.indices import INDICES, NO_CHANNELS, STATUSES, IndexColumn, index_arrays
+from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
+from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.arrays import FloatArray
-    from lunarsci.io.records import Records
-    from lunarsci.spectra.indices import IndexColumn
-    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
-    from lunarsci.spectra.spectrum import Spectrum
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +48,6 @@ class FoundIndices(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.constants import SMOOTHING
-        from lunarsci.spectra.indices import INDICES
 
         sources = [INDICES[name].source for name in self.columns]
         return MadeFrom(inputs=self.batch.inputs, tables=self.batch.tables, sources=[*sources, SMOOTHING])
@@ -57,17 +57,12 @@ class FoundIndices(Result):
         return self.batch.failures
 
     def content(self) -> dict[str, Any]:
-        from lunarsci.spectra.indices import INDICES
 
         about = {name: _about(INDICES[name]) for name in self.columns}
         return {**self.batch.said, "indices": about, "spectra": self.records()}
 
     def records(self) -> "Records":
         """Each spectrum with a nested object for each index."""
-        import numpy as np
-
-        from lunarsci.io.records import Codes, Records
-        from lunarsci.spectra.indices import INDICES, STATUSES
 
         found: dict[str, Any] = {
             name: {
@@ -84,10 +79,6 @@ class FoundIndices(Result):
 
     def rows(self) -> "Records":
         """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
-        import numpy as np
-
-        from lunarsci.io.records import Codes, Records
-        from lunarsci.spectra.indices import INDICES, STATUSES
 
         cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}
         for name, column in self.columns.items():
@@ -100,6 +91,7 @@ class FoundIndices(Result):
         return Records(cells)
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.spectra.mgm.figure import index_pages
 
         return index_pages(self.batch.spectra, self.columns)
@@ -127,8 +119,6 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
 
     Raises DataError when no spectrum can be read, or no index reaches any of them; RequestError for an unknown name.
     """
-    from lunarsci.spectra.indices import INDICES, NO_CHANNELS, IndexColumn
-    from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(IndicesRequest, request, options)
     names = list(dict.fromkeys(asked.index)) or list(INDICES)
@@ -152,9 +142,6 @@ def _measured(
     spectra: "Sequence[Spectrum]", names: Sequence[str], smooth_nm: float
 ) -> "Iterator[tuple[list[int], dict[str, IndexColumn]]]":
     """Numbers of spectra on the same channels, and their indices."""
-    import numpy as np
-
-    from lunarsci.spectra.indices import index_arrays
 
     groups: dict[Any, list[int]] = {}
     for number, item in enumerate(spectra):

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
 from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, read_metadata, with_description
+from lunarsci.spectra.library.end_member import EndMember, library_pages, read_library, to_ecsv
+from lunarsci.spectra.readers.batch import expanded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.spectra.library.check import LibraryFinding
-    from lunarsci.spectra.library.end_member import EndMember
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,13 +69,11 @@ class Library(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.spectra.library.end_member import library_pages
 
         return library_pages(self.members)
 
     def to_ecsv(self, provenance: Mapping[str, Any] | None = None) -> bytes:
         """As `lunarsci.spectra.library.end_member.to_ecsv`."""
-        from lunarsci.spectra.library.end_member import to_ecsv
 
         return to_ecsv(self.members, provenance)
 
@@ -140,8 +138,6 @@ def open_library(
     files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None, but: str | None = None
 ) -> Library:
     """Read every file `but` one; what cannot be read is remembered. Raises DataError when nothing can."""
-    from lunarsci.spectra.library.end_member import read_library
-    from lunarsci.spectra.readers.batch import expanded
 
     members: list[EndMember] = []
     origins: list[str] = []
@@ -170,7 +166,6 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
 
     What is left out, unknown or must be mended is a LunarSciWarning. Raises DataError when nothing is left.
     """
-    from lunarsci.spectra.library.check import MIXTURE, read_metadata
 
     asked = request_of(ImportRequest, request, options)
     table = read_input(asked.metadata) if asked.metadata is not None else None
@@ -199,7 +194,6 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
 
 
 def _described(member: "EndMember", told: Mapping[str, Any], asked: ImportRequest, table: str) -> "EndMember":
-    from lunarsci.spectra.library.check import with_description
 
     try:
         member = with_description(member, told)

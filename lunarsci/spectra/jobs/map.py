@@ -7,17 +7,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.errors import RequestError
+from lunarsci.io.atomic import written_whole
+from lunarsci.io.tables import table_hashes
+from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
+from lunarsci.provenance import Provenance
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.spectra.cubes.blocks import Product, Tally, fetched, measured, warn_of_cost
+from lunarsci.spectra.cubes.cube import FLAGS, Cube
+from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, Layer, MapFile, backplane_layers
+from lunarsci.spectra.cubes.rasters import open_cube
+from lunarsci.spectra.cubes.regions import region_of
 from lunarsci.spectra.jobs.fit import Progress
+from lunarsci.spectra.jobs.map_products import products_of
 from lunarsci.spectra.jobs.map_request import MOST_ROWS, ROWS, MapRequest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.spectra.cubes.blocks import Product
-    from lunarsci.spectra.cubes.cube import Cube
-    from lunarsci.spectra.cubes.output import Layer, MapFile
 
 
 BYTES_A_CHANNEL = 80
@@ -78,7 +86,6 @@ class CubeMap(Result):
         return [self._row(layer) for layer in self.made.layers]
 
     def _row(self, layer: "Layer") -> dict[str, Any]:
-        import numpy as np
 
         kind = "value" if not layer.meanings else "bits" if layer.bits else "code"
         row: dict[str, Any] = {"name": layer.name, "long_name": layer.long_name, "units": layer.units, "kind": kind}
@@ -90,6 +97,7 @@ class CubeMap(Result):
         return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.spectra.cubes.figure import map_pages
 
         return map_pages(self.path, self.to_dict())
@@ -153,14 +161,6 @@ def map(
     ------
     RequestError for options that exclude each other; DataError for a cube that cannot be used; OutputError.
     """
-    from lunarsci.io.atomic import written_whole
-    from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
-    from lunarsci.provenance import Provenance
-    from lunarsci.spectra.cubes.blocks import Tally, fetched, measured, warn_of_cost
-    from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, MapFile, backplane_layers
-    from lunarsci.spectra.cubes.rasters import open_cube
-    from lunarsci.spectra.cubes.regions import region_of
-    from lunarsci.spectra.jobs.map_products import products_of
 
     asked, target = request_of(MapRequest, request, options), Path(path or "")
     if target.suffix.lower() not in SUFFIXES:
@@ -205,10 +205,6 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
 
     Raises RequestError for a place that is none, or beside the cube.
     """
-    import numpy as np
-
-    from lunarsci.spectra.cubes.cube import FLAGS
-    from lunarsci.spectra.cubes.rasters import open_cube
 
     asked = request_of(MapRequest, request, options)
     if (numbers := re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*", place)) is None:
@@ -233,7 +229,6 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
 
 def made_from(cube: "Cube", products: "Sequence[Product]") -> MadeFrom:
     """Inputs, tables and sources of a map."""
-    from lunarsci.io.tables import table_hashes
 
     tables = table_hashes(*dict.fromkeys(table for product in products for table in product.tables))
     return MadeFrom(inputs=cube.inputs, tables=tables, sources=[text for one in products for text in one.sources])

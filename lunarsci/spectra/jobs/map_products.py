@@ -10,23 +10,46 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from lunarsci.errors import ParameterError
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.constants import MGM, NBSR, PAPER, SMOOTHING
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.io.inputs import read_input
+from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
+from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
+from lunarsci.spectra.abundance.known_modes import KnownModes
+from lunarsci.spectra.abundance.learned import MINERALS, foretell
+from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
+from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
+from lunarsci.spectra.abundance.shares import shares_of_rows
+from lunarsci.spectra.band_status import BANDS, STATUSES
+from lunarsci.spectra.bands import band_arrays
+from lunarsci.spectra.continuum import CONTINUA
+from lunarsci.spectra.cubes.blocks import Product
 from lunarsci.spectra.cubes.output import NO_CODE, Layer
-from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE
-
-if TYPE_CHECKING:
-    from lunarsci.arrays import BoolArray, FloatArray
-    from lunarsci.spectra.cubes.blocks import Product
-    from lunarsci.spectra.jobs.map_request import MapRequest
-    from lunarsci.spectra.mgm.model import MgmModel
-    from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.indices import INDICES, index_arrays
+from lunarsci.spectra.jobs.bands import bands
+from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE, fit
+from lunarsci.spectra.jobs.map_request import PRODUCTS, MapRequest
+from lunarsci.spectra.jobs.match import match
+from lunarsci.spectra.jobs.unmix import LAWS, LEARNED, UnmixRequest, mixed_estimate
+from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.mgm.batch import NOT_FITTED
+from lunarsci.spectra.mgm.fit import fit_arrays
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model
+from lunarsci.spectra.mgm.region import fit_region
+from lunarsci.spectra.mgm.result import UNLIKE_RMS
+from lunarsci.spectra.origin.catalogue import TABLE, embedded_catalogue, read_catalogue
+from lunarsci.spectra.origin.prior import CHANG_E_4
+from lunarsci.spectra.spectrum import Smoothing, Spectrum
 
 
 def products_of(request: "MapRequest") -> "list[Product]":
     """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
-    from lunarsci.spectra.jobs.map_request import PRODUCTS
 
     makers: dict[str, Callable[[MapRequest], Product]] = {
         "bands": BandsProduct.of,
@@ -64,15 +87,12 @@ class BandsProduct:
 
     @classmethod
     def of(cls, request: "MapRequest") -> "BandsProduct":
-        from lunarsci.spectra.spectrum import Smoothing
 
         Smoothing(window_nm=request.smooth_nm)
         return cls(request.band_continuum, request.smooth_nm)
 
     @property
     def layers(self) -> Sequence[Layer]:
-        from lunarsci.spectra.band_status import BANDS, STATUSES
-        from lunarsci.spectra.continuum import CONTINUA
 
         found = []
         for band in BANDS:
@@ -91,16 +111,11 @@ class BandsProduct:
 
     @property
     def sources(self) -> Sequence[str]:
-        from lunarsci.constants import PAPER, SMOOTHING
 
         return (PAPER, SMOOTHING)
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-        import numpy as np
-
-        from lunarsci.spectra.bands import band_arrays
-        from lunarsci.spectra.spectrum import Smoothing
 
         smoothing = Smoothing(window_nm=self.smooth_nm)
         found = band_arrays(wavelength_nm, reflectance, continuum_name=self.continuum, smoothing=smoothing)
@@ -141,13 +156,11 @@ class IndicesProduct:
 
     @property
     def sources(self) -> Sequence[str]:
-        from lunarsci.spectra.indices import INDICES
 
         return tuple(dict.fromkeys(index.source for index in INDICES.values()))
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-        from lunarsci.spectra.indices import index_arrays
 
         values: dict[str, Any] = {}
         for name, found in index_arrays(wavelength_nm, reflectance).items():
@@ -209,22 +222,16 @@ class FitProduct:
 
     @property
     def tables(self) -> Sequence[str]:
-        from lunarsci.spectra.mgm.assemblages import TABLES
 
         return TABLES
 
     @property
     def sources(self) -> Sequence[str]:
-        from lunarsci.constants import MGM, NBSR
 
         return (MGM, NBSR)
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-        import numpy as np
-
-        from lunarsci.spectra.mgm.batch import NOT_FITTED
-        from lunarsci.spectra.mgm.result import UNLIKE_RMS
 
         model = model_of(self.assemblage, self.continuum)
         fits, origin, unsettled = self._fitted(wavelength_nm, reflectance, places)
@@ -245,16 +252,12 @@ class FitProduct:
 
     def _fitted(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> tuple[Any, Any, Any]:
         """Fits, where their minima were found, and whether neighbours still disagree."""
-        import numpy as np
 
         how: dict[str, Any] = {"model_error": self.model_error, "starts": self.starts}
         model = model_of(self.assemblage, self.continuum)
         if self.contest_every:
-            from lunarsci.spectra.mgm.region import fit_region
-
             found = fit_region(wavelength_nm, reflectance, places, model, **how, contest_every=self.contest_every)
             return found.batch, found.origin, found.unsettled
-        from lunarsci.spectra.mgm.fit import fit_arrays
 
         fits = fit_arrays(wavelength_nm, reflectance, model, **how)
         origin = np.where(np.isfinite(fits.rms_ln), CONTEST, ORIGINS.index("not_fitted"))
@@ -274,7 +277,6 @@ def slug(name: str) -> str:
 @lru_cache(maxsize=8)
 def model_of(assemblage: str, continuum: Any) -> "MgmModel":
     """The model of an assemblage under a continuum. Raises ParameterError for one that is unknown."""
-    from lunarsci.spectra.mgm.model import mgm_model
 
     return mgm_model(assemblage, continuum)
 
@@ -306,7 +308,6 @@ class UnmixProduct:
 
     @property
     def layers(self) -> Sequence[Layer]:
-        from lunarsci.spectra.abundance.kinds import KINDS
 
         found, domain = [], ("out_of_domain", "in_domain")
         for method, own in self.methods.items():
@@ -323,24 +324,16 @@ class UnmixProduct:
 
     @property
     def tables(self) -> Sequence[str]:
-        from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
-        from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-        from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
-        from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 
         return (NETWORKS, KIND_TABLE, CALIBRATION, *([END_MEMBERS] if self.both else ()))
 
     @property
     def sources(self) -> Sequence[str]:
-        from lunarsci.spectra.jobs.unmix import LAWS, LEARNED
 
         return (LEARNED, *(LAWS["both"] if self.both else ()))
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
         """Each layer of spectra; those with the same channels together."""
-        import numpy as np
-
-        from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
 
         count = len(reflectance)
         values: dict[str, Any] = {
@@ -368,12 +361,6 @@ class UnmixProduct:
         self, wavelength_nm: "FloatArray", reflectance: "FloatArray", dark: "FloatArray", weathered: "BoolArray"
     ) -> Mapping[str, Any]:
         """Layers of spectra of the same channels."""
-        import numpy as np
-
-        from lunarsci.spectra.abundance.known_modes import KnownModes
-        from lunarsci.spectra.abundance.learned import MINERALS, foretell
-        from lunarsci.spectra.abundance.shares import shares_of_rows
-        from lunarsci.spectra.jobs.unmix import UnmixRequest, mixed_estimate
 
         allowed = np.tile([float(name in self.minerals) for name in MINERALS], (len(reflectance), 1))
         rock = np.full(len(reflectance), float(self.kind == "solid-rock"))
@@ -415,8 +402,6 @@ class MatchProduct:
     @property
     def names(self) -> Sequence[str]:
         """Of the craters whose composition is known."""
-        from lunarsci.io.inputs import read_input
-        from lunarsci.spectra.origin.catalogue import embedded_catalogue, read_catalogue
 
         found = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))
         return [crater.name for crater in found if crater.composition.known]
@@ -432,7 +417,6 @@ class MatchProduct:
 
     @property
     def tables(self) -> Sequence[str]:
-        from lunarsci.spectra.origin.catalogue import TABLE
 
         return () if self.craters else (TABLE,)
 
@@ -442,13 +426,6 @@ class MatchProduct:
 
     def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-        import numpy as np
-
-        from lunarsci.errors import DataError
-        from lunarsci.spectra.jobs.bands import bands
-        from lunarsci.spectra.jobs.fit import fit
-        from lunarsci.spectra.jobs.match import match
-        from lunarsci.spectra.origin.prior import CHANG_E_4
 
         spectra, names = _spectra(wavelength_nm, reflectance), list(self.names)
         how: dict[str, Any] = {"assemblage": self.fit.assemblage, "continuum": self.fit.continuum}
@@ -474,6 +451,5 @@ class MatchProduct:
 
 def _spectra(wavelength_nm: "FloatArray", reflectance: "FloatArray") -> "list[Spectrum]":
     """Rows as spectra that are called by their number."""
-    from lunarsci.spectra.spectrum import Spectrum
 
     return [Spectrum(str(row), wavelength_nm, values) for row, values in enumerate(reflectance)]

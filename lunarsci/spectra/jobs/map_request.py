@@ -1,14 +1,14 @@
 """What `lunarsci spectra map` is asked: what to measure on which pixels of a cube."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from lunarsci.errors import RequestError
+from lunarsci.spectra.abundance.learned import MINERALS
+from lunarsci.spectra.cubes.cube import Stated
 from lunarsci.spectra.jobs.bands import SMOOTH_NM
+from lunarsci.spectra.jobs.unmix import named_minerals
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.cubes.cube import Stated
 
 PRODUCTS = ("bands", "indices", "fit", "unmix", "match")
 ROWS, MOST_ROWS = 32, 64
@@ -82,7 +82,6 @@ class MapRequest:
 
     def stated(self) -> "Stated":
         """What is said of the cube."""
-        from lunarsci.spectra.cubes.cube import Stated
 
         return Stated(
             wavelength_unit=self.wavelength_unit,
@@ -96,7 +95,5 @@ class MapRequest:
     @property
     def minerals(self) -> list[str]:
         """Those that unmix weighs."""
-        from lunarsci.spectra.abundance.learned import MINERALS
-        from lunarsci.spectra.jobs.unmix import named_minerals
 
         return named_minerals(self.assemblage) if self.assemblage else list(MINERALS)

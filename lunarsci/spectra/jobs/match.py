@@ -6,20 +6,39 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from lunarsci.constants import PAPER
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, ParameterError, RequestError
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
+from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
+from lunarsci.io.tables import table_hashes
+from lunarsci.names import some_of
+from lunarsci.parallel.blocks import Progress
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.spectra.origin.assumptions import assumptions
+from lunarsci.spectra.origin.catalogue import (
+    TABLE,
+    Crater,
+    Point,
+    checked_point,
+    distance_km,
+    embedded_catalogue,
+    read_catalogue,
+)
+from lunarsci.spectra.origin.composition import (
+    ERRORS,
+    SHORT,
+    Rock,
+    joined,
+    read_rocks,
+    stated_composition,
+    stated_number,
+)
+from lunarsci.spectra.origin.match import MatchSettings, RockMatch, RockMatches, match_records, match_rocks, match_table
+from lunarsci.spectra.origin.mineral_map import MapReport, minerals_of, with_maps
+from lunarsci.spectra.origin.prior import CHANG_E_4, LAW_SOURCES, SURVIVAL_SOURCE, PriorSettings, Range
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.io.records import Records, RecordsInBlocks
-    from lunarsci.parallel.blocks import Progress
-    from lunarsci.spectra.origin.catalogue import Crater, Point
-    from lunarsci.spectra.origin.composition import Rock
-    from lunarsci.spectra.origin.match import MatchSettings, RockMatch, RockMatches
-    from lunarsci.spectra.origin.mineral_map import MapReport
-    from lunarsci.spectra.origin.prior import Range
 
 
 EMBEDDED_KM = 1000.0
@@ -81,8 +100,6 @@ class MatchRequest:
 
     def settings(self) -> "MatchSettings":
         """As the formulas take them. Raises ParameterError for a value out of range, RequestError for a text."""
-        from lunarsci.spectra.origin.match import MatchSettings
-        from lunarsci.spectra.origin.prior import PriorSettings
 
         return MatchSettings(
             systematic=self.systematic,
@@ -124,8 +141,6 @@ class Matches(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.constants import PAPER
-        from lunarsci.spectra.origin.prior import LAW_SOURCES, SURVIVAL_SOURCE
 
         prior = self.settings.prior
         survival = [SURVIVAL_SOURCE] if prior.exposure else []
@@ -139,15 +154,12 @@ class Matches(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.names import some_of
 
         pairs = zip(self.matches.rocks, self.matches.decided.tolist(), strict=True)
         left = [rock.id for rock, decided in pairs if not decided]
         return f"not to be trusted: the crater is not decided for {some_of(left, NAMED)}" if left else ""
 
     def content(self) -> dict[str, Any]:
-        from lunarsci.io.records import in_blocks
-        from lunarsci.spectra.origin.match import match_records
 
         return {
             "site": {
@@ -164,8 +176,6 @@ class Matches(Result):
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a crater, and one for other sources, of each rock."""
-        from lunarsci.io.records import in_blocks
-        from lunarsci.spectra.origin.match import match_table
 
         count, each = len(self.matches), len(self.matches[0].craters) + 1
         return in_blocks(count, self._of_some(match_table), size=count * each, rows=BLOCK_ROCKS)
@@ -179,6 +189,7 @@ class Matches(Result):
         return lambda block: make(self.matches[block.start : block.stop])
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.spectra.origin.figure import match_pages
 
         return match_pages(self.matches, self.site)
@@ -195,9 +206,6 @@ def match(
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
-    from lunarsci.io.tables import table_hashes
-    from lunarsci.spectra.origin.assumptions import assumptions
-    from lunarsci.spectra.origin.match import match_rocks
 
     asked = request_of(MatchRequest, request, options)
     settings, stated = asked.settings(), None if asked.site is None else _site(asked.site)
@@ -222,8 +230,6 @@ def match(
 
 def _check_near(text: str | tuple[float, ...] | None, site: "Point | None") -> None:
     """Raises RequestError for a site that the embedded craters do not lie round."""
-    from lunarsci.spectra.origin.catalogue import distance_km
-    from lunarsci.spectra.origin.prior import CHANG_E_4
 
     if site is not None and (far := distance_km(CHANG_E_4, site)) > EMBEDDED_KM:
         raise RequestError(
@@ -234,8 +240,6 @@ def _check_near(text: str | tuple[float, ...] | None, site: "Point | None") -> N
 
 def _assumed_site(asked: MatchRequest, found: "Candidates") -> "Point":
     """Chang'E-4's, round which the embedded craters lie. Raises RequestError for craters of one's own."""
-    from lunarsci.spectra.origin.catalogue import distance_km
-    from lunarsci.spectra.origin.prior import CHANG_E_4
 
     if asked.craters is None:
         return CHANG_E_4
@@ -269,8 +273,6 @@ class Candidates:
 
 def _site(site: str | tuple[float, ...]) -> "Point":
     """Two numbers, or the text `LAT,LON`, in degrees."""
-    from lunarsci.spectra.origin.catalogue import checked_point
-    from lunarsci.spectra.origin.composition import stated_number
 
     text = site if isinstance(site, str) else ",".join(map(str, site))
     parts = text.split(",")
@@ -285,8 +287,6 @@ def _site(site: str | tuple[float, ...]) -> "Point":
 
 def _span(text: str, option: str) -> "Range":
     """`LOW:HIGH`, or one number for both."""
-    from lunarsci.spectra.origin.composition import stated_number
-    from lunarsci.spectra.origin.prior import Range
 
     numbers = [stated_number(part, f"`{option}` {text}") for part in text.split(":")]
     if len(numbers) > 2:
@@ -299,7 +299,6 @@ def _span(text: str, option: str) -> "Range":
 
 def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     """The rocks of results, or the one that the request states. Raises DataError when no result can be read."""
-    from lunarsci.spectra.origin.composition import ERRORS, Rock, stated_composition
 
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
@@ -313,7 +312,6 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
 
 
 def _read(sources: Sequence[Any]) -> MatchInputs:
-    from lunarsci.spectra.origin.composition import joined, read_rocks
 
     rocks: list[Rock] = []
     hashes: dict[str, str] = {}
@@ -343,8 +341,6 @@ def _opened(item: Any) -> Iterator[InputFile]:
 
 def _candidates(asked: MatchRequest) -> Candidates:
     """The embedded craters or those of a table, with modes from maps where these are given."""
-    from lunarsci.io.tables import table_hashes
-    from lunarsci.spectra.origin.catalogue import TABLE, embedded_catalogue, read_catalogue
 
     if asked.craters is None:
         found = Candidates(embedded_catalogue(), f"embedded {TABLE}", tables=table_hashes(TABLE))
@@ -355,8 +351,6 @@ def _candidates(asked: MatchRequest) -> Candidates:
 
 
 def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
-    from lunarsci.spectra.origin.composition import SHORT
-    from lunarsci.spectra.origin.mineral_map import minerals_of, with_maps
 
     names: dict[str, str] = {}
     for item in maps:
@@ -382,7 +376,6 @@ def _digest(file: str) -> str:
 
 def _ring(text: str) -> tuple[float, float]:
     """`IN:OUT` of the ring, which may begin at 0."""
-    from lunarsci.spectra.origin.composition import stated_number
 
     numbers = [stated_number(part, f"`annulus` {text}") for part in text.split(":")]
     if len(numbers) != 2:

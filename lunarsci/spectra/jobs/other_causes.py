@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lunarsci.spectra.band_status import NARROW_SAID
+from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM
-
-if TYPE_CHECKING:
-    from lunarsci.spectra.mgm.selection import Choice
-    from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.mgm.assemblages import SURE, chances
+from lunarsci.spectra.mgm.selection import Choice
+from lunarsci.spectra.spectrum import Spectrum
 
 MOST_RATIO = 1.5
 """Depth of the 2 um band over that of the 1 um band above which it is no pyroxene's; assumed. In 290 laboratory spectra
@@ -45,8 +45,6 @@ def other_cause(record: Mapping[str, Any]) -> str:
 
 def with_causes(spectra: "Sequence[Spectrum]", choices: "Mapping[int, Choice]") -> "dict[int, Choice]":
     """Choices, by position, with what else the 2 um bands may be of; not strong where the fit has a pyroxene then."""
-    from lunarsci.spectra.bands import measure_batch
-    from lunarsci.spectra.mgm.assemblages import SURE, chances
 
     measured = measure_batch([spectra[index] for index in choices])
     found = dict(choices)

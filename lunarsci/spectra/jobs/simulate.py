@@ -6,13 +6,21 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import ParameterError
+from lunarsci.io.tables import table_hashes
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.spectra.mgm.assemblages import MINERALS
+from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
+from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
+from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
+from lunarsci.spectra.vnis.channels import TABLES
+from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation
+from lunarsci.spectra.vnis.simulation.instrument import simulate as simulated
+from lunarsci.spectra.vnis.simulation.products import product_files, simulation_page
+from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneComposition, SceneRock
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.spectra.vnis.simulation.instrument import Simulation
-    from lunarsci.spectra.vnis.simulation.scene import Scene, SceneComposition
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,8 +56,6 @@ class SimulateVnisRequest:
 
     def scene(self) -> "Scene":
         """What is looked at. Raises ParameterError for what there cannot be."""
-        from lunarsci.spectra.photometry.phase import Geometry
-        from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneRock
 
         rock = self.rock and SceneRock(replace(ROCK, composition=_composition(self.rock)), radius_px=self.rock_radius)
         return Scene(
@@ -74,12 +80,6 @@ class SimulatedVnis(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.io.tables import table_hashes
-        from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
-        from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
-        from lunarsci.spectra.photometry.phase import phase_function
-        from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
-        from lunarsci.spectra.vnis.channels import TABLES
 
         scene = self.simulation.scene
         return MadeFrom(
@@ -108,16 +108,12 @@ class SimulatedVnis(Result):
         return [{"wavelength_nm": wavelength, "reflectance": value} for wavelength, value in pairs]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.spectra.vnis.simulation.products import simulation_page
 
         yield simulation_page(self.simulation)
 
 
 def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> SimulatedVnis:
     """What VNIS would have measured of a made-up scene. Raises ParameterError for what there cannot be."""
-    from lunarsci.spectra.vnis.simulation.instrument import Instrument
-    from lunarsci.spectra.vnis.simulation.instrument import simulate as simulated
-    from lunarsci.spectra.vnis.simulation.products import product_files
 
     asked = request_of(SimulateVnisRequest, request, options)
     simulation = simulated(asked.scene(), Instrument(noise=asked.noise), asked.seed)
@@ -126,8 +122,6 @@ def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> Simu
 
 def _composition(text: str) -> "SceneComposition":
     """A composition from `ol=0.1,opx=0.3,cpx=0.2,plg=0.4`. Raises ParameterError for anything else."""
-    from lunarsci.spectra.mgm.assemblages import MINERALS
-    from lunarsci.spectra.vnis.simulation.scene import SceneComposition
 
     keys = {**{key.lower(): name for key, name in MINERALS.items()}, "plg": "plagioclase"}
     names = {**keys, **{name: name for name in keys.values()}}

@@ -6,26 +6,42 @@ from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import DataError, Failure, ParameterError, RequestError, warn
+from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, reaches
+from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.kinds import TABLE as KINDS
+from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
+from lunarsci.spectra.abundance.known_modes import KnownModes, read_modes
+from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each
+from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
+from lunarsci.spectra.abundance.mixing import IRON_TABLE
+from lunarsci.spectra.abundance.normative import TABLE as SOIL
+from lunarsci.spectra.abundance.normative import Normative, normative, normative_pages
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction, refused, share_pages
+from lunarsci.spectra.abundance.rock_prior import PRIOR
+from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
+from lunarsci.spectra.abundance.shares import SOME, Mixed, abundances
+from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
+from lunarsci.spectra.bands import measure_batch
+from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
+from lunarsci.spectra.chemistry.chondrite import chondrite_record, chondrites
 from lunarsci.spectra.jobs.fit import Progress
+from lunarsci.spectra.library.end_member import EndMember, read_library
+from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
+from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.arrays import FloatArray
-    from lunarsci.io.inputs import InputFile
-    from lunarsci.spectra.abundance.kinds import KindVerdict
-    from lunarsci.spectra.abundance.known_modes import KnownModes
-    from lunarsci.spectra.abundance.learned import Foretold
-    from lunarsci.spectra.abundance.normative import Normative
-    from lunarsci.spectra.abundance.result import Abundance
-    from lunarsci.spectra.abundance.shares import Mixed
-    from lunarsci.spectra.library.end_member import EndMember
-    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
-    from lunarsci.spectra.spectrum import Spectrum
 
 Target: TypeAlias = Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
 LAWS = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
@@ -95,7 +111,6 @@ class UnmixRequest:
 
 def named_minerals(assemblage: str) -> list[str]:
     """Full names of the minerals of an assemblage."""
-    from lunarsci.spectra.abundance.end_members import FAMILY_OF
 
     short = {key: mineral for mineral, key in FAMILY_OF.items()}
     parts = [part.strip().upper() for part in assemblage.replace(",", "-").split("-")]
@@ -131,16 +146,6 @@ class UnmixedSpectra(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.io.tables import table_hashes
-        from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
-        from lunarsci.spectra.abundance.kinds import TABLE as KINDS
-        from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
-        from lunarsci.spectra.abundance.mixing import IRON_TABLE
-        from lunarsci.spectra.abundance.normative import TABLE as SOIL
-        from lunarsci.spectra.abundance.rock_prior import PRIOR
-        from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
-        from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
-        from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
 
         mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
         rocks = self.request.prior == PRIOR
@@ -183,8 +188,6 @@ class UnmixedSpectra(Result):
         return [_row(record) for record in self.records]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.spectra.abundance.normative import normative_pages
-        from lunarsci.spectra.abundance.result import share_pages
 
         names = [self.shares[index].id for index in self.normatives]
         return chain(share_pages(self.shares), normative_pages(names, list(self.normatives.values())))
@@ -230,13 +233,6 @@ def unmix(
     RequestError for options that exclude each other; ParameterError for modes of spectra that are not there; DataError
     where no spectrum can be read, and for end members or spectra that cannot be mixed.
     """
-    from lunarsci.io.inputs import read_input
-    from lunarsci.spectra.abundance.kinds import find_kinds
-    from lunarsci.spectra.abundance.learned import MINERALS
-    from lunarsci.spectra.abundance.normative import normative
-    from lunarsci.spectra.abundance.result import refused
-    from lunarsci.spectra.library.end_member import read_library
-    from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(UnmixRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
@@ -266,8 +262,6 @@ def unmix(
 
 
 def _chondrites(spectra: "Sequence[Spectrum]", kinds: "Sequence[KindVerdict]") -> dict[int, dict[str, Any] | None]:
-    from lunarsci.spectra.bands import measure_batch
-    from lunarsci.spectra.chemistry.chondrite import chondrite_record, chondrites
 
     dark = [index for index, kind in enumerate(kinds) if kind.kind == "dark-rock-powder"]
     if not dark:
@@ -286,10 +280,6 @@ def _shares(
     request: UnmixRequest,
     progress: Progress | None,
 ) -> "list[Abundance]":
-    import numpy as np
-
-    from lunarsci.spectra.abundance.learned import MINERALS, foretell_each
-    from lunarsci.spectra.abundance.shares import abundances
 
     if not spectra:
         return []
@@ -307,8 +297,6 @@ def _shares(
 
 def _as_stated(found: "Abundance", known: Mapping[str, float]) -> "Abundance":
     """A mixture whose shares are known."""
-    from lunarsci.spectra.abundance.result import MineralFraction
-    from lunarsci.spectra.abundance.shares import SOME
 
     total = sum(known.values())
     shares = {mineral: share / total for mineral, share in known.items()}
@@ -331,12 +319,6 @@ def mixed_estimate(
 
     That is where a spectrum is too short, or has one mineral only. Raises DataError where no spectrum can be mixed.
     """
-    import numpy as np
-
-    from lunarsci.spectra.abundance.end_members import NEEDED_NM, OPAQUE, reaches
-    from lunarsci.spectra.abundance.estimate import estimate_series
-    from lunarsci.spectra.abundance.learned import MINERALS
-    from lunarsci.spectra.abundance.shares import Mixed
 
     how: dict[str, Any] = {
         "method": "unmix" if request.method == "both" else request.method,
@@ -369,7 +351,6 @@ def mixed_estimate(
 
 def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes":
     """Modes stated of the spectra."""
-    from lunarsci.spectra.abundance.known_modes import KnownModes, read_modes
 
     if file is None:
         return KnownModes({}, {})

@@ -9,7 +9,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.names import some_of
+from lunarsci.result import from_prior
+from lunarsci.spectra.band_status import centre_said
+from lunarsci.spectra.jobs.other_causes import other_cause
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
+from lunarsci.spectra.mgm.result import UNLIKE_RMS
 
 MOST_NAMED = 4
 SEEN = 2.0
@@ -23,7 +27,6 @@ MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 def centres_said(record: Mapping[str, Any]) -> dict[str, str]:
     """By key of each band that is there, its centre with the errors of noise and of method."""
-    from lunarsci.spectra.band_status import centre_said
 
     return {
         key: centre_said(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"], record[f"bc{key}_method_nm"])
@@ -40,7 +43,6 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
 
 def bands_meaning(record: Mapping[str, Any]) -> str:
     """What the centres of `spectra bands` say."""
-    from lunarsci.spectra.jobs.other_causes import other_cause
 
     one, two = record["bc1000_nm"] is not None, record["bc2000_nm"] is not None
     chemistry = [item for item in (record["chemistry"] or {}).values() if item]
@@ -113,7 +115,6 @@ def _composition(item: Mapping[str, Any]) -> str:
 
 def fit_doubt(record: Mapping[str, Any]) -> str:
     """Why the fit of one spectrum is not to be trusted, as `doubts_about` has it of many; '' if it may be."""
-    from lunarsci.spectra.mgm.result import UNLIKE_RMS
 
     parts = [] if record["status"] == "converged" else [str(record["status"])]
     parts += ["the model does not describe it"] if (record.get("rms_ln") or 0.0) > UNLIKE_RMS else []
@@ -130,7 +131,6 @@ def _strained(record: Mapping[str, Any]) -> list[str]:
 
 def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """Compositions in range that the spectrum, and not the prior alone, tells, of minerals that are not in doubt."""
-    from lunarsci.result import from_prior
 
     doubtful = [] if record["choice"] else [mineral for found in _by_bands(record)[1:] for mineral in found]
     return [

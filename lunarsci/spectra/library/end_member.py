@@ -16,6 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.figure import LINE_STYLES, as_label, page
 from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import plain
 from lunarsci.spectra.readers import read_spectra
@@ -250,7 +251,6 @@ MOST_NAMES = 12
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
     """One page; colour runs with the first component of the chemistry, grey where unknown; at most 12 are named."""
-    from lunarsci.figure import page
 
     groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
     groups = {mineral: group for mineral, group in groups.items() if group}
@@ -269,8 +269,6 @@ def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
 
 def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     from matplotlib import colormaps
-
-    from lunarsci.figure import LINE_STYLES, as_label
 
     key = CHEMISTRY.get(mineral or "", ("",))[0]
     shares: list[float | None] = [getattr(member, key) if key else None for member in group]

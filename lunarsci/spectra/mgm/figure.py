@@ -1,10 +1,9 @@
 """Pictures of measured bands, of Modified Gaussian Model fits, several spectra to a page, and of indices."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lunarsci.figure import PAGE_IN, as_label, headline, legend_below, page
 from lunarsci.spectra.band_status import BANDS, with_errors
@@ -12,6 +11,9 @@ from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.indices import INDICES, OK, IndexColumn
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import Spectrum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CONTINUUM_LOOKS = {
     "conic": {"color": "#0072B2", "linestyle": "--"},
@@ -42,12 +44,12 @@ OTHER = "0.3"
 """Colour of a mineral that has none of its own."""
 
 
-def band_pages(measured: Sequence[SpectrumBands]) -> Iterator[Figure]:
+def band_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":
     """One page per six spectra: spectrum with continua above, continuum removed with the band centres below."""
     return _pages(measured, _draw_bands, heights=(1.0, 1.0))
 
 
-def fit_pages(fits: Sequence[MgmFit], weak: Sequence[MgmFit] = ()) -> Iterator[Figure]:
+def fit_pages(fits: Sequence[MgmFit], weak: Sequence[MgmFit] = ()) -> "Iterator[Figure]":
     """One page per six spectra: spectrum, model, continuum and each band above, the residual below.
 
     `weak` are those whose assemblage was taken by weak evidence.
@@ -65,7 +67,7 @@ def _pages(
     items: Sequence[Any],
     draw: Callable[[Any, Any, Any], None],
     heights: tuple[float, float],
-) -> Iterator[Figure]:
+) -> "Iterator[Figure]":
     total = -(-len(items) // PER_PAGE)
     for number in range(total):
         part = items[number * PER_PAGE : (number + 1) * PER_PAGE]
@@ -159,7 +161,7 @@ def _fit_title(fit: MgmFit, *, weak: bool) -> str:
     return f"{as_label(fit.id, LONGEST)}\n{as_label(minerals, LONGEST)}, rms {100 * fit.rms_ln:.2f} %{strength}"
 
 
-def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> Iterator[Figure]:
+def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> "Iterator[Figure]":
     """A page a spectrum: spectrum, lines of the integrated band depths, and what is found."""
     for number, spectrum in enumerate(spectra):
         figure = page(4.2)

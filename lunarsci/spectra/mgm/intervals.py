@@ -16,6 +16,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.spectra.mgm.fit import fit_batch
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
 from lunarsci.spectra.mgm.sampler import run_population
@@ -229,7 +230,6 @@ def _ratio_profile(fit: MgmFit, name: str) -> _Profile:
 
 def _minimum(fit: MgmFit, model: MgmModel, starts: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Point and objective of the lowest minimum under `model`, the objective with the fit's own prior."""
-    from lunarsci.spectra.mgm.fit import fit_batch
 
     solved = fit_batch(
         np.log(fit.reflectance)[None], fit.data.weight[None], fit.wavelength_nm / 1e3, model.basis(fit.wavelength_nm),

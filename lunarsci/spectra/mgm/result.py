@@ -9,6 +9,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.assemblages import BandPrior
 from lunarsci.spectra.mgm.data import MgmData
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.spectrum import reaches_over
 
@@ -92,7 +93,6 @@ class FittedBand:
 
     def curve(self, wavelength_nm: FloatArray) -> FloatArray:
         """The band alone, in ln reflectance, on wavelengths in nm; shape as given."""
-        from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 
         x = (wavelength_nm - self.center_nm) * FWHM_OVER_SIGMA / self.fwhm_nm
         return self.strength * np.exp(-0.5 * x**2)

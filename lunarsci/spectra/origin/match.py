@@ -11,6 +11,7 @@ of lunar minerals. A crater whose composition is not known is no better and no w
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from math import factorial, sqrt
 from typing import Any, overload
 
 import numpy as np
@@ -269,7 +270,6 @@ def _inside(mean: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def _volume(size: int) -> float:
     """Volume of the shares that add up to 1, in the coordinates of `_basis`: sqrt(n) / (n - 1)!"""
-    from math import factorial, sqrt
 
     return sqrt(size) / factorial(size - 1)
 

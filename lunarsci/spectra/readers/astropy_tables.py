@@ -10,7 +10,6 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from astropy import units as u
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
@@ -77,6 +76,8 @@ def one_line(error: object) -> str:
 
 
 def _unit(column: Any, file: str) -> Any:
+    from astropy import units as u
+
     if column.unit is None:
         return None
     if not isinstance(column.unit, u.UnrecognizedUnit):
@@ -97,10 +98,14 @@ def _is_number_column(column: Any) -> bool:
 
 
 def _is_spectral(unit: Any) -> bool:
+    from astropy import units as u
+
     return unit is not None and bool(unit.is_equivalent(u.nm, u.spectral()))
 
 
 def _is_physical(unit: Any) -> bool:
+    from astropy import units as u
+
     return unit is not None and not unit.is_equivalent(u.dimensionless_unscaled)
 
 
@@ -130,6 +135,8 @@ def _values(column: Any, file: str) -> FloatArray:
 
 
 def _wavelength(column: Column, unit: Any, file: str) -> Column:
+    from astropy import units as u
+
     if unit is None:
         return column
     name = str(unit)
@@ -146,6 +153,8 @@ def _wavelength(column: Column, unit: Any, file: str) -> Column:
 
 
 def _reflectance(column: Column, unit: Any) -> Column:
+    from astropy import units as u
+
     if unit is None:
         return column
     if unit == u.percent:
@@ -228,6 +237,7 @@ def _of_image(hdu: Any) -> Any:
 
     Greisen et al. (2006), A&A 446, 747, 10.1051/0004-6361:20053818; None for any other.
     """
+    from astropy import units as u
     from astropy.table import Table
     from astropy.wcs import WCS
 
@@ -252,6 +262,7 @@ def _of_spextool(hdu: Any) -> Any:
 
     Cushing et al. (2004), PASP 116, 362, 10.1086/382907.
     """
+    from astropy import units as u
     from astropy.table import Table
 
     rows = hdu.data.astype(float)

@@ -14,12 +14,14 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
+from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
 from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
 from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
 from lunarsci.spectra.readers.interchange import looks_like, read_jcamp, read_json, read_with_astropy
 from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
 from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
+from lunarsci.spectra.readers.pds import read_pds
 from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
 from lunarsci.spectra.readers.quantities import as_reflectance, with_absolute_errors
 from lunarsci.spectra.readers.table import (
@@ -38,7 +40,9 @@ from lunarsci.spectra.readers.table import (
 )
 from lunarsci.spectra.readers.text import read_excel, read_text
 from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.observation import read_observation
 
 FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
 
@@ -94,8 +98,6 @@ def _calibrated(path: str) -> Spectrum:
 
     Raises DataError for one that is in doubt: only that command shows it.
     """
-    from lunarsci.spectra.vnis.calibrate import calibrate
-    from lunarsci.spectra.vnis.observation import read_observation
 
     found = calibrate(read_observation(path))
     if found.doubts:
@@ -113,9 +115,6 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
 def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
     # astropy takes longer to import than a CSV file to read: only files that need it pay for it.
     if format in ("ecsv", "fits", "pds"):
-        from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
-        from lunarsci.spectra.readers.pds import read_pds
-
         return {"ecsv": read_ecsv, "fits": read_fits, "pds": read_pds}[format]
     return _READERS[format]
 

@@ -19,6 +19,7 @@ from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import on_one_grid
+from lunarsci.spectra.readers.astropy_tables import one_line, spectrum_table
 from lunarsci.spectra.readers.columns import assign_roles
 from lunarsci.spectra.readers.table import Column, SpectrumTable, only_percent
 from lunarsci.spectra.rows import quoted
@@ -174,8 +175,6 @@ def _is_number(cell: Any) -> bool:
 def read_with_astropy(source: InputFile, format: str) -> SpectrumTable:
     """Read a VOTable, or a machine-readable table of the AAS. Raises DataError where astropy cannot."""
     from astropy.table import Table
-
-    from lunarsci.spectra.readers.astropy_tables import one_line, spectrum_table
 
     given: Any = io.BytesIO(source.data) if format == "votable" else inputs.text(source)
     try:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from lunarsci.errors import DataError
 from lunarsci.io import inputs
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, read_input
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
 
 LABELS = (".lbl", ".xml", ".lblx")
 MOST_DEEP = 32

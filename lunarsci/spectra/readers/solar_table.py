@@ -10,6 +10,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
+from lunarsci.spectra.readers.astropy_tables import one_line
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.heads import text_table
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
@@ -181,8 +182,6 @@ def _irradiance_unit(name: str) -> str | None:
 def _from_ecsv(content: str, file: str) -> _Table:
     from astropy import units as u
     from astropy.io import ascii
-
-    from lunarsci.spectra.readers.astropy_tables import one_line
 
     # astropy raises a dozen kinds of errors for a broken table, a wrong unit or a word among numbers.
     try:

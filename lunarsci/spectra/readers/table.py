@@ -20,6 +20,7 @@ from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import InputFile
 from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.rows import quoted
+from lunarsci.spectra.solar import solar_spectrum
 
 WavelengthUnit = Literal["nm", "um", "angstrom", "1/cm"]
 ReflectanceUnit = Literal["fraction", "percent"]
@@ -342,7 +343,6 @@ def _says_reflectance(name: str) -> bool:
 
 def _is_no_radiance(values: FloatArray, wavelength: FloatArray) -> bool:
     """Whether values vary less as they are than divided by the Sun's irradiance, as radiance does not."""
-    from lunarsci.spectra.solar import solar_spectrum
 
     sun = solar_spectrum("e490")
     with np.errstate(invalid="ignore"):

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import as_label, headline, page
 from lunarsci.provenance import plain
 from lunarsci.spectra.photometry.phase import STANDARD
 from lunarsci.spectra.spectrum import Spectrum
@@ -249,7 +250,6 @@ _SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 def calibration_pages(calibrations: Sequence[Calibration]) -> "Iterator[Figure]":
     """Image with footprint and rejected pixels; radiance; reflectance before and after correction; the spectrum."""
-    from lunarsci.figure import as_label, headline, page
 
     for item in calibrations:
         figure = page(7.4)

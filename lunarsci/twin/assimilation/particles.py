@@ -14,17 +14,13 @@ Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
+from lunarsci.twin.assimilation.posterior import DrivePosterior, PosteriorMode
 from lunarsci.twin.assimilation.residuals import HUBER
-
-if TYPE_CHECKING:
-    from lunarsci.twin.assimilation.posterior import DrivePosterior, PosteriorMode
-
 
 SPARE, MOST_SHARED = 1.5, 0.9
 """Effective number of drives for each coefficient of the fit, at least, but for this share of all drives; assumed."""

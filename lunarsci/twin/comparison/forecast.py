@@ -1,5 +1,6 @@
 """A prediction as it was before the drive: kept in a folder, and read back."""
 
+import io
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -186,7 +187,6 @@ def _table_file(place: Path, name: str, document: Any) -> InputFile:
 
 
 def _frame(file: InputFile) -> "pd.DataFrame":
-    import io
 
     import pandas as pd
 

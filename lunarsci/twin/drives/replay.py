@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
@@ -18,9 +18,7 @@ from lunarsci.twin.simulation.drives import drive_all, drive_finer
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, for_people
 from lunarsci.twin.simulation.members import SLOW, DriveSetup
 from lunarsci.twin.telemetry.odometry import fitted_twist, wheel_rows
-
-if TYPE_CHECKING:
-    from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.reading import Telemetry
 
 STEP_S, STEP_M = 0.1, 0.01
 """Longest step, in time and in way of the fastest rim; assumed, as the embedded plan has 0.1 s and 5 mm. [s, m]"""

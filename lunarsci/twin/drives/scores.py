@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,10 @@ from lunarsci.twin.comparison.matched import MatchedObservations, match_observat
 from lunarsci.twin.drives.replay import WheelTurns, replayed, slips_alone
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import outcome_texts
+from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction
-
-if TYPE_CHECKING:
-    from lunarsci.twin.plans.motion import Motion
 
 SCORED, END = ("slip_ratio", "side_slip_deg"), "end_m"
 """Columns of wheel states that are scored, and the name of the ends."""

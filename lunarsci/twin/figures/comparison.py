@@ -1,5 +1,6 @@
 """The picture of a prediction beside what happened: paths, ends, wheel states in their bands, and ranks."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,16 +11,13 @@ from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.matched import MatchedObservations
 from lunarsci.twin.comparison.verdict import DriveComparison
+from lunarsci.twin.drives.scores import TrialScore
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, wheel_dots
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from lunarsci.twin.drives.scores import TrialScore
 
 
 MOST_PATHS, MOST_POINTS = 200, 1500

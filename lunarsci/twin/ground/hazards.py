@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import one_of
 from lunarsci.rovers import RoverDescription
@@ -234,7 +234,6 @@ def ground_maps(
     nine tenths of its height at least, and by more than the rise of the slope nothing is overstated. Raises
     ParameterError.
     """
-    from lunarsci.compiled import each_in_threads
 
     for name, value in (("baseline_m", baseline_m), ("wheel_window_m", wheel_window_m)):
         if not 0 < value < math.inf:

@@ -6,26 +6,34 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
+from lunarsci.regolith.belief import SoilBelief, read_belief
+from lunarsci.regolith.questions import Question, asked_in
+from lunarsci.regolith.states import StateTable
+from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
+from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
+from lunarsci.twin.comparison import verdict
+from lunarsci.twin.comparison.checks import ALL, BandCheck, EndCheck
+from lunarsci.twin.comparison.forecast import Forecast, read_forecast
+from lunarsci.twin.comparison.matched import MatchedObservations, match_observations, miss_of, taught
+from lunarsci.twin.comparison.scores import Standing
+from lunarsci.twin.comparison.verdict import DriveComparison
+from lunarsci.twin.jobs.given_soil import doubt_of
+from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.rover import Rover, build_rover, rover_questions
+from lunarsci.twin.telemetry.checks import WheelPace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.arrays import BoolArray
-    from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.regolith.questions import Question
-    from lunarsci.regolith.states import StateTable
-    from lunarsci.twin.assimilation.drive_record import DriveRecord
-    from lunarsci.twin.comparison.checks import BandCheck, EndCheck
-    from lunarsci.twin.comparison.forecast import Forecast
-    from lunarsci.twin.comparison.matched import MatchedObservations
-    from lunarsci.twin.comparison.scores import Standing
-    from lunarsci.twin.comparison.verdict import DriveComparison
-    from lunarsci.twin.rover import Rover
-    from lunarsci.twin.telemetry.checks import WheelPace
 
 
 SOURCES = [
@@ -93,7 +101,6 @@ class ComparedDrive(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.twin.jobs.given_soil import doubt_of
 
         reasons, predicted = self.found.reasons, str(self.matched.forecast.soil.get("doubt") or "")
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
@@ -111,8 +118,6 @@ class ComparedDrive(Result):
         return "doubtful" if doubtful and not self.found.reasons else self.found.verdict
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.questions import asked_in
-        from lunarsci.twin.comparison.matched import miss_of
 
         forecast, found = self.matched.forecast, self.found
         whole, miss = found.surprise, miss_of(self.matched)
@@ -148,7 +153,7 @@ class ComparedDrive(Result):
         return [_band_row(check, self.found) for check in self.found.bands]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
+
         from lunarsci.twin.figures.comparison import comparison_figure
 
         title = f"{file_label(str(self.matched.forecast.origin))} beside {file_label(self.states)}"
@@ -163,13 +168,6 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
-    from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
-    from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
-    from lunarsci.twin.assimilation.drive_record import pace_of, read_drive_states
-    from lunarsci.twin.comparison import verdict
-    from lunarsci.twin.comparison.forecast import read_forecast
-    from lunarsci.twin.comparison.matched import match_observations
-    from lunarsci.twin.rover import build_rover, rover_questions
 
     asked = request_of(CompareRequest, request, options)
     forecast, inputs = read_forecast(predicted)
@@ -223,8 +221,6 @@ def compare(
 
 def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     """Hash of the plan. Legs, start, speed and fixes must be as predicted; limits, sweeps and circles do not count."""
-    from lunarsci.twin.plans.plan import read_plan
-    from lunarsci.twin.plans.plan_files import plan_text
 
     driven, predicted = (
         plan_text(replace(one, name="", limits=(), sweep=(), exclusion_zones=(), made_for=None, accepted_risk=None))
@@ -245,9 +241,6 @@ def whole_record(
     With positions the reader leaves out values that were derived from them. Here these are compared all the same, as
     the bands of slip are of interest, but are not to count twice.
     """
-    import numpy as np
-
-    from lunarsci.twin.assimilation.drive_record import read_record
 
     whole = read_record(states, rover)
     if positions is None:
@@ -264,8 +257,6 @@ def whole_record(
 
 def _taught(matched: "MatchedObservations", belief: InputFile, states: InputFile) -> "tuple[SoilBelief, SoilBelief]":
     """The belief of a file before and after it learned from the miss."""
-    from lunarsci.regolith.belief import read_belief
-    from lunarsci.twin.comparison.matched import taught
 
     before, forecast = read_belief(belief), matched.forecast
     if forecast.soils != "belief":
@@ -297,7 +288,6 @@ def _end(end: "EndCheck") -> dict[str, Any]:
 
 def _band_row(check: "BandCheck", found: "DriveComparison") -> dict[str, Any]:
     """The probabilities are of all wheels together."""
-    from lunarsci.twin.comparison.checks import ALL
 
     together = check.wheel == ALL
     bias = found.bias.quantities.get(check.quantity) if together and found.bias else None

@@ -1,26 +1,35 @@
 """The twin beside drives that others recorded: one command scores slip, side slip and end of any number of trials."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, RequestError
 from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import csv_bytes
+from lunarsci.regolith.soil import read_soil
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.twin.jobs.compare import CompareRequest
+from lunarsci.twin.assimilation.drive_record import read_drive_states
+from lunarsci.twin.drives.layouts import trials_in
+from lunarsci.twin.drives.replay import WheelTurns
+from lunarsci.twin.drives.scores import TrialScore, TrialSoils, score_trial, summary_of
+from lunarsci.twin.ground.driven_soil import read_soil_samples
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.jobs.compare import CompareRequest, whole_record
+from lunarsci.twin.jobs.drive_inputs import soil_hashes
+from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
+from lunarsci.twin.jobs.soils import OF_A_BELIEF
+from lunarsci.twin.jobs.states import MeasuredStates, StatesRequest, states
+from lunarsci.twin.plans.motion import read_motion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from lunarsci.twin.drives.scores import TrialScore, TrialSoils
-    from lunarsci.twin.ground.terrain import Terrain
-    from lunarsci.twin.jobs.given_soil import GivenSoil
-    from lunarsci.twin.jobs.states import MeasuredStates
 
 OF_A_PREDICTION = ("positions", "plan", "belief")
 OF_TRIALS = ("terrain", "height_unit", "gravity", "interpolation", "soil", "members")
@@ -93,7 +102,6 @@ class ScoredTrials(Result):
         return f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.twin.drives.scores import summary_of
 
         kind, name = self.soils
         return {
@@ -107,6 +115,7 @@ class ScoredTrials(Result):
         return [trial.row() for trial in self.trials]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.comparison import trials_figure
 
         what = "1 trial" if len(self.trials) == 1 else f"{len(self.trials)} trials"
@@ -128,9 +137,6 @@ def compare_trials(
     slips, side slips and the end that its positions tell; beside it stands the way of the wheels without slip. A trial
     that cannot be used is told, and the others are scored. Raises BatchError where none can.
     """
-    from lunarsci.twin.drives.layouts import trials_in
-    from lunarsci.twin.jobs.drive_inputs import soil_hashes
-    from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
 
     asked = request_of(TrialsRequest, request, options)
     if given := [name for name in OF_A_PREDICTION if getattr(asked, name) is not None]:
@@ -167,9 +173,6 @@ def compare_trials(
 
 
 def _soils(given: "GivenSoil", asked: TrialsRequest) -> "TrialSoils":
-    from lunarsci.twin.drives.scores import TrialSoils
-    from lunarsci.twin.ground.driven_soil import read_soil_samples
-    from lunarsci.twin.jobs.soils import OF_A_BELIEF
 
     if given.soil_map is not None:
         raise RequestError(f"{given.name} as `soil` is a map of one site; give a belief, samples or a soil")
@@ -185,7 +188,6 @@ def _soils(given: "GivenSoil", asked: TrialsRequest) -> "TrialSoils":
 
 def _measured(name: str, asked: TrialsRequest) -> "MeasuredStates":
     """Wheel states of a trial; what is found wrong stays with it, as there may be many."""
-    from lunarsci.twin.jobs.states import StatesRequest, states
 
     own = {key: getattr(asked, key) for key in ("rover", "terrain", "height_unit", "gravity", "interpolation")}
     with warnings.catch_warnings():
@@ -194,11 +196,6 @@ def _measured(name: str, asked: TrialsRequest) -> "MeasuredStates":
 
 
 def _scored(name: str, measured: "MeasuredStates", given: "GivenSoil", soils: "TrialSoils", seed: int) -> "TrialScore":
-    from lunarsci.twin.assimilation.drive_record import read_drive_states
-    from lunarsci.twin.drives.replay import WheelTurns
-    from lunarsci.twin.drives.scores import score_trial
-    from lunarsci.twin.jobs.compare import whole_record
-    from lunarsci.twin.plans.motion import read_motion
 
     known, drive, tables = measured.known, measured.drive, measured.tables
     known.check.belief(given.name, given.belief)
@@ -215,16 +212,12 @@ def _scored(name: str, measured: "MeasuredStates", given: "GivenSoil", soils: "T
 
 
 def _on_soil(terrain: "Terrain", named: str | None) -> "Terrain":
-    import numpy as np
-
-    from lunarsci.regolith.soil import read_soil
 
     return terrain if named is None else replace(terrain, soil=np.array(read_soil(named).vector()).reshape(1, 1, 8))
 
 
 def _file(name: str, table: "pd.DataFrame", begin_s: float = 0.0) -> InputFile:
     """A table with times from some begin on, rows before it left out, as a file."""
-    from lunarsci.io.tables import csv_bytes
 
     later = table[table["time_s"] >= begin_s]
     return InputFile(name, csv_bytes(later.assign(time_s=later["time_s"] - begin_s)))

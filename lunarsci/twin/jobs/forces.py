@@ -4,19 +4,24 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
-from lunarsci.twin.jobs.predict import DriveRequest
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
+from lunarsci.twin.jobs.predict import DriveRequest, predict_drives
+from lunarsci.twin.jobs.soils import Soils
+from lunarsci.twin.judgement.load_check import WheelLoads, wheel_loads
+from lunarsci.twin.judgement.quantities import abscissa
+from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.lanes import outcome_texts
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.jobs.soils import Soils
-    from lunarsci.twin.judgement.load_check import WheelLoads
-    from lunarsci.twin.plans.plan import Plan
-    from lunarsci.twin.simulation.ensemble import Prediction
 
 TOGETHER = (
     "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still "
@@ -43,13 +48,11 @@ class DriveForces(Result):
     @property
     def failed(self) -> list[str]:
         """How drives ended that did not come to the end, each once."""
-        from lunarsci.twin.lanes import outcome_texts
 
         return outcome_texts(self.prediction.outcome)
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known, seed = self.soils.inputs, self.soils.drawn_by
         return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=known.options)
@@ -72,13 +75,12 @@ class DriveForces(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a drive, time and wheel."""
-        from lunarsci.twin.judgement.tables import state_table
 
         return list(state_table(self.prediction).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.wheel_states import force_figure
-        from lunarsci.twin.judgement.quantities import abscissa
 
         prediction = self.prediction
         drawn = (prediction.rover.wheels, abscissa(prediction), _reached(prediction), self.title)
@@ -98,10 +100,6 @@ def forces(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.jobs.predict import predict_drives
-    from lunarsci.twin.jobs.soils import Soils
-    from lunarsci.twin.judgement.load_check import wheel_loads
 
     asked = request_of(DriveRequest, request, options)
     known = read_drive_inputs(plan, *asked.ground, soil=asked.soil, fixes=asked.fixes)
@@ -116,7 +114,6 @@ def forces(
 
 def _reached(prediction: "Prediction") -> Any:
     """States as far as was driven, NaN beyond."""
-    import numpy as np
 
     return np.where(prediction.reached[..., None, None], prediction.states, np.nan)
 

@@ -5,14 +5,23 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.regolith.belief import SoilBelief, read_belief
+from lunarsci.regolith.belief_history import (
+    BeliefDistance,
+    compare_beliefs,
+    moved_sd,
+    parameter_rows,
+    past_beliefs,
+    rolled_back,
+)
+from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.twin.jobs.given_soil import doubt_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.regolith.belief_history import BeliefDistance
 
 
 SOURCES = [
@@ -81,13 +90,11 @@ class BeliefHistory(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.twin.jobs.given_soil import doubt_of
 
         both = ((self.source, self.belief), (self.other_source, self.other))
         return "; ".join(text for file, belief in both if file and (text := doubt_of(file.name, belief)))
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.belief_history import parameter_rows
 
         back = self.rolled_back
         return {
@@ -103,8 +110,6 @@ class BeliefHistory(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One for each number of drives and parameter, from the priors on."""
-        from lunarsci.regolith.belief_history import parameter_rows, rolled_back
-        from lunarsci.regolith.prior import PARAMETERS
 
         first: dict[str, Any] = dict.fromkeys(("states", "plan", "refused", "moved_sd"))
         first |= {"drive": 0, "parameters": parameter_rows(rolled_back(self.belief, 0))}
@@ -118,7 +123,7 @@ class BeliefHistory(Result):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
+
         from lunarsci.regolith.belief_figure import belief_figure, belief_history_figure
 
         names = (file_label(self.source.name), file_label(self.other_source.name) if self.other_source else "")
@@ -132,8 +137,6 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
 
     Raises DataError for files that hold no belief, and for more drives than it rests on.
     """
-    from lunarsci.regolith.belief import read_belief
-    from lunarsci.regolith.belief_history import compare_beliefs, rolled_back
 
     asked = request_of(HistoryRequest, request, options)
     source = read_input(belief)
@@ -155,7 +158,6 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
 
 
 def _drives(belief: "SoilBelief") -> list[dict[str, Any]]:
-    from lunarsci.regolith.belief_history import moved_sd, parameter_rows, past_beliefs
 
     steps = zip(belief.history, moved_sd(belief), past_beliefs(belief)[1:], strict=True)
     return [

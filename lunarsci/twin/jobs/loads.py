@@ -5,22 +5,37 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.io.tables import csv_bytes
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
+from lunarsci.twin.jobs.forces import load_record
+from lunarsci.twin.jobs.given_soil import doubt_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.judgement.load_check import WheelLoads, force_table, wheel_loads
+from lunarsci.twin.judgement.tables import held_table
+from lunarsci.twin.lanes import FINISHED
+from lunarsci.twin.loads.alternating import AlternatingEstimate, alternate
+from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, TOTALS, LoadEnsemble, draw_loads
+from lunarsci.twin.loads.prescribed_motion import (
+    FORCES,
+    PoseStates,
+    PrescribedLoads,
+    correlation_length,
+    prescribed_loads,
+    read_pose_states,
+)
+from lunarsci.twin.plans.motion import Motion, read_motion
+from lunarsci.twin.plans.plan import Plan
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.judgement.load_check import WheelLoads
-    from lunarsci.twin.loads.alternating import AlternatingEstimate
-    from lunarsci.twin.loads.load_ensemble import LoadEnsemble
-    from lunarsci.twin.loads.prescribed_motion import PoseStates, PrescribedLoads
-    from lunarsci.twin.plans.motion import Motion
-    from lunarsci.twin.plans.plan import Plan
 
 
 METHODS = ["Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552", "Rahimi & Recht (2007), NIPS 20, 1177"]
@@ -89,7 +104,6 @@ class MotionLoads(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known = self.known
         return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, options=known.options)
@@ -110,18 +124,17 @@ class MotionLoads(Result):
         return _missing(self.found) if self.wheels else None
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.twin.jobs.forces import load_record
 
         found = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.known.soil_record()}
         return load_record(self.known, self.wheels) | found
 
     def rows(self) -> list[dict[str, Any]]:
         """One a pose and wheel."""
-        from lunarsci.twin.judgement.tables import held_table
 
         return list(held_table(self.found).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.wheel_states import force_figure
 
         found, title = self.found, self.title.replace(name := self.motion.name, Path(name).name)
@@ -130,9 +143,6 @@ class MotionLoads(Result):
 
 
 def _missing(found: "PrescribedLoads") -> dict[str, float]:
-    import numpy as np
-
-    from lunarsci.twin.lanes import FINISHED
 
     known = found.outcome == FINISHED
     ahead, left = found.residual_n[known].mean(axis=0)
@@ -172,8 +182,6 @@ class UncertainLoads(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.regolith.prior import prior_hash
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known = self.known
         tables = known.tables | ({} if "belief" in self.given else prior_hash())
@@ -208,8 +216,6 @@ class UncertainLoads(Result):
         return replace(belief, history=(*belief.history, entry))
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.prior import PARAMETERS
-        from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 
         known, found, belief = self.known, self.found, self.given.get("belief")
         driven = DrivenSoil("priors", "priors") if belief is None else DrivenSoil(belief.name, "belief")
@@ -230,18 +236,16 @@ class UncertainLoads(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a measured state, or a pose and wheel."""
-        from lunarsci.twin.judgement.load_check import force_table
 
         return list(force_table(self.found, self.states).to_dict("records"))  # type: ignore[arg-type]
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """`forces.csv`, an input of `identify`: name to what makes the content."""
-        from lunarsci.io.tables import csv_bytes
-        from lunarsci.twin.judgement.load_check import force_table
 
         return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.wheel_states import force_band_figure
 
         title = self.title.replace(motion := self.given["motion"].name, Path(motion).name)
@@ -261,10 +265,6 @@ def loads(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.judgement.load_check import wheel_loads
-    from lunarsci.twin.loads.prescribed_motion import prescribed_loads
-    from lunarsci.twin.plans.motion import read_motion
 
     asked = request_of(LoadsRequest, request, options)
     known = read_drive_inputs(plan, *asked.ground, soil=asked.soil, soil_counts=not asked.uncertain)
@@ -290,11 +290,6 @@ def _uncertain(
     asked: LoadsRequest,
     progress: Callable[[int, int], None] | None,
 ) -> UncertainLoads:
-    from lunarsci.regolith.belief import first_belief, read_belief
-    from lunarsci.twin.jobs.given_soil import doubt_of
-    from lunarsci.twin.loads.alternating import alternate
-    from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
-    from lunarsci.twin.loads.prescribed_motion import correlation_length, read_pose_states
 
     if asked.correlation is not None and motion.sigmas is None:
         raise RequestError("`correlation` is of the motion's errors, and it has none; add x_m_sigma and others")
@@ -328,7 +323,6 @@ def _uncertain(
 
 def _shares(found: "LoadEnsemble") -> dict[str, Any]:
     """Where the variance of each force comes from, before and after the balance."""
-    from lunarsci.twin.loads.prescribed_motion import FORCES
 
     both = {"before": False, "after": True}
     return {
@@ -338,7 +332,6 @@ def _shares(found: "LoadEnsemble") -> dict[str, Any]:
 
 
 def _wheels(found: "LoadEnsemble") -> list[dict[str, Any]]:
-    from lunarsci.twin.loads.prescribed_motion import FORCES
 
     known = found.known
     if not known.any():
@@ -359,7 +352,6 @@ def _wheels(found: "LoadEnsemble") -> list[dict[str, Any]]:
 
 
 def _totals(found: "LoadEnsemble") -> dict[str, dict[str, float]]:
-    from lunarsci.twin.loads.load_ensemble import TOTALS
 
     known = found.known
     return {

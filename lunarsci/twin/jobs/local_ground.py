@@ -2,22 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
 from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.jobs.plan_request import PlanRequest
 from lunarsci.twin.jobs.terrain import GroundRequest, Progress, SurveyedSite, read_site
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, search_margin_m
-
-if TYPE_CHECKING:
-    from lunarsci.arrays import FloatArray
-    from lunarsci.twin.jobs.plan_request import PlanRequest
 
 CHECKED_EVERY_M = 0.1
 DRIFT_M = 3.0

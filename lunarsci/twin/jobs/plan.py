@@ -1,16 +1,21 @@
 """A path to a target around what a rover may not drive on; of many drives the one to take by its risk; a mission."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lunarsci.errors import RequestError
 from lunarsci.result import job, request_of
+from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.keep_out import near_way
+from lunarsci.twin.jobs.chosen_drive import chosen_drive
+from lunarsci.twin.jobs.given_soil import GivenSoil
+from lunarsci.twin.jobs.local_ground import LocalGround
 from lunarsci.twin.jobs.plan_request import PlanRequest, check_start, limits_at, made_for_on
+from lunarsci.twin.jobs.planned_mission import planned_mission
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
-
-if TYPE_CHECKING:
-    from lunarsci.twin.ground.hazards import Traversability
-    from lunarsci.twin.routes.planner import PlannedPath
+from lunarsci.twin.routes.long_way import way_to
+from lunarsci.twin.routes.planner import PlannedPath
 
 
 @job
@@ -30,14 +35,9 @@ def plan(
     """
     asked = request_of(PlanRequest, request, options)
     if asked.mission is not None:
-        from lunarsci.twin.jobs.planned_mission import planned_mission
-
         return planned_mission(terrain, asked, progress)
     if asked.risk is not None:
-        from lunarsci.twin.jobs.chosen_drive import chosen_drive
-
         return chosen_drive(terrain, asked, progress)
-    from lunarsci.twin.jobs.given_soil import GivenSoil
 
     if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
         raise RequestError(
@@ -45,7 +45,6 @@ def plan(
             "it on all of them, or leave `soil` out"
         )
     site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits_of_ground())
-    from lunarsci.twin.jobs.local_ground import LocalGround
 
     check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
@@ -57,9 +56,6 @@ def _path(
     asked: PlanRequest, site: SurveyedSite, surface: "Traversability", finer: tuple["Traversability", ...],
     progress: Progress | None,
 ) -> "PlannedPath":  # fmt: skip
-    from lunarsci.twin.assimilation.change_point import planned_places
-    from lunarsci.twin.ground.keep_out import near_way
-    from lunarsci.twin.routes.long_way import way_to
 
     (x0, y0, heading), (x, y, *_) = asked.places
     found = way_to(

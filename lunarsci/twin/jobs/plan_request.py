@@ -2,17 +2,23 @@
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+import numpy as np
 
 from lunarsci.errors import DataError, RequestError
+from lunarsci.heights.projections import projection_of
+from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.regolith.written_names import GROUND, written_in
+from lunarsci.rovers import MadeFor
+from lunarsci.twin.ground.illumination import SunDirection
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, SurveyedSite
-
-if TYPE_CHECKING:
-    from lunarsci.rovers import MadeFor
-    from lunarsci.twin.ground.terrain import Terrain
-    from lunarsci.twin.plans.limits import Limit
-    from lunarsci.twin.simulation.ensemble import PowerState
-
+from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.made_for_check import limits_of_rover
+from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.plans.plan_files import read_limits
+from lunarsci.twin.simulation.ensemble import PowerState
 
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
@@ -160,7 +166,6 @@ class PlanRequest(GroundRequest):
         """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
         if not self.lonlat:
             return self
-        from lunarsci.heights.projections import projection_of
 
         projection, moved = projection_of(terrain.crs, terrain.name), []
         for longitude, latitude, *heading in self.places:
@@ -169,8 +174,6 @@ class PlanRequest(GroundRequest):
 
     def power(self) -> "PowerState | None":
         """Battery and light; None where no charge is given. Raises RequestError."""
-        from lunarsci.twin.ground.illumination import SunDirection
-        from lunarsci.twin.simulation.ensemble import PowerState
 
         sun = self.light()[0]
         if self.charge is None:
@@ -192,9 +195,6 @@ def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple["Limit", ...]:
 
     Raises DataError for a file without limits, RequestError where two places say how far from the target is there.
     """
-    from lunarsci.twin.plans.made_for_check import limits_of_rover
-    from lunarsci.twin.plans.plan import read_plan
-    from lunarsci.twin.plans.plan_files import read_limits
 
     assumed = limits_of_rover(read_plan().limits, site.rover)
     if asked.limits is None:
@@ -215,8 +215,6 @@ def check_start(asked: PlanRequest, site: SurveyedSite) -> None:
 
     Raises RequestError where no ground is named and it was on another than the stand-in.
     """
-    from lunarsci.io.tables import read_csv_table
-    from lunarsci.regolith.written_names import GROUND, written_in
 
     for path in asked.start_files:
         table = read_csv_table(path)
@@ -230,9 +228,6 @@ def last_pose(path: str) -> tuple[float, float, float]:
 
     Raises DataError for what has no x_m, y_m and yaw_deg.
     """
-    import numpy as np
-
-    from lunarsci.io.tables import numbers_of, read_csv_table
 
     table = read_csv_table(path)
     for name in ("time_s", "x_m", "y_m", "yaw_deg"):

@@ -130,6 +130,7 @@ class PlannedMission(TerrainSurvey):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.mission import mission_map, timetable
 
         yield mission_map(self.surface, self.driven)

@@ -8,23 +8,30 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
+from lunarsci.io.tables import csv_bytes
 from lunarsci.provenance import sha256, to_json
+from lunarsci.regolith.questions import Question
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
+from lunarsci.twin.ground.hazards import read_mobility
+from lunarsci.twin.ground.illumination import parse_sun
+from lunarsci.twin.ground.unresolved import Unresolved, with_unresolved
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.jobs.soils import Soils
+from lunarsci.twin.judgement import tables as judged
+from lunarsci.twin.judgement.endpoint import EndpointSensitivity, endpoint_sensitivity, step_error_m
+from lunarsci.twin.judgement.energy import PowerUse, energy_record, power_record, power_use
+from lunarsci.twin.judgement.load_check import check_loads
+from lunarsci.twin.judgement.safety import Verdict, judge, undecided
+from lunarsci.twin.judgement.terrain_share import TerrainShares, likely_drives, terrain_shares
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.discrepancy import with_discrepancy
+from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.regolith.questions import Question
-    from lunarsci.twin.ground.unresolved import Unresolved
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.jobs.soils import Soils
-    from lunarsci.twin.judgement.endpoint import EndpointSensitivity
-    from lunarsci.twin.judgement.energy import PowerUse
-    from lunarsci.twin.judgement.safety import Verdict
-    from lunarsci.twin.judgement.terrain_share import TerrainShares
-    from lunarsci.twin.plans.plan import Plan
-    from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 
 Progress = Callable[[int, int], None]
@@ -77,9 +84,6 @@ class PoweredRequest(DriveRequest):
 
     def power(self) -> "PowerState | None":
         """Battery and light; None where neither is given. Raises RequestError."""
-        from lunarsci.twin.ground.illumination import parse_sun
-        from lunarsci.twin.jobs.drive_inputs import named_option
-        from lunarsci.twin.simulation.ensemble import PowerState
 
         if self.sun is None and self.charge is None:
             return None
@@ -154,7 +158,6 @@ class PredictedDrives(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known = self.inputs
         options = known.options | {"seed": self.prediction.seed}
@@ -168,8 +171,6 @@ class PredictedDrives(Result):
         return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.twin.judgement.energy import energy_record, power_record
-        from lunarsci.twin.judgement.load_check import check_loads
 
         prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
         swept = prediction.parameters.items()
@@ -211,6 +212,7 @@ class PredictedDrives(Result):
         return [asdict(limit) for limit in self.verdict.limits]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.prediction import box_pages, path_fan, profile_page
 
         yield path_fan(self.prediction, self.verdict)
@@ -219,15 +221,13 @@ class PredictedDrives(Result):
 
     def film(self, target: Path, progress: Progress | None = None) -> bytes:
         """The drive as a film, in the format of the target's suffix: .gif, or .mp4 where ffmpeg is installed."""
+
         from lunarsci.twin.figures.animation import animate
 
         return animate(self.prediction, self.verdict, target, progress=progress)
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
-        from lunarsci.io.tables import csv_bytes
-        from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
-        from lunarsci.twin.judgement import tables as judged
 
         prediction, rover = self.prediction, sha256(self.inputs.description.text.encode())
         kept = {
@@ -257,8 +257,6 @@ def predict(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.jobs.soils import Soils
 
     asked = request_of(PredictRequest, request, options)
     inputs = read_drive_inputs(
@@ -294,9 +292,6 @@ def _asked_about(found: PredictedDrives, questions: "tuple[Question, ...]") -> P
 
 def _rough(inputs: "DriveInputs", seed: int) -> "tuple[DriveInputs, Unresolved | None]":
     """With ground drawn between the nodes of a terrain that is too coarse for the rover's wheels."""
-    from lunarsci.twin.assimilation.change_point import planned_places
-    from lunarsci.twin.ground.hazards import read_mobility
-    from lunarsci.twin.ground.unresolved import with_unresolved
 
     if inputs.terrain.errors is not None:
         return inputs, None
@@ -317,11 +312,6 @@ def _judged(
     soils: "Soils", prediction: "Prediction", asked: PredictRequest, unresolved: "Unresolved | None"
 ) -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
-    from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
-    from lunarsci.twin.judgement.energy import power_use
-    from lunarsci.twin.judgement.safety import judge, undecided
-    from lunarsci.twin.judgement.terrain_share import likely_drives, terrain_shares
-    from lunarsci.twin.simulation.discrepancy import with_discrepancy
 
     def whole(drives: "Prediction") -> "Prediction":
         law = soils.discrepancy

@@ -5,17 +5,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
+from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.ensemble import predict
+from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.plans.plan import Plan
-    from lunarsci.twin.telemetry.simulated import SyntheticDrive
 
 
 XY = ("x_m", "y_m")
@@ -60,7 +64,6 @@ class MadeUpDrive(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known = self.inputs
         options, seed = known.options, self.drive.seed
@@ -111,7 +114,6 @@ class MadeUpDrive(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Telemetry, track and truth, each marked as made up: name to what makes the content."""
-        from lunarsci.twin.judgement.tables import state_table
 
         return {
             "telemetry.csv": lambda: _marked(self.drive.telemetry),
@@ -131,11 +133,6 @@ def simulate_drive(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-    import numpy as np
-
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.simulation.ensemble import predict
-    from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
 
     asked = request_of(SimulateDriveRequest, request, options)
     errors = SensorErrors(
@@ -165,6 +162,5 @@ def simulate_drive(
 
 
 def _marked(table: "pd.DataFrame") -> bytes:
-    from lunarsci.io.tables import csv_bytes
 
     return REMARK + csv_bytes(table)

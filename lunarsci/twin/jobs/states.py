@@ -6,19 +6,29 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.errors import RequestError
+from lunarsci.figure import file_label
 from lunarsci.io.inputs import Source, open_input, read_input
+from lunarsci.io.tables import csv_bytes
+from lunarsci.regolith.soil import read_soil
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.drives.layouts import read_public_drive
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.telemetry.motion_nodes import EFFECTS
+from lunarsci.twin.telemetry.positions import with_positions
+from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
+from lunarsci.twin.telemetry.sinkage import RutPoints, is_table_of_ruts, read_track, with_sinkage
+from lunarsci.twin.telemetry.state_tables import motion_table, position_table, wheel_table
+from lunarsci.twin.telemetry.states import DriveStates, states_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.twin.ground.terrain import Terrain
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.plans.plan import Plan
-    from lunarsci.twin.telemetry.sinkage import RutPoints
-    from lunarsci.twin.telemetry.states import DriveStates
 
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
@@ -81,7 +91,6 @@ class MeasuredStates(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known = self.known
         return MadeFrom(inputs=known.inputs, tables=known.tables, sources=[*SOURCES, SMOOTHER], options=known.options)
@@ -97,7 +106,6 @@ class MeasuredStates(Result):
         return f"Wheel states from {self.name}{mark}, on {self.known.terrain.name}"
 
     def to_dict(self) -> dict[str, Any]:
-        import numpy as np
 
         drive, rows = self.drive, self.drive.rows
         return self.known.about() | {
@@ -125,7 +133,6 @@ class MeasuredStates(Result):
     @cached_property
     def tables(self) -> dict[str, Any]:
         """States, positions and motion, which `update` and `loads` take: name of the file to table."""
-        from lunarsci.twin.telemetry.state_tables import motion_table, position_table, wheel_table
 
         makers = {"states.csv": wheel_table, "positions.csv": position_table, "motion.csv": motion_table}
         return {name: make(self.drive) for name, make in makers.items()}
@@ -136,12 +143,11 @@ class MeasuredStates(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables as CSV: name to what makes the content."""
-        from lunarsci.io.tables import csv_bytes
 
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
+
         from lunarsci.twin.figures.wheel_states import states_page
 
         yield states_page(self.drive, self.known.terrain, self.title.replace(self.name, file_label(self.name)))
@@ -156,12 +162,6 @@ def states(
     A folder or table of a public data set (`lunarsci.twin.drives.layouts`) has its own rover, gravity and, where no
     terrain is given, a plane by its heights and attitude. Raises DataError for telemetry that cannot be used.
     """
-    from lunarsci.twin.drives.layouts import read_public_drive
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.telemetry.positions import with_positions
-    from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
-    from lunarsci.twin.telemetry.sinkage import with_sinkage
-    from lunarsci.twin.telemetry.states import states_of
 
     asked = request_of(StatesRequest, request, options)
     public, below = read_public_drive(telemetry), None
@@ -190,9 +190,6 @@ def states(
 
 
 def _read_track(known: "DriveInputs", track: Any) -> "RutPoints | Terrain":
-    from lunarsci.regolith.soil import read_soil
-    from lunarsci.twin.ground.terrain_files import read_terrain
-    from lunarsci.twin.telemetry.sinkage import is_table_of_ruts, read_track
 
     source = read_input(track)
     known.inputs[source.name] = source.sha256
@@ -204,7 +201,6 @@ def _read_track(known: "DriveInputs", track: Any) -> "RutPoints | Terrain":
 
 def _changes(drive: "DriveStates") -> dict[str, Any]:
     """How fast the deviations change that slopes do not explain; no information where the data tell nothing of it."""
-    import numpy as np
 
     change = drive.smoothed.change
     columns = (change.usual, np.exp(change.spread), change.usual_length_m, change.information)
@@ -218,9 +214,6 @@ def _changes(drive: "DriveStates") -> dict[str, Any]:
 
 def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
     """Slip and side slip, as a tangent, for slopes of 45 degrees along and across, were they proportional."""
-    import numpy as np
-
-    from lunarsci.twin.telemetry.motion_nodes import EFFECTS
 
     state, covariance = drive.smoothed.state[-1], drive.smoothed.covariance[-1]
     return {
@@ -231,7 +224,6 @@ def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
 
 def _of_wheel(drive: "DriveStates", k: int) -> dict[str, Any]:
     """Medians over the measured states of a wheel, of the values and of their errors."""
-    import numpy as np
 
     found: dict[str, Any] = {name: int(getattr(drive.rows, name)[:, k].sum()) for name in ("measured", "valid")}
     for name in MEASURED:

@@ -4,20 +4,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from lunarsci.constants import PAPER
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.designs.trade import Design, pareto_front, try_design, unchanged
+from lunarsci.twin.designs.variation import Variation, check_names, design_values, parse_variation
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
 from lunarsci.twin.jobs.predict import PoweredRequest
+from lunarsci.twin.jobs.soils import Soils
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.discrepancy import with_discrepancy
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.twin.designs.trade import Design
-    from lunarsci.twin.designs.variation import Variation
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.jobs.soils import Soils
-    from lunarsci.twin.plans.plan import Plan
-    from lunarsci.twin.simulation.ensemble import Prediction
 
 Progress = Callable[[int, int], None]
 
@@ -70,8 +72,6 @@ class DesignTrade(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.constants import PAPER
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         inputs = {name: digest for soils in self.soils for name, digest in soils.inputs.inputs.items()}
         known, seed = self.inputs, self.soils[0].seed
@@ -101,6 +101,7 @@ class DesignTrade(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.designs import curve_page, front_page
 
         synthetic = any(soils.inputs.terrain.synthetic for soils in self.soils)
@@ -124,9 +125,6 @@ def sweep(
     Raises DataError for what cannot be read, RequestError for options that are impossible, and for numbers that no
     drive depends on.
     """
-    from lunarsci.twin.designs.trade import pareto_front, try_design, unchanged
-    from lunarsci.twin.designs.variation import check_names, design_values, parse_variation
-    from lunarsci.twin.jobs.drive_inputs import named_option
 
     asked = request_of(SweepRequest, request, options)
     soils = _mission(plans, asked)
@@ -153,8 +151,6 @@ def sweep(
 
 
 def _driver(soils: "Sequence[Soils]", asked: SweepRequest) -> "Callable[[int, dict[str, Any]], Prediction]":
-    from lunarsci.twin.simulation.discrepancy import with_discrepancy
-    from lunarsci.twin.simulation.ensemble import predict
 
     members, power = [one.of_members() for one in soils], asked.power()
 
@@ -169,8 +165,6 @@ def _driver(soils: "Sequence[Soils]", asked: SweepRequest) -> "Callable[[int, di
 
 def _mission(plans: Any, asked: SweepRequest) -> "tuple[Soils, ...]":
     """The soils of each plan, as many and the same on all of them. Raises RequestError where plans have others."""
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.jobs.soils import Soils
 
     several = list(plans) if isinstance(plans, list | tuple) else [plans]
     found = []

@@ -4,25 +4,34 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import RequestError
+from lunarsci.errors import ParameterError, RequestError
+from lunarsci.heights.projections import lonlat_of, told_of
 from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import read_input
+from lunarsci.io.tables import csv_bytes
 from lunarsci.provenance import sha256
+from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription, made_for, read_rover
+from lunarsci.twin.ground import synthetic
+from lunarsci.twin.ground.cost_layers import CostLayer, parse_classes, parse_cost, read_cost_layer, shadow_layer
+from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
+from lunarsci.twin.ground.hazards import Mobility, Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.illumination import sunlit
+from lunarsci.twin.ground.keep_out import Zones, read_keep_outs
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain_files import TerrainFile, maps_bytes, maps_geotiff, read_terrain_file, terrain_bytes
+from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
+from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
+from lunarsci.twin.plans.made_for_check import MadeForCheck
+from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.routes.path_geojson import path_geojson
+from lunarsci.twin.routes.planner import PlannedPath, path_table, share_on
+from lunarsci.twin.rover import Rover, build_rover, check_turning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.rovers import MadeFor, RoverDescription
-    from lunarsci.twin.ground.cost_layers import CostLayer
-    from lunarsci.twin.ground.driven_soil import DrivenSoil
-    from lunarsci.twin.ground.hazards import Mobility, Traversability
-    from lunarsci.twin.ground.keep_out import Zones
-    from lunarsci.twin.ground.terrain import Terrain
-    from lunarsci.twin.ground.terrain_files import TerrainFile
-    from lunarsci.twin.plans.made_for_check import MadeForCheck
-    from lunarsci.twin.routes.planner import PlannedPath
-    from lunarsci.twin.rover import Rover
 
 Progress = Callable[[int, int], None]
 SOURCES = [
@@ -99,8 +108,6 @@ class GroundRequest:
 
     def light(self) -> tuple[tuple[float, float] | None, float | None]:
         """Direction of the Sun [deg, deg] and the factor on the cost of a metre in shadow. Raises RequestError."""
-        from lunarsci.errors import ParameterError
-        from lunarsci.twin.ground.cost_layers import parse_cost
 
         if self.sun is None:
             if self.shadow_cost is not None:
@@ -117,8 +124,6 @@ class GroundRequest:
 
     def costs(self) -> dict[float, float]:
         """Costs by class of ground. Raises RequestError."""
-        from lunarsci.errors import ParameterError
-        from lunarsci.twin.ground.cost_layers import parse_classes
 
         if self.classes and not self.layer:
             raise RequestError("classes are those of a layer; give `layer`, too")
@@ -171,20 +176,16 @@ class SurveyedSite:
     @property
     def made_for(self) -> "MadeFor":
         """The rover and the limits, for what is written."""
-        from lunarsci.rovers import made_for
 
         return made_for(self.description, {name: getattr(self.mobility, name) for name in LIMITS})
 
     def surface(self, baseline_m: float | None, progress: Progress | None) -> "Traversability":
         """The maps, compared with the limits."""
-        from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales
 
         own, wheel = map_scales(self.rover)
         maps = ground_maps(self.terrain, own if baseline_m is None else baseline_m, wheel, progress)
         if self.sun_deg is None:
             return assess(self.terrain, maps, self.mobility, self.keep_outs, self.layers)
-        from lunarsci.twin.ground.cost_layers import shadow_layer
-        from lunarsci.twin.ground.illumination import sunlit
 
         lit = sunlit(self.terrain, *self.sun_deg)
         shadow = () if self.shadow_cost is None else (shadow_layer(lit, self.shadow_cost),)
@@ -192,14 +193,12 @@ class SurveyedSite:
 
     def content(self) -> bytes:
         """The terrain with the heights and errors of its file, and the soil and the rover that it was looked at for."""
-        from lunarsci.twin.ground.terrain_files import terrain_bytes
 
         as_read = replace(self.terrain, height_m=self.file.terrain.height_m)
         return terrain_bytes(as_read, made_for=self.made_for, errors=self.file.errors)
 
     def about(self) -> dict[str, Any]:
         """Terrain, rover, soil and limits, for a result."""
-        from lunarsci.twin.ground.driven_soil import soil_record
 
         return {
             "terrain": self.terrain.summary(),
@@ -250,7 +249,6 @@ class TerrainSurvey(Result):
 
     def _path_record(self, path: "PlannedPath") -> dict[str, Any]:
         """The path, its ends also by longitude and latitude where the terrain has a coordinate system."""
-        from lunarsci.heights.projections import lonlat_of
 
         record = path.to_dict() | ({"checked": list(self.checked)} if self.checked else {})
         for end in ("start", "target", "end"):
@@ -262,7 +260,6 @@ class TerrainSurvey(Result):
         lit, sun = self.surface.sunlit, self.site.sun_deg
         if lit is None or sun is None:
             return {}
-        from lunarsci.twin.routes.planner import share_on
 
         return {
             "sun": {
@@ -277,17 +274,13 @@ class TerrainSurvey(Result):
         return [{"quantity": name, **values} for name, values in self.surface.maps.spreads().items()]
 
     def figures(self) -> "Iterator[Figure]":
+
         from lunarsci.twin.figures.maps import terrain_maps
 
         yield terrain_maps(self.surface, self.path)
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
-        from lunarsci.io.tables import csv_bytes
-        from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff
-        from lunarsci.twin.plans.plan_files import plan_text
-        from lunarsci.twin.routes.path_geojson import path_geojson
-        from lunarsci.twin.routes.planner import path_table
 
         site, path = self.site, self.path
         found: dict[str, Callable[[], bytes]] = {
@@ -304,8 +297,6 @@ class TerrainSurvey(Result):
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
-        from lunarsci.heights.projections import told_of
-        from lunarsci.twin.ground.hazards import map_scales
 
         site, maps = self.site, self.surface.maps
         notes = [UNSEEN, *site.check.read_as, *site.check.remarks]
@@ -349,18 +340,6 @@ def read_site(
     named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None], onto: str = ""
 ) -> SurveyedSite:
     """Read or make the terrain (`synthetic-longji` if None), a raster in the system `onto`, with soil and limits."""
-    from lunarsci.regolith.soil import read_soil, soil_hash
-    from lunarsci.rovers import DEFAULT_ROVER, read_rover
-    from lunarsci.twin.ground import synthetic
-    from lunarsci.twin.ground.cost_layers import read_cost_layer
-    from lunarsci.twin.ground.driven_soil import lay_soil_on
-    from lunarsci.twin.ground.hazards import read_mobility
-    from lunarsci.twin.ground.keep_out import read_keep_outs
-    from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
-    from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
-    from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
-    from lunarsci.twin.plans.made_for_check import MadeForCheck
-    from lunarsci.twin.rover import build_rover, check_turning
 
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
     description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)

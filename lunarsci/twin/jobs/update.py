@@ -7,21 +7,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
+from lunarsci.figure import as_label
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.belief_history import contact_rows, parameter_rows, with_drive
+from lunarsci.regolith.prior import PARAMETERS, prior_hash
+from lunarsci.regolith.questions import asked_in
 from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
+from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
+from lunarsci.twin.assimilation.slip_lean import SlipLean
+from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+from lunarsci.twin.ground.soil_layers import soil_layers
+from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_map_bytes
+from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
+from lunarsci.twin.jobs.given_soil import PRIORS, doubt_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.telemetry.checks import WheelPace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.twin.assimilation.drive_record import DriveRecord
-    from lunarsci.twin.assimilation.segments import Segment, SoilChange
-    from lunarsci.twin.assimilation.slip_lean import SlipLean
-    from lunarsci.twin.assimilation.update import SoilUpdate
-    from lunarsci.twin.ground.soil_map import SoilMap, Zone
-    from lunarsci.twin.jobs.drive_inputs import DriveInputs
-    from lunarsci.twin.telemetry.checks import WheelPace
 
 
 SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
@@ -82,10 +90,6 @@ class Before:
     @classmethod
     def read(cls, asked: UpdateRequest, known: "DriveInputs") -> "Before":
         """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
-        from lunarsci.regolith.belief import first_belief, read_belief
-        from lunarsci.twin.assimilation.change_point import planned_places
-        from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, read_soil_map
-        from lunarsci.twin.jobs.given_soil import PRIORS, doubt_of
 
         file = None if asked.soil in (None, PRIORS) else read_input(asked.soil)
         of_map = file is not None and SCHEMA.encode() in file.data
@@ -154,8 +158,6 @@ class LearnedSoil(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.regolith.prior import prior_hash
-        from lunarsci.twin.jobs.drive_inputs import SOURCES
 
         known = self.known
         tables, sources = known.tables | prior_hash(), [*SOURCES, SAMPLER]
@@ -188,8 +190,6 @@ class LearnedSoil(Result):
         return list(dict.fromkeys(text for text in told if text))
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.belief_history import contact_rows, parameter_rows
-        from lunarsci.regolith.questions import asked_in
 
         found, soil_map = self.found, self.soil_map
         return {
@@ -224,8 +224,6 @@ class LearnedSoil(Result):
 
     def _soil_record(self) -> dict[str, Any]:
         """Where the soils come from that the drive was tried on."""
-        from lunarsci.regolith.prior import PARAMETERS
-        from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 
         driven, before = DrivenSoil("priors", "priors"), self.before
         if before.file is not None:
@@ -234,15 +232,13 @@ class LearnedSoil(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a parameter."""
-        from lunarsci.regolith.belief_history import parameter_rows
 
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import as_label
+
         from lunarsci.regolith.belief_figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
-        from lunarsci.twin.ground.soil_layers import soil_layers
 
         title, synthetic = f"soil after {as_label(self.known.plan.name)}", self.known.terrain.synthetic
         yield belief_figure(self.belief, title, synthetic=synthetic)
@@ -252,14 +248,11 @@ class LearnedSoil(Result):
 
     def map_bytes(self) -> bytes:
         """The soil map after the drive, as JSON. Raises RequestError where the soil is not kept by place."""
-        from lunarsci.twin.ground.soil_map import soil_map_bytes
 
         return soil_map_bytes(self._map())
 
     def terrain_bytes(self) -> bytes:
         """The terrain with the map's median soil at every node, as .npz. Raises RequestError as `map_bytes`."""
-        from lunarsci.twin.ground.soil_layers import soil_layers
-        from lunarsci.twin.ground.terrain_files import terrain_bytes
 
         layers = soil_layers(self._map(), self.known.terrain)
         return terrain_bytes(layers.terrain, sd_ratio=layers.sd_ratio)
@@ -282,11 +275,6 @@ def update(
 
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
     """
-    from lunarsci.twin.assimilation.drive_record import pace_of, read_drive_states, read_record
-    from lunarsci.twin.assimilation.segments import drive_segments, find_change
-    from lunarsci.twin.assimilation.slip_lean import SlipLean
-    from lunarsci.twin.assimilation.update import assimilate
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
 
     asked = request_of(UpdateRequest, request, options)
     if asked.correlation is not None and asked.soil is None and not asked.by_place:
@@ -368,7 +356,6 @@ def _with_history(
     found: "SoilUpdate", before: Before, drive: _DrivenLine, forget: float, *, scored: bool
 ) -> "SoilUpdate":
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
-    from lunarsci.regolith.belief_history import with_drive
 
     belief, law, states = found.belief, found.belief.discrepancy, drive.states
     if scored and not found.refused and not law.has_scored(states.sha256):
@@ -386,7 +373,6 @@ def _with_history(
 
 
 def _zone(segment: "Segment", drive: _DrivenLine) -> "Zone":
-    from lunarsci.twin.ground.soil_map import Zone
 
     lean = (segment.slip.doubt,) if segment.slip else ()
     line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.found)) if segment.found else {}

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import headline, legend_below, page
 from lunarsci.provenance import to_json
+from lunarsci.spectra.vnis.calibration import draw_footprint
 from lunarsci.spectra.vnis.channels import FOOTPRINT, VNIR_NM
 from lunarsci.spectra.vnis.simulation.instrument import Simulation
 from lunarsci.spectra.vnis.simulation.scene import Scene
@@ -108,8 +110,6 @@ def _place(scene: Scene) -> dict[str, float]:
 
 def simulation_page(simulation: Simulation) -> "Figure":
     """Image at 750 nm on the left, reflectance of soil, rock and the lit footprint on the right."""
-    from lunarsci.figure import headline, legend_below, page
-    from lunarsci.spectra.vnis.calibration import draw_footprint
 
     figure = page(3.7)
     image, spectrum = figure.subplots(1, 2)
