@@ -81,15 +81,21 @@ def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
         group = typer.Typer(no_args_is_help=True, help=text)
         group.callback()(lambda: None)
         if name in wanted:
-            for command in [one for one in COMMANDS[name] if one in wanted] or COMMANDS[name]:
-                import_module(f".{name}.{command}", __name__).add_to(group)
+            chosen = [one for one in COMMANDS[name] if one in wanted] or COMMANDS[name]
+            for command in COMMANDS[name]:
+                _add(group, command, f".{name}.{command}" if command in chosen else "")
         program.add_typer(group, name=name)
     for name, text in SINGLE.items():
-        if name in wanted:
-            import_module(f".{name}", __name__).add_to(program)
-        else:
-            program.command(name, help=text)(lambda: None)
+        _add(program, name, f".{name}" if name in wanted else "", text)
     return program
+
+
+def _add(app: typer.Typer, name: str, module: str, text: str = "") -> None:
+    """A command from its module; without one, its name and its line of help alone."""
+    if module:
+        import_module(module, __name__).add_to(app)
+    else:
+        app.command(name, help=text)(lambda: None)
 
 
 @cache
