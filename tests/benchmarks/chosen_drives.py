@@ -15,11 +15,10 @@ Each errand is one line of the file, and one that is there is not done again. `-
 
 import argparse
 import dataclasses
-import json
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ import numpy as np
 from chosen_report import report
 from cost_map import cost_map_legs
 from errands import TOLERANCE_M, Errand, errand, kept, other_truths, truths
+from result_lines import computed, rows_of
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.choice import choose
@@ -199,11 +199,6 @@ def refutation(one: Errand, plans: list[Plan]) -> float:
     return believed(one, best, TRIED_AGAIN, HIDDEN - one.number)
 
 
-def rows_of(files: list[Path]) -> list[dict[str, Any]]:
-    """Of files that exist."""
-    return [json.loads(line) for file in files if file.exists() for line in file.read_text().splitlines()]
-
-
 def main() -> None:
     """Choose, drive and report."""
     parser = argparse.ArgumentParser(description="Are chosen drives as safe as promised?")
@@ -214,21 +209,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="file of results, one line an errand, added to")
     parser.add_argument("--report", type=Path, nargs="+", help="print the tables of these files, and drive nothing")
     given = parser.parse_args()
-    warnings.simplefilter("ignore")
     if given.report:
-        print(report(rows_of(given.report)))
+        print(report(rows_of(*given.report)))
         return
-    rows = rows_of([given.out]) if given.out else []
-    done = {row["errand"] for row in rows}
-    for number in range(given.first, given.first + given.terrains):
-        if number in done:
-            continue
-        rows.append(judged(number, CHOOSERS[given.chooser], given.risk))
-        print(_said(rows[-1]), flush=True)
-        if given.out:
-            with given.out.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-    print(report(rows))
+    tasks = {(number,): number for number in range(given.first, given.first + given.terrains)}
+    chosen = partial(judged, chooser=CHOOSERS[given.chooser], risk=given.risk)
+    print(report(computed(chosen, tasks, ("errand",), given.out, said=_said)))
 
 
 def _said(row: dict[str, Any]) -> str:
