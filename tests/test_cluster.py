@@ -103,17 +103,6 @@ def test_an_update_of_a_cluster_has_the_same_bytes(
         assert one.replace("/here/", "/there/") == other, name
 
 
-def test_drives_that_are_compared_on_a_cluster_have_the_same_bytes(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    line = ("twin plan --target 2,0.3 --risk 0.3 --members 16 --candidates 4 --fixes 0.05,0.5 --seed 2 "
-            "--sweep friction_angle_deg=30:50:3 --json -o {folder}/made")  # fmt: skip
-    run(tmp_path / "here", line)
-    run(tmp_path / "there", line, "--scheduler", cluster.scheduler_address)
-    same_files(tmp_path / "here/made", tmp_path / "there/made")
-
-
 def test_an_error_of_a_block_comes_back_as_it_was(cluster: Any) -> None:
     with computing(scheduler=cluster.scheduler_address), pytest.raises(ParameterError, match="row 500"):
         list(run_blocks(failing_at, spans(TOTAL, ROWS)))
