@@ -61,9 +61,6 @@ class Proposal:
     others: tuple[tuple[Plan, float, bool], ...] = field(default=())
 
 
-Chooser = Callable[[Errand, float], Proposal]
-
-
 def shortest(one: Errand) -> Plan | None:
     """The plan of `twin plan`, which knows no soil."""
     try:
@@ -110,18 +107,6 @@ def believed(one: Errand, plan: Plan, members: int = MEMBERS, seed: int = 0) -> 
     return float(kept(with_discrepancy(found, one.belief.discrepancy, seed), one).mean())
 
 
-def plain(one: Errand, risk: float) -> Proposal:
-    """The shortest path, held against the believed soils: what could be done before drives were chosen by risk."""
-    plan = shortest(one)
-    if plan is None:
-        return Proposal(plan=None, promised=0.0, reason="no path")
-    share = believed(one, plan)
-    other = over_cost_map(one)
-    others = ((plan, share, True), *(() if other is None else ((other, believed(one, other), True),)))
-    safe = share >= 1.0 - risk
-    return Proposal(plan=plan if safe else None, promised=share, reason="" if safe else "too risky", others=others)
-
-
 def by_risk(one: Errand, risk: float) -> Proposal:
     """The choice of `twin plan --risk`: candidates driven over the believed soils, the best again on fresh ones."""
     end = Limit("endpoint_miss_m", "m", TOLERANCE_M, "tolerance of the errand", False)
@@ -147,10 +132,7 @@ def by_risk(one: Errand, risk: float) -> Proposal:
     )
 
 
-CHOOSERS: dict[str, Chooser] = {"plain": plain, "risk": by_risk}
-
-
-def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:
+def judged(number: int, chooser: Callable[[Errand, float], Proposal], risk: float) -> dict[str, Any]:
     """One errand: what is proposed, and what then happens."""
     one, begin = errand(number), time.perf_counter()
     proposal = chooser(one, risk)
@@ -205,7 +187,6 @@ def main() -> None:
     parser.add_argument("--terrains", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="number of the first errand")
     parser.add_argument("--risk", type=float, default=0.05)
-    parser.add_argument("--chooser", choices=CHOOSERS, default=list(CHOOSERS)[-1])
     parser.add_argument("--out", type=Path, help="file of results, one line an errand, added to")
     parser.add_argument("--report", type=Path, nargs="+", help="print the tables of these files, and drive nothing")
     given = parser.parse_args()
@@ -213,7 +194,7 @@ def main() -> None:
         print(report(rows_of(*given.report)))
         return
     tasks = {(number,): number for number in range(given.first, given.first + given.terrains)}
-    chosen = partial(judged, chooser=CHOOSERS[given.chooser], risk=given.risk)
+    chosen = partial(judged, chooser=by_risk, risk=given.risk)
     print(report(computed(chosen, tasks, ("errand",), given.out, said=_said)))
 
 

@@ -136,16 +136,6 @@ def test_states_and_options_that_make_no_sense_are_refused(run: Run, options: tu
     assert done.out == ""
 
 
-@pytest.mark.parametrize("exact", [(), ("--exact", "--shear", "combined")])
-def test_locked_wheels_and_side_slip_of_90_degrees_have_forces(run: Run, exact: tuple[str, ...]) -> None:
-    at = ("regolith", "forces", "--sinkage", "0.012", *exact)
-    locked, still = result(run, *at, "--slip", "-1"), result(run, *at, "--slip", "1", "--side-slip", "10")
-    sideways = result(run, *at, "--slip", "0.1", "--side-slip", "90")
-    assert locked["drawbar_pull_n"] < result(run, *at, "--slip", "-0.6")["drawbar_pull_n"] < 0
-    assert [locked["lateral_force_n"], still["lateral_force_n"]] == pytest.approx([0, 0], abs=1e-5)
-    assert sideways["lateral_force_n"] > result(run, *at, "--slip", "0.1", "--side-slip", "60")["lateral_force_n"] > 0
-
-
 @pytest.mark.parametrize("exact", [(), ("--exact",)])
 def test_a_pull_that_only_cohesion_gives_is_not_to_be_trusted(run: Run, exact: tuple[str, ...]) -> None:
     done = run("regolith", "forces", "--sinkage", "2e-7", "--slip", "0.2", *exact, "--json")

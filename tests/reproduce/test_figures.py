@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.reproduce.drive import Drives, predicted_drives
+from lunarsci.reproduce.drive import Drives
 from lunarsci.reproduce.figure_drive import drive_pages
 from lunarsci.reproduce.figure_soil import histograms, soil_pages
 from lunarsci.reproduce.numbers import published_value
@@ -23,11 +23,6 @@ WHEEL = read_wheel("yutu2")
 @pytest.fixture(scope="module")
 def soil() -> list[Figure]:
     return list(soil_pages(WHEEL))
-
-
-@pytest.fixture(scope="module")
-def drives() -> Drives:
-    return predicted_drives()
 
 
 def curves(axes: object) -> Iterator[np.ndarray]:
