@@ -60,17 +60,6 @@ def test_examples_that_are_not_judged_stand_in_brackets(run: Callable[..., Any])
     assert "in brackets" in table.out
 
 
-@pytest.mark.parametrize(
-    ("part", "own", "other"),
-    [("soil", "cohesion", "slip-25deg"), ("spectra", "lcp-1um", "cohesion"), ("rock", "lcp-1um", "cohesion")],
-)
-def test_one_part_alone(run: Callable[..., Any], part: str, own: str, other: str) -> None:
-    found = run("reproduce", "--part", part)
-    assert found.code == 0
-    assert own in found.out
-    assert other not in found.out
-
-
 def test_evidence_is_one_flag_away(run: Callable[..., Any]) -> None:
     evidence = "b and F_N cannot be told apart"
     assert evidence not in run("reproduce", "--part", "soil").out
