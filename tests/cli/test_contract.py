@@ -143,9 +143,9 @@ def test_field_prints_one_bare_value(run: Run, rock: Path) -> None:
     assert run("spectra", "fit", rock, "--field", "spectra.0.converged").out == "true\n"
 
 
-def test_stdin_is_an_input(rock: Path) -> None:
+def test_stdin_is_an_input(rock: Path, program: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "lunarsci.cli", "spectra", "bands", "-", "--field", "spectra.0.bc1000_nm"],
+        [program / "lunarsci", "spectra", "bands", "-", "--field", "spectra.0.bc1000_nm"],
         input=rock.read_bytes(),
         capture_output=True,
     )
@@ -294,11 +294,9 @@ def test_a_folder_without_write_permission(run: Run, rock: Path, tmp_path: Path)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_behind_stdout_is_one_line(rock: Path) -> None:
+def test_a_full_disk_behind_stdout_is_one_line(rock: Path, program: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "lunarsci.cli", "spectra", "bands", str(rock)], stdout=full, stderr=subprocess.PIPE
-        )
+        done = subprocess.run([program / "lunarsci", "spectra", "bands", rock], stdout=full, stderr=subprocess.PIPE)
     assert done.returncode == 1
     assert len(done.stderr.decode().splitlines()) == 1
     assert b"No space left" in done.stderr
@@ -524,10 +522,8 @@ def test_a_traceback_only_when_asked_for(run: Run, tmp_path: Path) -> None:
     assert any("Traceback" in line for line in run("spectra", "bands", tmp_path / "missing.csv", "-v").err)
 
 
-def test_a_reader_that_leaves_early_is_no_traceback(rock: Path) -> None:
-    done = subprocess.run(
-        f"'{sys.executable}' -m lunarsci.cli spectra fit '{rock}' --json | true", shell=True, capture_output=True
-    )
+def test_a_reader_that_leaves_early_is_no_traceback(rock: Path, program: Path) -> None:
+    done = subprocess.run(f"'{program}/lunarsci' spectra fit '{rock}' --json | true", shell=True, capture_output=True)
     assert b"Traceback" not in done.stderr
 
 
@@ -547,13 +543,20 @@ def test_a_closed_stdout_is_one_line(rock: Path) -> None:
     ],
 )
 def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(
-    rock: Path, short_plan: Path, drawn_on: Callable[[int], str], command: str, field: str, printed: bytes, bar: str
+    rock: Path,
+    short_plan: Path,
+    program: Path,
+    drawn_on: Callable[[int], str],
+    command: str,
+    field: str,
+    printed: bytes,
+    bar: str,
 ) -> None:
     import pty
 
     ours, theirs = pty.openpty()
     given = {"spectra bands": [str(rock)], "twin predict": [str(short_plan), "--sweep", "friction_angle_deg=35:45:3"]}
-    line = [sys.executable, "-m", "lunarsci.cli", *command.split(), *given[command], "--field", field]
+    line = [program / "lunarsci", *command.split(), *given[command], "--field", field]
     process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     drawn = drawn_on(ours)
