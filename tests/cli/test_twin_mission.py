@@ -90,8 +90,6 @@ def test_what_does_not_fit_ends_with_code_3(run: Run, belief: Path, tmp_path: Pa
     [
         ("x_m = 9.0", "x_m = 900.0", 2, "lies outside the map"),
         ("x_m = 3.0\ny_m = -1.5", "x_m = 9.0\ny_m = 1.0", 2, "is to be kept out of"),
-        ("leg_m = 4.0", "leg_m = -1", 1, "0.5 to 25"),
-        ("[fixes]", "[fixs]", 1, "not a key of a mission"),
         ("[[target]]", "[[window]]", 1, "not a key of"),
     ],
 )
