@@ -208,27 +208,13 @@ def experiment(task: tuple[str, int, int]) -> dict[str, Any]:
     except Exception as error:
         return row | {"refused": f"{type(error).__name__}: {error}"[:200]}
     pace = pace_of(along, rover, out.plan)
-    measured = along.values[:, SLIP]
     row |= {
         "refused": found.refused,
         "doubt": "; ".join(text for text in (along.doubt, pace.doubt if pace else "", found.doubt) if text),
-        "findings": states.findings.doubt,
         "inflation": dict(found.inflation),
-        "reduced": found.reduced,
-        "ruts": found.prediction.ruts,
-        "surprise": found.prior_shift,
-        "left": list(found.belief.sd_ratio.values()),
-        "measured": float(np.nanmedian(measured)),
-        "measured_mean": float(np.nanmean(measured)),
+        "measured": float(np.nanmedian(along.values[:, SLIP])),
         "sigma": float(np.nanmedian(along.sigmas[:, SLIP])),
-        "true": float(np.median(median_slips(along, out))),
         "simulated": float(median_slips(along, found.prediction)[0]),
-        "sinkage": [
-            float(np.nanmedian(record.values[:, 0])),
-            float(
-                np.nanmedian(states_at(record, found.prediction.time_s, found.prediction.states, rover.wheels)[0, :, 0])
-            ),
-        ],
     }
     if found.refused:
         return row
@@ -286,23 +272,11 @@ def predicted(
     except Exception as error:
         return {"error": str(error)[:200]}
     check = next((one for one in held.bands if one.quantity == "slip_ratio" and one.wheel == ALL), None)
-    own = None if held.bias is None else held.bias.quantities.get("slip_ratio")
     return {
-        "measured": float(np.nanmedian(along.values[:, SLIP])),
-        "middle": float(np.median(plain)),
         "spread": float(plain.std(ddof=1)),
-        "finished": int(drives.finished.sum()),
         "verdict": held.verdict,
-        "reasons": list(held.reasons),
-        "bias": None if check is None else check.bias,
         "bias_sd": None if check is None else check.bias_standard,
-        "bias_p": None if own is None else own.p,
-        "effective": None if check is None else check.effective,
-        "in_90": None if check is None else check.coverage_90,
-        "in_90_p": None if held.coverage is None else held.coverage.p.get("slip_ratio"),
-        "end_m": None if held.end is None else held.end.error_m,
         "end_sd": None if held.end is None or held.end.standing is None else held.end.standing.distance,
-        "whole_p": None if held.surprise is None else held.surprise.standing.p,
     }
 
 

@@ -142,7 +142,6 @@ def experiment(case: Case, kept: Path | None = None) -> dict[str, Any]:
         "replaced": list(driven.replaced),
         "model_error": case.model_error,
         "drive_s": driven.drive_s,
-        "theta": theta.tolist(),
         "before_m": float(np.hypot(*(before - end))),
         "known_m": float(np.hypot(*(known - end))),
         "limits": [
@@ -193,7 +192,6 @@ def learned(
     soil = belief.soil
     sd = np.sqrt(np.diag(soil.covariance))
     own, own_sd = ground_moments(soil)
-    ranks = None if soil.population is None else (soil.population < theta).mean(axis=0).tolist()
     return region(predicted.endpoints_m[done], end) | {
         "verdicts": [verdict_of(predicted, own) for own in limited],
         "soil_only": region(driven[:, -1, :2], end),
@@ -202,17 +200,12 @@ def learned(
         "end_m": end.tolist(),
         "way_m2": way_matrix(predicted.planned[:, :2], driven[..., :3]).tolist(),
         "discrepancy": belief.discrepancy.to_dict(),
-        "members": int(done.sum()),
-        "ruts": ruts,
         "refused": found.refused,
         "reduced": found.reduced,
-        "inflation": dict(found.inflation),
-        "wheel_errors": dict(found.wheel_errors),
         "surprise": found.prior_shift,
         "persistence": found.autocorrelation,
         "z": ((soil.mean - theta) / sd).tolist(),
         "ground_z": ((own - theta) / own_sd).tolist(),
-        "rank": ranks,
         "left": list(soil.sd_ratio.values()),
         "took_s": took,
     }
