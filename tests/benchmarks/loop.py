@@ -34,8 +34,7 @@ from typing import Any
 import numpy as np
 from bench_states import found_in
 from leaning import as_prediction, record_of
-from loop_regions import region
-from loop_report import report
+from loop_report import region, report
 from mujoco_rover import Driven
 from result_lines import computed, rows_of
 from true_drives import DRIVEN_BY, Case, chain, terrains

@@ -225,6 +225,7 @@ def test_the_csv_has_intervals_compositions_and_the_choice(run: Run, rock: Path)
         [item[end] for end in ("low95", "low68", "high68", "high95")]
     )
     assert row["fs_in_range"] in ("true", "false")
+    assert {"center_sigma_nm", "shrinkage_center", "center_continuum_nm"} <= row.keys()
     auto = next(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--assemblage", "auto", "--csv").out)))
     assert auto["choice_strong"] in ("true", "false")
     assert 0 <= float(auto["probability_of_clinopyroxene"]) <= 1

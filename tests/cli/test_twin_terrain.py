@@ -1,5 +1,7 @@
 """`lunarsci twin terrain` and `plan`."""
 
+import csv
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +38,14 @@ def test_a_terrain_is_described(run: Run) -> None:
     assert list(result["maps"]["slope_deg"]) == ["max", "p5", "p50", "p95"]
     assert any("synthetic" in note for note in result["notes"])
     assert any("smaller than two spacings" in note for note in result["notes"])
+
+
+def test_table_and_csv_show_the_same_maps(run: Run) -> None:
+    rows = list(csv.DictReader(io.StringIO(run(*TERRAIN, *COARSE, "--csv").out)))
+    assert [row["quantity"] for row in rows] == ["slope_deg", "roughness_m", "step_m"]
+    table = run(*TERRAIN, *COARSE).out
+    for row in rows:
+        assert f"{float(row['p95']):.4g}" in table
 
 
 @pytest.mark.slow

@@ -83,6 +83,7 @@ def test_a_page_of_every_kind_has_a_section_and_pictures(pages: dict[Path, bytes
         html = made.decode()
         assert html.count('<section id="s') == 1, file
         assert "Command, options, files and versions" in html
+        assert not re.search(r"\d\d:\d\d UTC", html), "a page without its time"
     assert html == report(file).html(time=False).decode()
 
 

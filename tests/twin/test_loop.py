@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loop import ERRORS, last_of_each, measured
-from loop_regions import after_past_returns, region
-from loop_report import interval, report, verdicts
+from loop_report import after_past_returns, interval, region, report, verdicts
 from mujoco_rover import Driven
 from true_drives import Case, way_back
 
