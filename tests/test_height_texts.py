@@ -39,11 +39,7 @@ def check(grid: HeightGrid, holes: int = 0, digits: float = 1e-3) -> None:
         ("a.xyz", nodes()),
         ("a.xyz", nodes("{:.2f}\t{:.2f}\t{:.4f}", "X\tY\tZ")),
         ("a.xyz", nodes("{:.2f},{:.2f},{:.4f}", north_first=False)),
-        ("a.xyz", nodes("{:.2f};{:.2f};{:.4f}", "x;y;height")),
         ("a.xyz", "# made for a test\n" + nodes("   {:.2f}   {:.2f}   {:.4e}".replace("4e", "7e"))),
-        ("a.txt", nodes("{:.2f} {:.2f} {:.4f}", "Easting Northing Elevation")),
-        ("a.csv", nodes("{:.2f},{:.2f},{:.4f}", "X,Y,Z")),
-        ("a.csv", nodes("{:.2f},{:.2f},{:.4f}", "easting_m,northing_m,elevation_m")),
         ("a.dat", nodes()),
     ],
 )
