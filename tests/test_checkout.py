@@ -34,15 +34,15 @@ def test_a_checkout_beside_another_installed_one_tests_itself(tmp_path: Path) ->
         assert len(done.stdout.split()) == 3
 
 
-@pytest.mark.parametrize(("most", "code"), [("0", 1), ("1", 0)])
-def test_more_skipped_tests_than_may_be_are_a_failure(tmp_path: Path, most: str, code: int) -> None:
+@pytest.mark.parametrize(("most", "workers", "code"), [("0", "0", 1), ("0", "1", 1), ("1", "1", 0)])
+def test_more_skipped_tests_than_may_be_are_a_failure(tmp_path: Path, most: str, workers: str, code: int) -> None:
     """Also of workers, whose tests the process that began them counts."""
     (tmp_path / "test_x.py").write_text(
         "import pytest\n\ndef test_x():\n    pytest.skip('no browser')\n\ndef test_y():\n    pass\n"
     )
     line = [sys.executable, "-m", "pytest", "-p", "conftest", "-q", f"--most-skipped={most}", "test_x.py"]
     environment = os.environ | {"PYTHONPATH": f"{ROOT / 'tests'}{os.pathsep}{os.environ['PYTHONPATH']}"}
-    for workers in ("--numprocesses=0", "--numprocesses=1"):
-        done = subprocess.run([*line, workers], cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert done.returncode == code, done.stdout + done.stderr
-        assert ("1 tests were skipped, 0 at most may be here" in done.stdout) == (code == 1)
+    line.append(f"--numprocesses={workers}")
+    done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert ("1 tests were skipped, 0 at most may be here" in done.stdout) == (code == 1)

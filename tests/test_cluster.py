@@ -103,17 +103,6 @@ def test_an_update_of_a_cluster_has_the_same_bytes(
         assert one.replace("/here/", "/there/") == other, name
 
 
-def test_drives_that_are_compared_on_a_cluster_have_the_same_bytes(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    line = ("twin plan --target 2,0.3 --risk 0.3 --members 16 --candidates 4 --fixes 0.05,0.5 --seed 2 "
-            "--sweep friction_angle_deg=30:50:3 --json -o {folder}/made")  # fmt: skip
-    run(tmp_path / "here", line)
-    run(tmp_path / "there", line, "--scheduler", cluster.scheduler_address)
-    same_files(tmp_path / "here/made", tmp_path / "there/made")
-
-
 def test_an_error_of_a_block_comes_back_as_it_was(cluster: Any) -> None:
     with computing(scheduler=cluster.scheduler_address), pytest.raises(ParameterError, match="row 500"):
         list(run_blocks(failing_at, spans(TOTAL, ROWS)))
@@ -147,8 +136,8 @@ def test_another_version_of_a_worker_is_refused(cluster: Any, monkeypatch: pytes
 
 def test_a_cluster_by_hand_as_the_page_has_it(tmp_path: Path) -> None:
     page = (Path(__file__).parents[1] / "docs/howto/cluster.md").read_text("utf-8")
-    script = page.split("```sh\n")[1].split("```")[0].replace("--members 64", "--members 16")
-    assert "--members 16" in script
+    script = page.split("```sh\n")[1].split("```")[0].replace("--members 64", "--members 4")
+    assert "--members 4" in script
     for name, module in (("dask", "dask"), ("lunarsci", "lunarsci.cli")):
         script = re.sub(rf"^{name} ", f"{sys.executable} -m {module} ", script, flags=re.MULTILINE)
     assert script.count(sys.executable) == 3

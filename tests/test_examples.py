@@ -29,38 +29,15 @@ def drive_loop(
     )  # fmt: skip
 
 
-def same_files(one: Path, other: Path) -> int:
-    """The number of files below two folders, each the same in both."""
-    names = sorted(path.relative_to(one) for path in one.rglob("*") if path.is_file())
-    assert names == sorted(path.relative_to(other) for path in other.rglob("*") if path.is_file())
-    assert [name for name in names if (one / name).read_bytes() != (other / name).read_bytes()] == []
-    return len(names)
-
-
 @pytest.mark.slow
-def test_the_loop_predicts_the_return_and_gives_the_same_bytes_again(tmp_path: Path, program: Path) -> None:
+def test_the_loop_predicts_the_return(tmp_path: Path, program: Path) -> None:
     """Nothing of the hidden soil reaches the twin but telemetry, and yet it knows where the return will end."""
-    loop = tmp_path / "loop"
-    done = drive_loop(loop, program)
+    done = drive_loop(tmp_path / "loop", program)
     assert done.returncode == 0, done.stderr
     found = ENDED.search(done.stdout)
     assert found is not None
     after, before = map(float, found.groups())
     assert after < 0.15 and after < 0.2 * before
-    # Every command that draws, or that computes in threads, once more; the rest of the loop reads what these write.
-    states = "3-states/states.csv --positions 3-states/positions.csv"
-    for command in (
-        "predict -o again-1",
-        f"simulate --soil {EXAMPLES}/hidden_soil.toml -o again-2",
-        f"update {states} --save again.json",
-        "predict return.toml --soil belief.json -o again-7",
-    ):
-        line = ["lunarsci", "twin", *command.split(), "--seed", "1", "--no-time", "--quiet"]
-        assert subprocess.run(line, cwd=loop, env=environment(program), capture_output=True).returncode == 0
-    assert same_files(loop / "1-predicted", loop / "again-1") > 4
-    assert same_files(loop / "2-drive", loop / "again-2") > 2
-    assert same_files(loop / "7-predicted", loop / "again-7") > 4
-    assert (loop / "again.json").read_bytes() == (loop / "belief.json").read_bytes()
 
 
 @pytest.mark.slow

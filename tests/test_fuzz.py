@@ -274,8 +274,7 @@ def test_what_breaks_the_promise_is_seen(fuzz: ModuleType, tmp_path: Path) -> No
 
 
 def test_a_process_that_dies_is_a_promise_broken(fuzz: ModuleType, tmp_path: Path) -> None:
-    """The last input is kept, and what was found before."""
-    fuzz.run("no such reader", 1, 1.0, 1, tmp_path, guided=False)
+    fuzz.run("no such reader", 1, 1.0, 1, tmp_path)
     [what] = fuzz.summed("no such reader", tmp_path).broken
     assert what.startswith("the process ended with 1")
 

@@ -6,7 +6,6 @@ GSAG (gsag.html), HFA (hfa.html) and PDS (pds.html); of PDS3 labels those of the
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,11 +39,7 @@ def check(grid: HeightGrid, holes: int = 0, digits: float = 1e-3) -> None:
         ("a.xyz", nodes()),
         ("a.xyz", nodes("{:.2f}\t{:.2f}\t{:.4f}", "X\tY\tZ")),
         ("a.xyz", nodes("{:.2f},{:.2f},{:.4f}", north_first=False)),
-        ("a.xyz", nodes("{:.2f};{:.2f};{:.4f}", "x;y;height")),
         ("a.xyz", "# made for a test\n" + nodes("   {:.2f}   {:.2f}   {:.4e}".replace("4e", "7e"))),
-        ("a.txt", nodes("{:.2f} {:.2f} {:.4f}", "Easting Northing Elevation")),
-        ("a.csv", nodes("{:.2f},{:.2f},{:.4f}", "X,Y,Z")),
-        ("a.csv", nodes("{:.2f},{:.2f},{:.4f}", "easting_m,northing_m,elevation_m")),
         ("a.dat", nodes()),
     ],
 )
@@ -126,59 +121,6 @@ def test_a_box_on_level_ground_stays_one(tmp_path: Path) -> None:
     height[4:6, 4:6] = 1.0
     np.savez(tmp_path / "box.npz", x_m=X, y_m=Y, height_m=height)
     assert read_grid(tmp_path / "box.npz").height_m.max() == 1.0
-
-
-LABEL = """PDS_VERSION_ID = PDS3
-RECORD_TYPE = FIXED_LENGTH
-RECORD_BYTES = {record}
-FILE_RECORDS = 10
-^IMAGE = "{image}"
-OBJECT = IMAGE
-  LINES = 10
-  LINE_SAMPLES = 12
-  SAMPLE_TYPE = {kind}
-  SAMPLE_BITS = {bits}
-  UNIT = {unit}
-{more}END_OBJECT = IMAGE
-OBJECT = IMAGE_MAP_PROJECTION
-  MAP_PROJECTION_TYPE = "POLAR STEREOGRAPHIC"
-  A_AXIS_RADIUS = 1737.4 <KM>
-  B_AXIS_RADIUS = 1737.4 <KM>
-  C_AXIS_RADIUS = 1737.4 <KM>
-  CENTER_LATITUDE = -90.0 <DEG>
-  CENTER_LONGITUDE = 0.0 <DEG>
-  MAP_SCALE = 0.0005 <KM/PIXEL>
-  LINE_PROJECTION_OFFSET = 5.0
-  SAMPLE_PROJECTION_OFFSET = 6.0
-END_OBJECT = IMAGE_MAP_PROJECTION
-END
-"""
-KINDS: dict[str, dict[str, Any]] = {
-    "float": {"kind": "PC_REAL", "bits": 32, "unit": "METER", "more": "", "type": "<f4", "scale": 1.0},
-    "km": {"kind": "PC_REAL", "bits": 32, "unit": "KILOMETER", "more": "", "type": "<f4", "scale": 1e3},
-    "int": {
-        "kind": "MSB_INTEGER", "bits": 16, "unit": "METER", "type": ">i2", "scale": 0.5,
-        "more": "  SCALING_FACTOR = 0.5\n  MISSING_CONSTANT = -32768\n",
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("ends", [(".lbl", ".img"), (".LBL", ".IMG")])
-def test_labels_and_images_of_pds3_are_heights(tmp_path: Path, kind: str, ends: tuple[str, str]) -> None:
-    pytest.importorskip("rasterio")
-    of = KINDS[kind]
-    counts = HEIGHT[::-1] / of["scale"]
-    counts[0, :2] = -32768 if kind == "int" else -3.4028226550889045e38
-    label, image = (tmp_path / f"DTM{end}" for end in ends)
-    np.round(counts).astype(of["type"]).tofile(image) if kind == "int" else counts.astype(of["type"]).tofile(image)
-    label.write_text(LABEL.format(image=image.name, record=12 * of["bits"] // 8, **of))
-    for file in (label, image):
-        grid = read_grid(file)
-        assert grid.spacing_m == pytest.approx(0.5)
-        assert np.isnan(grid.height_m).sum() == 2
-        assert np.nanmax(np.abs(grid.height_m - HEIGHT)) < (0.26 if kind == "int" else 2e-3)
-        assert (info(file).kind, info(file).trouble) == ("terrain", "")
 
 
 @pytest.mark.parametrize(("end", "driver"), [("img", "HFA"), ("grd", "GSBG"), ("grd", "GSAG"), ("tif", "GTiff")])

@@ -3,6 +3,7 @@
 import platform
 import re
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numba
@@ -13,15 +14,19 @@ from lunarsci.compiled import LANE_OPTIONS, lanes
 from lunarsci.compiled.lanes import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 
 
-def over(function: Any, x: np.ndarray) -> tuple[np.ndarray, str]:
-    """Values over an array, and the assembly of the loop."""
-
+@cache
+def looped(function: Any) -> Any:
     @numba.njit(**LANE_OPTIONS)
     def loop(x: Any, out: Any) -> None:
         for i in range(len(x)):
             out[i] = function(x[i])
 
-    out = np.empty_like(x)
+    return loop
+
+
+def over(function: Any, x: np.ndarray) -> tuple[np.ndarray, str]:
+    """Values over an array, and the assembly of the loop."""
+    out, loop = np.empty_like(x), looped(function)
     loop(x, out)
     return out, loop.inspect_asm(loop.signatures[0])
 

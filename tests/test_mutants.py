@@ -42,10 +42,10 @@ def test_what_leads_to_an_error_and_what_is_said_stays() -> None:
 
 
 def test_the_same_seed_draws_the_same_faults_and_each_is_python() -> None:
-    """Python in the whole library; another seed draws others."""
-    one, same, other = (mutants.drawn(mutants.ROOT, 50, seed, "regolith") for seed in (3, 3, 4))
+    """Another seed draws others."""
+    one, same, other = (mutants.drawn(mutants.ROOT, 50, seed, "regolith|spectra/mgm") for seed in (3, 3, 4))
     assert one == same != other
-    for fault in mutants.drawn(mutants.ROOT, 200, 3):
+    for fault in one:
         sound = (mutants.ROOT / fault.path).read_text("utf-8")
         ast.parse(fault.planted(sound))
         changed = zip(sound.splitlines(), fault.planted(sound).splitlines(), strict=True)

@@ -30,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def night(folder: Path, **inputs: str) -> tuple[int, email.message.EmailMessage, str]:
+def night(folder: Path, program: Path, **inputs: str) -> tuple[int, email.message.EmailMessage, str]:
     """Exit code, mail and what cron would mail by itself, of a night with these inputs."""
     shutil.rmtree(folder / "in")
     (folder / "in").mkdir()
@@ -40,7 +40,7 @@ def night(folder: Path, **inputs: str) -> tuple[int, email.message.EmailMessage,
     # A night has a folder by its second; no two begin in the same one.
     while any(one.name.endswith(time.strftime("%H%M%S")) for one in before):
         time.sleep(0.1)
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    path = f"{program}:{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
         ["sh", "nightly.sh", "in"], cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True
     )
@@ -61,16 +61,16 @@ def told(mail: email.message.EmailMessage) -> str:
     return str(body.get_content())
 
 
-def test_each_night_mails_its_own_page_and_a_night_without_a_result_none(folder: Path) -> None:
-    code, mail, said = night(folder, monday=SPECTRUM)
+def test_each_night_mails_its_own_page_and_a_night_without_a_result_none(folder: Path, program: Path) -> None:
+    code, mail, said = night(folder, program, monday=SPECTRUM)
     assert (code, said) == (0, "")
     assert "monday" in attached(mail)
-    code, mail, said = night(folder, broken="no spectrum", worse="x")
+    code, mail, said = night(folder, program, broken="no spectrum", worse="x")
     assert code == 1
     assert attached(mail) == ""
     assert "No result tonight." in told(mail) and "broken.csv" in told(mail)
     assert "lunarsci left with 1" in said and "monday" not in told(mail) + said
-    code, mail, said = night(folder, wednesday=SPECTRUM, broken="no spectrum")
+    code, mail, said = night(folder, program, wednesday=SPECTRUM, broken="no spectrum")
     assert code == 1
     assert "wednesday" in attached(mail) and "monday" not in attached(mail)
     assert "broken.csv" in told(mail) and "The page is attached." in told(mail)

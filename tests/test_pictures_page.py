@@ -18,7 +18,7 @@ SCRIPT = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
 @pytest.mark.slow
 def test_from_pictures_to_the_next_drive(tmp_path: Path, program: Path) -> None:
     pytest.importorskip("cv2")
-    (tmp_path / "rig.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(600)))
+    (tmp_path / "rig.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(400)))
     script = SCRIPT.replace("--rig yutu2-navcam", "--rig rig.toml").replace("-o A\n", "--rays 1 -o A\n")
     script = script.replace("-o B\n", "--rays 1 -o B\n").replace("--plot predicted.png", "--json >predicted.json")
     environment = os.environ | {"PATH": os.pathsep.join([str(program), os.environ["PATH"]])}

@@ -3,8 +3,7 @@ of a rover.
 
 FOLDER has `relab`, `meteorites` and `minerals`, each a `reflectance.csv`. Noise of 0.3 and 1 % is added to every
 spectrum; the truth is what the same spectrum gives without it, and errors are those that the command finds without
-being told the noise. Beside it another definition of the centre, the minimum of the spectrum smoothed over 75 nm, and
-the time of a spectrum, alone and as a row of an image.
+being told the noise. Beside it another definition of the centre, the minimum of the spectrum smoothed over 75 nm.
 
 With `--rover` FOLDER has `ce4/reflectance_factor.csv`: 88 targets, each smoothed over 41 channels, and 100 draws of it
 with the noise that its own channels have. `Band.least` was chosen on every second of them, measured on the others.
@@ -13,7 +12,6 @@ With `--cut` spectra of FOLDER that go on to 2450 nm are cut before: the truth i
 """
 
 import argparse
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -87,9 +85,7 @@ def compare(folder: Path) -> None:
     """Print how far the other definition's centres are, and whether the stated spread holds them."""
     for kind in KINDS:
         wavelength, spectra = table(folder, kind)
-        start = time.process_time()
         found = measured(wavelength, spectra, "hull")
-        took = 1e3 * (time.process_time() - start) / len(spectra)
         for key, centres in other_centres(wavelength, spectra).items():
             bands = [item.bands[key] for item in found if isinstance(item, SpectrumBands)]
             off = np.abs([(band.center_nm or np.nan) for band in bands] - centres)
@@ -98,23 +94,8 @@ def compare(folder: Path) -> None:
             print(
                 f"{kind:11} {key}: minimum of the smoothed curve off by {np.median(off[seen]):.1f} nm (median), "
                 f"{np.percentile(off[seen], 90):.1f} (9 of 10); within the spread "
-                f"{np.mean(off[seen] < spread[seen]):.2f}; {took:.1f} ms a spectrum"
+                f"{np.mean(off[seen] < spread[seen]):.2f}"
             )
-
-
-def rates(folder: Path, count: int = 4000) -> None:
-    """Print the CPU time of a row of an image by channels and noise: as stated, and found from the scatter."""
-    wavelength, spectra = table(folder, "relab")
-    rng = np.random.default_rng(1)
-    for channels in (np.linspace(460.0, 2450.0, 85), wavelength):
-        rows = np.array([np.interp(channels, wavelength, values) for values in spectra])
-        rows = np.resize(rows, (count, channels.size)) * (1 + 0.003 * rng.normal(size=(count, channels.size)))
-        for told, sigma in (("stated", 0.003 * rows), ("from the scatter", None)):
-            band_arrays(channels, rows[:300], None if sigma is None else sigma[:300])
-            start = time.process_time()
-            band_arrays(channels, rows, sigma)
-            took = 1e6 * (time.process_time() - start) / count
-            print(f"{channels.size} channels, noise {told}: {took:.1f} us a spectrum and core (CPU time)")
 
 
 def rover(folder: Path, draws: int = 100) -> None:
@@ -209,7 +190,6 @@ def main() -> None:
                     f"{np.mean(together < 1.96):.2f} of {together.size}; {each}"
                 )
     compare(options.folder)
-    rates(options.folder)
 
 
 if __name__ == "__main__":

@@ -1,24 +1,14 @@
-"""How often the intervals of `twin states` hold the truth: `python tests/benchmarks/bench_states.py [--drives N]`.
+"""Made-up drives on hidden soils with their telemetry, and how far the states found in it are off.
 
-Hidden soils, drawn from the default priors, on smooth, rough and waved ground: the rover drives two arcs, by the twin
-or by MuJoCo with other physics (`other_physics.py`), and sends telemetry of several rates and densities of positions.
-The truth is what the wheels do at the moment of a row, not a mean about it. The states are found with another soil than
-the hidden one.
-
-A share is the mean over drives of the share of a drive's states; its error counts drives, as the states of one drive
-share their errors. `--cache DIR` keeps the drives, so that another code is measured on the same ones.
+Soils are drawn from the default priors; the ground is smooth, rough or waved. The rover drives two arcs, by the twin or
+by MuJoCo with other physics (`other_physics.py`). The truth is what the wheels do at the moment of a row, not a mean
+about it. The states are found with another soil than the hidden one.
 """
 
-import argparse
 import dataclasses
 import io
-import pickle
-import warnings
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from other_physics import PHYSICS, true_drive, widths, world_of
 
@@ -33,7 +23,7 @@ from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.nuisances import RIM_SIGMA
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
-from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
+from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive
 from lunarsci.twin.telemetry.sinkage import read_track, with_sinkage
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 
@@ -161,111 +151,3 @@ def scores(states: DriveStates, out: Prediction) -> dict[str, Any]:
         known = states.rows.valid & np.isfinite(value)
         result[name] = ((value - true)[known], sigma[known])
     return result
-
-
-def case(task: tuple[str, str, int, tuple[str, ...], str]) -> list[dict[str, Any]]:
-    """All telemetry of one drive."""
-    physics, ground, seed, settings, cache = task
-    warnings.simplefilter("ignore")
-    kept = Path(cache) / f"{physics}_{ground.replace(' ', '')}_{seed}.pickle" if cache else None
-    if kept is not None and kept.exists():
-        out = pickle.loads(kept.read_bytes())
-    else:
-        out = truth_of(physics, ground, seed)
-        if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_bytes(pickle.dumps(out))
-    rows = []
-    for number, setting in enumerate(settings):
-        every, errors = SENT[setting]
-        drive = simulate_telemetry(coarser(out, every), errors, 10 * seed + number)
-        states = found_in(drive, out.terrain)
-        rows.append(
-            {
-                "physics": physics,
-                "ground": ground,
-                "sent": setting,
-                "seed": seed,
-                "scores": scores(states, out),
-                "amplitude": states.smoothed.change.usual,
-                "length_m": states.smoothed.change.usual_length_m,
-            }
-        )
-    return rows
-
-
-def shares(rows: list[dict[str, Any]], name: str) -> str:
-    """Coverage of both levels with its error over drives, rms error and median sigma."""
-    per_drive: dict[Any, list[list[float]]] = {}
-    errors, sigmas = [], []
-    for row in rows:
-        error, sigma = row["scores"][name]
-        if len(error) >= 5:
-            key = (row["physics"], row["ground"], row["seed"])
-            per_drive.setdefault(key, []).append([float((np.abs(error) < z * sigma).mean()) for _, z in LEVELS])
-            errors.append((error**2).mean())
-            sigmas.append(np.median(sigma))
-    if not per_drive:
-        return f"{'-':>37s}"
-    each = np.array([np.mean(values, axis=0) for values in per_drive.values()])
-    unsure = each.std(axis=0, ddof=1) / np.sqrt(len(each)) if len(each) > 1 else np.full(2, np.nan)
-    factor = 1e3 if name != "side_slip_deg" else 1.0
-    texts = [f"{100 * mean:3.0f}±{100 * error:2.0f}" for mean, error in zip(each.mean(axis=0), unsure, strict=True)]
-    return f"{texts[0]} {texts[1]} ({factor * np.sqrt(np.mean(errors)):5.2f}, {factor * np.mean(sigmas):5.2f})"
-
-
-def report(rows: list[dict[str, Any]]) -> None:
-    """By physics and ground, by physics and telemetry, and all."""
-    print("share of the truth in 68 % and 95 % intervals (rms error, mean sigma); slip and sinkage in 1e-3, 1e-3 m")
-    print(f"{'':26s}{'slip':>30s} {'side slip [deg]':>30s} {'sinkage':>30s}  {'amplitude ahead, left, lengths [m]'}")
-
-    def line(label: str, chosen: list[dict[str, Any]]) -> None:
-        if chosen:
-            a, length = (np.median([row[key] for row in chosen], axis=0) for key in ("amplitude", "length_m"))
-            drives = len({(row["physics"], row["ground"], row["seed"]) for row in chosen})
-            print(
-                f"{label:22s}{drives:4d} ",
-                *(f"{shares(chosen, name):>30s}" for name in NAMES),
-                f"  {a[0]:.4f} {a[1]:.4f}  {length[0]:.2f} {length[1]:.2f}",
-            )
-
-    for physics in dict.fromkeys(row["physics"] for row in rows):
-        own = [row for row in rows if row["physics"] == physics]
-        for key, names in (("ground", GROUNDS), ("sent", tuple(SENT))):
-            for name in names:
-                line(f"{physics} {name}", [row for row in own if row[key] == name])
-        line(f"{physics} all", own)
-    line("all", rows)
-
-
-def main() -> None:
-    """Drive, find the states, print the shares."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--drives", type=int, default=8, help="on each ground")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--physics", nargs="+", default=["same"], choices=PHYSICS)
-    parser.add_argument("--grounds", nargs="+", default=list(GROUNDS), choices=GROUNDS)
-    parser.add_argument("--sent", nargs="+", default=list(SENT), choices=SENT)
-    parser.add_argument("--cache", default="", help="folder that keeps the drives")
-    parser.add_argument("--jobs", type=int, default=1)
-    given = parser.parse_args()
-    tasks = [
-        (physics, ground, seed, tuple(given.sent), given.cache)
-        for physics in given.physics
-        for ground in given.grounds
-        for seed in range(given.first, given.first + given.drives)
-    ]
-    rows: list[dict[str, Any]] = []
-    if given.jobs > 1:
-        with ProcessPoolExecutor(given.jobs, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-            for part in pool.map(case, tasks):
-                rows += part
-    else:
-        numba.set_num_threads(1)
-        for task in tasks:
-            rows += case(task)
-    report(rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -15,18 +15,18 @@ Each errand is one line of the file, and one that is there is not done again. `-
 
 import argparse
 import dataclasses
-import json
+import math
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from chosen_report import report
 from cost_map import cost_map_legs
 from errands import TOLERANCE_M, Errand, errand, kept, other_truths, truths
+from result_lines import computed, rows_of
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.choice import choose
@@ -59,9 +59,6 @@ class Proposal:
     promised: float
     reason: str = ""
     others: tuple[tuple[Plan, float, bool], ...] = field(default=())
-
-
-Chooser = Callable[[Errand, float], Proposal]
 
 
 def shortest(one: Errand) -> Plan | None:
@@ -110,18 +107,6 @@ def believed(one: Errand, plan: Plan, members: int = MEMBERS, seed: int = 0) -> 
     return float(kept(with_discrepancy(found, one.belief.discrepancy, seed), one).mean())
 
 
-def plain(one: Errand, risk: float) -> Proposal:
-    """The shortest path, held against the believed soils: what could be done before drives were chosen by risk."""
-    plan = shortest(one)
-    if plan is None:
-        return Proposal(plan=None, promised=0.0, reason="no path")
-    share = believed(one, plan)
-    other = over_cost_map(one)
-    others = ((plan, share, True), *(() if other is None else ((other, believed(one, other), True),)))
-    safe = share >= 1.0 - risk
-    return Proposal(plan=plan if safe else None, promised=share, reason="" if safe else "too risky", others=others)
-
-
 def by_risk(one: Errand, risk: float) -> Proposal:
     """The choice of `twin plan --risk`: candidates driven over the believed soils, the best again on fresh ones."""
     end = Limit("endpoint_miss_m", "m", TOLERANCE_M, "tolerance of the errand", False)
@@ -147,10 +132,7 @@ def by_risk(one: Errand, risk: float) -> Proposal:
     )
 
 
-CHOOSERS: dict[str, Chooser] = {"plain": plain, "risk": by_risk}
-
-
-def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:
+def judged(number: int, chooser: Callable[[Errand, float], Proposal], risk: float) -> dict[str, Any]:
     """One errand: what is proposed, and what then happens."""
     one, begin = errand(number), time.perf_counter()
     proposal = chooser(one, risk)
@@ -199,9 +181,78 @@ def refutation(one: Errand, plans: list[Plan]) -> float:
     return believed(one, best, TRIED_AGAIN, HIDDEN - one.number)
 
 
-def rows_of(files: list[Path]) -> list[dict[str, Any]]:
-    """Of files that exist."""
-    return [json.loads(line) for file in files if file.exists() for line in file.read_text().splitlines()]
+BINS = 10
+ALIKE = 0.1
+"""Lengths that differ by this share at most count as equal."""
+PHYSICS = ("twin", "twin unmoved", "other")
+BASELINES = ("shortest", "cost map")
+
+
+def report(rows: list[dict[str, Any]]) -> str:
+    """All tables."""
+    if not rows:
+        return "no errand"
+    asked = 1.0 - rows[0]["risk"]
+    chosen = [row for row in rows if "chosen" in row["plans"]]
+    none = [row for row in rows if "chosen" not in row["plans"]]
+    lines = [f"{len(rows)} errands: {len(chosen)} plans promised at {asked:.0%}, {len(none)} times none; a choice took "
+             f"{np.median([row['took_s'] for row in rows]):.1f} s (median)"]  # fmt: skip
+    if chosen:
+        lines += ["", "plans promised: mean promise, and share of hidden truths kept (standard error over errands)"]
+        lines.append(f"  promised {np.mean([row['promised'] for row in chosen]):.3f}")
+        lines += [f"  {name:13s} {_mean_of([row['plans']['chosen'][name] for row in chosen])}" for name in PHYSICS]
+        lines += ["", *_comparison(chosen)]
+    promised = [[row["promised"], row["plans"]["chosen"]["twin"]] for row in chosen]
+    for what, firm in (("promised", True), ("told of drives sorted out early", False)):
+        told = [pair[:2] for row in rows for pair in row["candidates"] if pair[2] is firm]
+        lines += ["", *_calibration(f"probabilities {what}", told + promised * firm)]
+    if none:
+        wrong = [row for row in none if row["refuted_by"] >= asked]
+        lines += ["", f"claims that none keeps the limits: {len(none)}, refuted {len(wrong)}, "
+                      f"stand {1 - len(wrong) / len(none):.3f}"]  # fmt: skip
+        for name in BASELINES:
+            kept = [row["plans"][name]["twin"] for row in none if name in row["plans"]]
+            lines += [f"  there {name:9s} keeps {_mean_of(kept)}"] if kept else []
+    return "\n".join(lines)
+
+
+def _mean_of(values: list[float]) -> str:
+    error = np.std(values, ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+    return f"{np.mean(values):.3f} +- {error:.3f} ({len(values)} errands)"
+
+
+def _comparison(chosen: list[dict[str, Any]]) -> list[str]:
+    lines = ["failures of the chosen drive and of others, on the same errands and soils"]
+    for name in BASELINES:
+        both = [row["plans"] for row in chosen if name in row["plans"]]
+        alike = [p for p in both if abs(p["chosen"]["length_m"] / p[name]["length_m"] - 1.0) <= ALIKE]
+        for what, pairs in (("all lengths", both), (f"equal within {ALIKE:.0%}", alike)):
+            if not pairs:
+                continue
+            longer = np.median([p["chosen"]["length_m"] / p[name]["length_m"] for p in pairs])
+            parts = [f"{kind} {_failed(pairs, 'chosen', kind):.3f} : {_failed(pairs, name, kind):.3f}"
+                     for kind in PHYSICS]  # fmt: skip
+            lines.append(f"  {name:9s} {what:16s} {len(pairs):3d} errands, {longer:.2f} as long; {'; '.join(parts)}")
+    return lines
+
+
+def _failed(pairs: list[dict[str, Any]], name: str, physics: str) -> float:
+    return 1.0 - float(np.mean([p[name][physics] for p in pairs]))
+
+
+def _calibration(what: str, pairs: list[list[float]]) -> list[str]:
+    """By the probability that was told, how often the limits are kept."""
+    if not pairs:
+        return [f"{what}: none"]
+    told, true = np.array(pairs).T
+    place = np.minimum((told * BINS).astype(int), BINS - 1)
+    lines = [f"{what}, and shares kept by the twin's physics", "  bin          plans   told    kept    off"]
+    for k in range(BINS):
+        own = place == k
+        if own.any():
+            a, b = told[own].mean(), true[own].mean()
+            lines.append(f"  {k / BINS:.1f} to {(k + 1) / BINS:.1f} {own.sum():8d}  {a:.3f}   {b:.3f}  {b - a:+.3f}")
+    return lines
 
 
 def main() -> None:
@@ -210,25 +261,15 @@ def main() -> None:
     parser.add_argument("--terrains", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="number of the first errand")
     parser.add_argument("--risk", type=float, default=0.05)
-    parser.add_argument("--chooser", choices=CHOOSERS, default=list(CHOOSERS)[-1])
     parser.add_argument("--out", type=Path, help="file of results, one line an errand, added to")
     parser.add_argument("--report", type=Path, nargs="+", help="print the tables of these files, and drive nothing")
     given = parser.parse_args()
-    warnings.simplefilter("ignore")
     if given.report:
-        print(report(rows_of(given.report)))
+        print(report(rows_of(*given.report)))
         return
-    rows = rows_of([given.out]) if given.out else []
-    done = {row["errand"] for row in rows}
-    for number in range(given.first, given.first + given.terrains):
-        if number in done:
-            continue
-        rows.append(judged(number, CHOOSERS[given.chooser], given.risk))
-        print(_said(rows[-1]), flush=True)
-        if given.out:
-            with given.out.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-    print(report(rows))
+    tasks = {(number,): number for number in range(given.first, given.first + given.terrains)}
+    chosen = partial(judged, chooser=by_risk, risk=given.risk)
+    print(report(computed(chosen, tasks, ("errand",), given.out, said=_said)))
 
 
 def _said(row: dict[str, Any]) -> str:

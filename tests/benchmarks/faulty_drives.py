@@ -1,7 +1,8 @@
 """What `twin states` makes of drives whose telemetry has one fault, and of healthy ones.
 
-`python tests/benchmarks/faulty_drives.py [--kind KIND ...] [--count N] [--first K] [--cache DIR] [--workers 1]
+`python tests/benchmarks/faulty_drives.py [--kind KIND ...] [--count N] [--first K] [--cache DIR] [--jobs 1]
 [--plan none] [--out FILE.jsonl]` drives and prints a table; `--report FILE.jsonl ...` prints the table of earlier runs.
+With `--spoiled` healthy drives are sent by sensors, clocks or rows that fail in parts, see `spoiled_drives.py`.
 
 The truth is a rover in equilibrium with a wheel-soil law of its own (`quasi_static.py`), which shares no code with the
 twin; as it is in equilibrium it may be driven at any pace, and takes that of the plan's schedule. A number is a hidden
@@ -16,25 +17,23 @@ of the rover's origin; its 90 % region is that of x and y at the last node.
 
 import argparse
 import dataclasses
-import json
 import math
 import pickle
 import time
-import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from other_physics import widths
 from quasi_static import draw_physics, drive, motion, wheel_turns
+from result_lines import computed, rows_of
+from spoiled_drives import SPOILS, stood
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
@@ -51,20 +50,8 @@ from lunarsci.twin.telemetry.states import DriveStates, states_of
 
 FloatArray = npt.NDArray[np.float64]
 
-NAMED_BY = {
-    "healthy": (),
-    "heading_drift": ("heading",),
-    "lever_arm": ("lever",),
-    "one_encoder": ("encoder", "wheels disagree", "rims turn"),
-    "all_encoders": ("encoder", "rims turn", "radius", "wheels turned"),
-    "radius": ("radius", "encoder", "rims turn", "wheels turned"),
-    "lag": ("lag", "clock", "later"),
-    "walking": ("positions scatter", "positions walk", "share an error", "position jump", "errors are too small"),
-    "slide": ("slid",),
-    "soft_stripe": ("slipped suddenly", "fast slip", "soft"),
-}
-"""Kinds of faults, and words of a finding that name them."""
-KINDS = tuple(NAMED_BY)
+KINDS = ("healthy", "heading_drift", "lever_arm", "one_encoder", "all_encoders", "radius", "lag", "walking", "slide",
+         "soft_stripe")  # fmt: skip
 GROUNDS = ("flat", "undulating", "slope", "sloping waves")
 SPEED_M_S, SAMPLE_M, MOST_DRAWS = 0.05, 0.025, 30
 EXTENT_M, SPACING_M = 11.0, 0.05
@@ -399,6 +386,14 @@ def _wheels(
     return columns, np.interp(clock(times), edges, gone)
 
 
+def spoiled(
+    kind: str, table: pd.DataFrame, truth: Truth, rover: Rover, random: np.random.Generator
+) -> tuple[pd.DataFrame, Truth]:
+    """Telemetry that fails in parts, and the true drive, with a halt where the telemetry has one."""
+    table = SPOILS[kind](table.copy(), rover, random)
+    return table, stood(truth, **table.attrs) if table.attrs else truth
+
+
 def scores(states: DriveStates, truth: Truth) -> dict[str, Any]:
     """Shares of states in their 95 % intervals, median errors; the end, and its 90 % region."""
     times, valid, result = states.nodes.time_s[states.rows.node], states.rows.valid, {}
@@ -423,22 +418,17 @@ def scores(states: DriveStates, truth: Truth) -> dict[str, Any]:
 def case(task: tuple[int, str, str, bool]) -> dict[str, Any]:
     """One drive: what was sent, what was found."""
     number, kind, kept, told = task
-    warnings.simplefilter("ignore")
-    rover = build_rover("yutu2")
-    truth = truth_of(number, kind, rover, Path(kept) if kept else None)
-    random = np.random.default_rng([number, KINDS.index(kind), 5])
-    table, magnitude, plan, sent = telemetry_of(truth, kind, rover, random)
-    row = {
-        "kind": kind,
-        "number": number,
-        "soil": number,
-        "ground": GROUNDS[number % len(GROUNDS)],
-        "plan": truth.plan.name,
-        "way_m": float(np.hypot(*np.diff(truth.poses[:, :2], axis=0).T).sum()),
-        "magnitude": magnitude,
-        "sent": dataclasses.asdict(sent),
-        "true_slip": float(np.median(truth.states[:, :, SLIP])),
-    }
+    rover, folder = build_rover("yutu2"), Path(kept) if kept else None
+    if kind in SPOILS:
+        truth = truth_of(number, "healthy", rover, folder)
+        random = np.random.default_rng([number, list(SPOILS).index(kind), 9])
+        table, magnitude, plan, _ = telemetry_of(truth, "healthy", rover, random)
+        table, truth = spoiled(kind, table, truth, rover, random)
+    else:
+        truth = truth_of(number, kind, rover, folder)
+        random = np.random.default_rng([number, KINDS.index(kind), 5])
+        table, magnitude, plan, _ = telemetry_of(truth, kind, rover, random)
+    row = {"kind": kind, "number": number, "magnitude": magnitude, "doubt": "", "doubts": []}
     findings, content = Findings("drive.csv"), table.to_csv(index=False).encode()
     begin = time.process_time()
     try:
@@ -446,154 +436,62 @@ def case(task: tuple[int, str, str, bool]) -> dict[str, Any]:
         states = states_of(telemetry, rover, terrain_of(number), findings, plan if told else None)
     except DataError as refused:
         return row | {"refused": str(refused), "cpu_s": time.process_time() - begin}
-    row["cpu_s"] = time.process_time() - begin
-    row |= {
-        "refused": "",
-        "doubt": findings.doubt,
-        "doubts": [one.kind for one in findings.entries if one.doubt],
-        "found": [f"{one.kind}: {one.what}" for one in findings.entries],
-        "left_out": len(states.left_out),
-    }
-    return row | scores(states, truth)
+    row |= {"refused": "", "doubt": findings.doubt, "cpu_s": time.process_time() - begin}
+    return row | {"doubts": [one.kind for one in findings.entries if one.doubt]} | scores(states, truth)
 
 
-def _named(words: tuple[str, ...], text: str) -> bool:
-    return any(word in text.lower() for word in words)
+def share(values: pd.Series, soils: pd.Series) -> str:
+    """Mean over drives and its standard error over soils, in per cent."""
+    values = values.dropna().astype(float)
+    sums = (values - values.mean()).groupby(soils).sum()
+    error = np.sqrt((sums**2).sum() * len(sums) / (len(sums) - 1)) / len(values) if len(sums) > 1 else np.nan
+    return f"{100 * values.mean():.0f}±{100 * error:.0f}" if len(values) else "-"
 
 
-def _mean(rows: list[dict[str, Any]], value: Callable[[dict[str, Any]], float]) -> tuple[float, float]:
-    """Mean over drives, and its standard error over soils; NaN where there is none."""
-    values = np.array([value(row) for row in rows], dtype=float)
-    known = np.isfinite(values)
-    soils = np.array([row["soil"] for row in rows])[known]
-    values = values[known]
-    if not values.size:
-        return math.nan, math.nan
-    mean, each = float(values.mean()), np.unique(soils)
-    if len(each) < 2:
-        return mean, math.nan
-    sums = np.array([(values[soils == soil] - mean).sum() for soil in each])
-    return mean, float(np.sqrt((sums**2).sum() * len(each) / (len(each) - 1)) / len(values))
-
-
-def _share(mean: float, error: float = math.nan) -> str:
-    text = "-" if math.isnan(mean) else f"{100 * mean:.0f}"
-    return text if math.isnan(error) else f"{text}±{100 * error:.0f}"
-
-
-def _median(rows: list[dict[str, Any]], value: Callable[[dict[str, Any]], float], spec: str) -> str:
-    return format(float(np.median([value(row) for row in rows])), spec) if rows else "-"
-
-
-def report(rows: list[dict[str, Any]], named_by: dict[str, tuple[str, ...]] = NAMED_BY) -> None:
-    """Of each kind and of all, and what the doubts are of; kinds with words of a finding that name them."""
-    print("Shares in %. Slip, side slip and end are of drives without doubt (exit 0); errors of shares count soils.")
-    print("named: drives of exit 3 whose doubt names the fault, and drives of exit 0 in which a finding names it.")
-    head = ("kind", "drives", "refused", "exit 0", "slip in 95", "side in 95", "slip sd", "slip rms", "side sd",
-            "side rms", "named 3", "named 0", "end err", "in 90", "radius", "end/radius", "cpu s")  # fmt: skip
-    table = [head]
-    for kind in (*named_by, "all"):
-        own = [row for row in rows if kind in (row["kind"], "all")]
-        if not own:
-            continue
-        served = [row for row in own if not row["refused"]]
-        sure, unsure = ([row for row in served if bool(row["doubt"]) == doubt] for doubt in (False, True))
-        named = [
-            "-" if not part or row_kind is None
-            else _share(float(np.mean([_named(named_by[row["kind"]], text(row)) for row in part])))
-            for part, text, row_kind in (
-                (unsure, lambda row: row["doubt"], kind),
-                (sure, lambda row: " ".join(row["found"]), kind),
-            )
-        ]  # fmt: skip
-        table.append(
-            (
-                kind,
-                str(len(own)),
-                str(len(own) - len(served)),
-                _share(len(sure) / len(own)),
-                _share(*_mean(sure, lambda row: row["slip_ratio"]["in_95"])),
-                _share(*_mean(sure, lambda row: row["side_slip_deg"]["in_95"])),
-                _median(sure, lambda row: row["slip_ratio"]["sigma"], ".4f"),
-                _median(sure, lambda row: row["slip_ratio"]["rms"], ".4f"),
-                _median(sure, lambda row: row["side_slip_deg"]["sigma"], ".2f"),
-                _median(sure, lambda row: row["side_slip_deg"]["rms"], ".2f"),
-                *named,
-                _median(sure, lambda row: row["end_m_error"], ".3f"),
-                _share(*_mean(sure, lambda row: float(row["end_in_90"]))),
-                _median(sure, lambda row: row["end_radius_90_m"], ".3f"),
-                _median(sure, lambda row: row["end_m_error"] / row["end_radius_90_m"], ".2f"),
-                _median(own, lambda row: row["cpu_s"], ".2f"),
-            )
-        )
-    lengths = [max(len(line[k]) for line in table) for k in range(len(head))]
-    for line in table:
-        first, *others = (text.rjust(length) for text, length in zip(line, lengths, strict=True))
-        print("  ".join([first.strip().ljust(lengths[0]), *others]))
-    print("Doubts, and findings without doubt, by kind of fault (drives):")
-    for kind in named_by:
-        own = [row for row in rows if row["kind"] == kind and not row["refused"]]
-        doubts = Counter(name for row in own for name in set(row["doubts"]))
-        others = Counter(
-            name for row in own for name in {text.split(":")[0] for text in row["found"]} - set(row["doubts"])
-        )
-        if own:
-            print(f"  {kind}: {_counted(doubts)} | {_counted(others)}")
-    for row in rows:
-        if row["refused"]:
-            print(f"  refused, {row['kind']} {row['number']}: {row['refused']}")
-
-
-def _counted(names: Counter[str]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in names.most_common()) or "none"
-
-
-def _read(files: Iterable[Path]) -> list[dict[str, Any]]:
-    return [json.loads(line) for file in files for line in file.read_text(encoding="utf-8").splitlines() if line]
-
-
-def _begin(kept: str) -> None:
-    """Compile before anything is timed."""
-    numba.set_num_threads(1)
-    case((0, "healthy", kept, True))
+def report(rows: list[dict[str, Any]]) -> str:
+    """Of each kind and of all, and what the doubts are of."""
+    every, lines, doubts = pd.json_normalize(rows), {}, []
+    for kind, own in (*every.groupby("kind", sort=False), ("all", every)):
+        sure = own[(own.refused == "") & (own.doubt == "")]
+        middle = sure.median(numeric_only=True)
+        lines[kind] = {
+            "drives": len(own),
+            "refused": int((own.refused != "").sum()),
+            "exit 0": f"{100 * len(sure) / len(own):.0f}",
+            **{f"{name} in 95": share(sure[f"{name}.in_95"], sure.number) for name in ("slip_ratio", "side_slip_deg")},
+            "in 90": share(sure.end_in_90, sure.number),
+            **{name: f"{middle[name]:.4g}" for name in (
+                "slip_ratio.sigma", "slip_ratio.rms", "side_slip_deg.sigma", "side_slip_deg.rms", "end_m_error",
+                "end_radius_90_m", "cpu_s")},
+        }  # fmt: skip
+        found = Counter(name for names in own.doubts for name in set(names))
+        doubts.append(f"  {kind}: {', '.join(f'{name} {count}' for name, count in found.most_common()) or 'none'}")
+    head = "Shares in %; of states, ends and errors those of drives without doubt (exit 0). Medians of errors."
+    told = [f"  refused, {row['kind']} {row['number']}: {row['refused']}" for row in rows if row["refused"]]
+    return "\n".join([head, pd.DataFrame(lines).T.to_string(), "Doubts, by kind of fault (drives):", *doubts, *told])
 
 
 def main() -> None:
     """Drive, find the states, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kind", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--kind", nargs="+", choices=(*KINDS, *SPOILS))
+    parser.add_argument("--spoiled", action="store_true", help="all kinds of spoiled_drives.py")
     parser.add_argument("--count", type=int, default=40, help="drives of each kind, each on a soil of its own")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--cache", default="", help="folder that keeps the true drives")
-    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--plan", default="given", choices=("given", "none"), help="whether the plan is told")
     parser.add_argument("--out", type=Path, help="a line of JSON for each drive")
     parser.add_argument("--report", type=Path, nargs="+", help="files of earlier runs")
     given = parser.parse_args()
     if given.report:
-        report(_read(given.report))
+        print(report(rows_of(*given.report)))
         return
+    kinds = given.kind or (SPOILS if given.spoiled else KINDS)
     numbers = range(given.first, given.first + given.count)
-    tasks = [(number, kind, given.cache, given.plan == "given") for number in numbers for kind in given.kind]
-    rows: list[dict[str, Any]] = []
-    if given.out:
-        given.out.write_text("", encoding="utf-8")
-
-    def take(row: dict[str, Any]) -> None:
-        rows.append(row)
-        if given.out:
-            with given.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-
-    if given.workers > 1:
-        with ProcessPoolExecutor(given.workers, initializer=_begin, initargs=(given.cache,)) as pool:
-            for row in pool.map(case, tasks):
-                take(row)
-    else:
-        _begin(given.cache)
-        for task in tasks:
-            take(case(task))
-    report(rows)
+    tasks = {(n, kind): (n, kind, given.cache, given.plan == "given") for n in numbers for kind in kinds}
+    case((0, "healthy", given.cache, True))  # compiled before anything is timed
+    print(report(computed(case, tasks, ("number", "kind"), given.out, given.jobs)))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Spoilt files for every reader: each gives a result or one line that says what is wrong, soon and in little memory.
 
 `python tests/benchmarks/fuzz.py --inputs 100000 --keep FOLDER [READER...]`, or `make fuzz`. Mutations know of numbers,
-words, lines, columns and brackets. With atheris (`pip install atheris`, Linux) what reaches new branches of lunarsci is
-mutated further (`fuzz_guided.py`); without it what gets a refusal that had not been given before.
+words, lines, columns and brackets; what gets a refusal that had not been given before is mutated further.
 
 Each reader is tried in a process of its own, some thousand inputs at a time, in turns: what is in the folder is not
 tried again, and a process that dies is a promise broken. Prints a line a reader; what breaks the promise is kept.
@@ -10,7 +9,6 @@ tried again, and a process that dies is a promise broken. Prints a line a reader
 
 import argparse
 import contextlib
-import importlib.util
 import itertools
 import json
 import os
@@ -242,69 +240,41 @@ def prepare(reader: Reader, folder: Path) -> Path:
 # --- many, in processes of their own ---
 
 
-PLAIN = ("VNIS image", "configuration")
-"""Not guided: what watches branches copies the 26 MB of each image and keeps them, and does not let a command end."""
-
-
 def slug(name: str) -> str:
     return re.sub(r"\W+", "-", name)
 
 
-class Account:
-    """What a process found, kept in a file while it goes on, with the input that it is at."""
-
-    def __init__(self, file: Path) -> None:
-        self.file, self.found, self._next = file, Found(), 0.0
-
-    def at(self, data: bytes) -> None:
-        self.file.with_suffix(".now").write_bytes(data)
-
-    def keep(self, *, done: bool = False) -> None:
-        if done or time.monotonic() > self._next:
-            self._next = time.monotonic() + 1.0
-            said = asdict(self.found) | {"broken": {what: data.hex() for what, data in self.found.broken.items()}}
-            partly = self.file.with_suffix(".part")
-            partly.write_text(json.dumps(said))
-            if done:
-                partly.replace(self.file)
-
-
 def child(name: str, inputs: int, seconds: float, seed: int, file: Path) -> None:
-    """Try some inputs of a reader, and write what was found."""
+    """Try some inputs of a reader, and write what was found; the input that it is at lies beside that."""
     resource.setrlimit(resource.RLIMIT_AS, (2 * MOST_BYTES, 2 * MOST_BYTES))
-    account = Account(file)
     with tempfile.TemporaryDirectory() as place:
         reader = reader_of(name)
-        account.found = tries(reader, inputs, seed, prepare(reader, Path(place)), account.at, seconds)
-    account.keep(done=True)
+        folder = prepare(reader, Path(place))
+        write_found(tries(reader, inputs, seed, folder, file.with_suffix(".now").write_bytes, seconds), file)
 
 
-def run(name: str, inputs: int, seconds: float, seed: int, folder: Path, *, guided: bool) -> None:
+def write_found(found: Found, file: Path) -> None:
+    file.write_text(json.dumps(asdict(found) | {"broken": {what: data.hex() for what, data in found.broken.items()}}))
+
+
+def run(name: str, inputs: int, seconds: float, seed: int, folder: Path) -> None:
     """Try some inputs of a reader in a process; one that dies or hangs is what its last input did."""
     file = folder / f"{slug(name)}.{seed}.json"
-    script = Path(__file__).with_name("fuzz_guided.py") if guided else Path(__file__)
-    command = [sys.executable, str(script), name, "--child", str(file), "--inputs", str(inputs)]
+    now, said = file.with_suffix(".now"), file.with_suffix(".said")
+    command = [sys.executable, __file__, name, "--child", str(file), "--inputs", str(inputs)]
     command += ["--seconds", str(seconds), "--seed", str(seed)]
-    said = file.with_suffix(".said")
     with said.open("w") as heard:
         process = subprocess.Popen(command, stdout=heard, stderr=heard, env=os.environ | {"OMP_NUM_THREADS": "1"})
-    now, changed = file.with_suffix(".now"), time.monotonic()
-    last = 0.0
+    begun = time.time()
     while process.poll() is None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)
-        if now.exists() and now.stat().st_mtime != last:
-            last, changed = now.stat().st_mtime, time.monotonic()
-        if time.monotonic() - changed > STUCK_S:
+        if time.time() - max(begun, now.stat().st_mtime if now.exists() else 0.0) > STUCK_S:
             process.kill()
     if not file.exists():
-        partly = file.with_suffix(".part")
-        known = json.loads(partly.read_text()) if partly.exists() else asdict(Found())
-        known["inputs"] = max(known["inputs"], 1)
         what = f"the process ended with {process.returncode}: {said.read_text(errors='replace')[-300:]}"
-        known["broken"][what] = now.read_bytes().hex() if now.exists() else ""
-        file.write_text(json.dumps(known))
-    for left in (now, said, file.with_suffix(".part")):
+        write_found(Found(inputs=1, broken={what: now.read_bytes() if now.exists() else b""}), file)
+    for left in (now, said):
         left.unlink(missing_ok=True)
 
 
@@ -347,7 +317,6 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="of the processor, likewise")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=float("inf"))
-    parser.add_argument("--plain", action="store_true", help="without coverage, even where atheris is installed")
     parser.add_argument("--show", action="store_true", help="what is known already")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "lunarsci-fuzz")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
@@ -357,7 +326,6 @@ def main() -> int:
         return 0
     names = asked.reader or list(readers())
     asked.keep.mkdir(parents=True, exist_ok=True)
-    guided = not asked.plain and importlib.util.find_spec("atheris") is not None
     end = 0.0 if asked.show else time.monotonic() + 60 * asked.minutes
     for turn in itertools.count(asked.seed):
         lacking = {name: asked.inputs - summed(name, asked.keep).inputs for name in names}
@@ -365,14 +333,7 @@ def main() -> int:
             break
         for name, inputs in lacking.items():
             if inputs > 0 and time.monotonic() < end and not (asked.keep / f"{slug(name)}.{turn}.json").exists():
-                run(
-                    name,
-                    min(inputs, asked.at_once),
-                    asked.seconds,
-                    turn,
-                    asked.keep,
-                    guided=guided and name not in PLAIN,
-                )
+                run(name, min(inputs, asked.at_once), asked.seconds, turn, asked.keep)
     return min(show(names, asked.keep), 1)
 
 

@@ -20,17 +20,14 @@ on one soil: how far right beliefs of stretches lean.
 
 import argparse
 import dataclasses
-import json
-import warnings
-from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from bench_states import found_in
 from mujoco_rover import Driven
+from result_lines import computed, rows_of
 from true_drives import Case, chain, terrains, way_back
 
 from lunarsci.io.inputs import InputFile
@@ -201,7 +198,6 @@ def first() -> SoilBelief:
 def experiment(task: tuple[str, int, int]) -> dict[str, Any]:
     """One drive: what was learned of it, and how the same drive and the way back are predicted."""
     kind, number, seed = task
-    warnings.simplefilter("ignore")
     out, back, seen = truth(kind, number, seed)
     rover, told = build_rover("yutu2"), told_ground(kind, number)
     row: dict[str, Any] = {"kind": kind, "number": number, "seed": seed}
@@ -212,27 +208,13 @@ def experiment(task: tuple[str, int, int]) -> dict[str, Any]:
     except Exception as error:
         return row | {"refused": f"{type(error).__name__}: {error}"[:200]}
     pace = pace_of(along, rover, out.plan)
-    measured = along.values[:, SLIP]
     row |= {
         "refused": found.refused,
         "doubt": "; ".join(text for text in (along.doubt, pace.doubt if pace else "", found.doubt) if text),
-        "findings": states.findings.doubt,
         "inflation": dict(found.inflation),
-        "reduced": found.reduced,
-        "ruts": found.prediction.ruts,
-        "surprise": found.prior_shift,
-        "left": list(found.belief.sd_ratio.values()),
-        "measured": float(np.nanmedian(measured)),
-        "measured_mean": float(np.nanmean(measured)),
+        "measured": float(np.nanmedian(along.values[:, SLIP])),
         "sigma": float(np.nanmedian(along.sigmas[:, SLIP])),
-        "true": float(np.median(median_slips(along, out))),
         "simulated": float(median_slips(along, found.prediction)[0]),
-        "sinkage": [
-            float(np.nanmedian(record.values[:, 0])),
-            float(
-                np.nanmedian(states_at(record, found.prediction.time_s, found.prediction.states, rover.wheels)[0, :, 0])
-            ),
-        ],
     }
     if found.refused:
         return row
@@ -246,7 +228,6 @@ def experiment(task: tuple[str, int, int]) -> dict[str, Any]:
 def halves(task: tuple[str, int, int]) -> dict[str, Any]:
     """What each half of a drive says of its soil, and how far it leans."""
     kind, number, seed = task
-    warnings.simplefilter("ignore")
     out, _, seen = truth(kind, number, seed)
     rover, told = build_rover("yutu2"), told_ground(kind, number)
     row: dict[str, Any] = {"kind": kind, "number": number, "seed": seed, "halves": []}
@@ -291,35 +272,12 @@ def predicted(
     except Exception as error:
         return {"error": str(error)[:200]}
     check = next((one for one in held.bands if one.quantity == "slip_ratio" and one.wheel == ALL), None)
-    own = None if held.bias is None else held.bias.quantities.get("slip_ratio")
     return {
-        "measured": float(np.nanmedian(along.values[:, SLIP])),
-        "middle": float(np.median(plain)),
         "spread": float(plain.std(ddof=1)),
-        "finished": int(drives.finished.sum()),
         "verdict": held.verdict,
-        "reasons": list(held.reasons),
-        "bias": None if check is None else check.bias,
         "bias_sd": None if check is None else check.bias_standard,
-        "bias_p": None if own is None else own.p,
-        "effective": None if check is None else check.effective,
-        "in_90": None if check is None else check.coverage_90,
-        "in_90_p": None if held.coverage is None else held.coverage.p.get("slip_ratio"),
-        "end_m": None if held.end is None else held.end.error_m,
         "end_sd": None if held.end is None or held.end.standing is None else held.end.standing.distance,
-        "whole_p": None if held.surprise is None else held.surprise.standing.p,
     }
-
-
-def rows_of(file: Path | None) -> list[dict[str, Any]]:
-    """Whole lines of a file of results."""
-    rows = []
-    for line in file.read_text("utf-8").splitlines() if file and file.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
 
 
 def main() -> None:
@@ -333,26 +291,17 @@ def main() -> None:
     parser.add_argument("--report", type=Path, help="print the tables of this file, and drive nothing")
     parser.add_argument("--halves", action="store_true", help="of right drives, each learned on its own")
     given = parser.parse_args()
-    rows = rows_of(given.report or given.out)
     told, drive = (report_halves, halves) if given.halves else (report, experiment)
     if given.report:
-        print(told(rows))
+        print(told(rows_of(given.report)))
         return
-    done = {(row["kind"], row["number"], row["seed"]) for row in rows}
-    tasks = [
-        (number / CASES[kind], (kind, number, given.seed))
+    tasks = {
+        (kind, number, given.seed): number / CASES[kind]
         for kind in (RIGHT if given.halves else given.kinds)
         for number in range(round(given.share * CASES[kind]))
-    ]
-    missing = [task for _, task in sorted(tasks) if task not in done]
-    with ProcessPoolExecutor(given.jobs, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-        for row in pool.map(drive, missing):
-            rows.append(row)
-            print(json.dumps(row), flush=True)
-            if given.out:
-                with given.out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
-    print(told(rows))
+    }
+    tasks = {task: task for task in sorted(tasks, key=lambda task: tasks[task])}
+    print(told(computed(drive, tasks, ("kind", "number", "seed"), given.out, given.jobs)))
 
 
 RIGHT = ("right", "uphill")

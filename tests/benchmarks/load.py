@@ -3,8 +3,9 @@
 SYNTHETIC inputs, each command in a process of its own: its processor and wall time, most memory, and how many of
 something it does a second. `telemetry`: a week at 10 Hz and a day at 1 Hz, with five drives in it, and half a day of
 driving. `history`: a belief of 1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes
-looked at and planned on. `commands`: 10,000 short ones, and what they leave behind in folders of caches and temporary
-files. Of 100,000 spectra `memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input
+looked at and planned on. `spectra`: 30,000 and 100,000 of 60 channels as one CSV, and what each adds, beside its own
+numbers of 8 bytes a channel. `commands`: 10,000 short ones, and what they leave behind in folders of caches and
+temporary files. With `--scale` 0.1 everything is a tenth: what grows faster than its input
 shows.
 """
 
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from faults import made_up, write_table
 
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 HEADER = "time_s,x_m,y_m,sigma_m,yaw_deg,yaw_deg_sigma," + ",".join(
@@ -181,6 +183,21 @@ def terrain(folder: Path, scale: float) -> Iterator[str]:
     yield told(f"plan: {1.13 * x[-1]:.0f} m across it", measured("twin", "plan", path, *way, "-q"), nodes, "nodes")
 
 
+def spectra(folder: Path, scale: float) -> Iterator[str]:
+    """Bands and fits of a table, as CSV and as JSON."""
+    counts = [int(30_000 * scale), int(100_000 * scale)]
+    tables = [write_table(folder / f"{count}.csv", made_up(count)) for count in counts]
+    for line in (("bands",), ("fit", "--assemblage", "OPX-CPX", "--starts", "1")):
+        for form in ("csv", "json"):
+            spent = [
+                measured("spectra", *line, table, "-q", "--force", "-o", folder / f"out.{form}") for table in tables
+            ]
+            for count, one in zip(counts, spent, strict=True):
+                yield told(f"{line[0]}, {form}: {count:,} spectra", one, count, "spectra")
+            more = 1e6 * (spent[1].peak_mb - spent[0].peak_mb) / (counts[1] - counts[0])
+            yield f"    a spectrum adds {more:,.0f} bytes"
+
+
 def held_by(folder: Path) -> tuple[int, float]:
     """How many files there are in a folder, and their size [MB]."""
     files = [path for path in folder.rglob("*") if path.is_file()]
@@ -221,6 +238,7 @@ LOADS: dict[str, Callable[[Path, float], Iterator[str]]] = {
     "telemetry": telemetry,
     "history": history,
     "terrain": terrain,
+    "spectra": spectra,
     "commands": commands,
 }
 

@@ -26,21 +26,17 @@ done in slices (`--first K --count N`). `--report FILES` prints the tables.
 
 import argparse
 import dataclasses
-import json
 import time
-import warnings
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from bench_states import found_in
 from leaning import as_prediction, record_of
-from loop_regions import region
-from loop_report import report
+from loop_report import region, report
 from mujoco_rover import Driven
+from result_lines import computed, rows_of
 from true_drives import DRIVEN_BY, Case, chain, terrains
 
 from lunarsci.regolith.belief import first_belief
@@ -127,7 +123,6 @@ def middle(cloud: np.ndarray) -> np.ndarray:
 
 def experiment(case: Case, kept: Path | None = None) -> dict[str, Any]:
     """One hidden soil: drive out, measure, rectify, predict the return."""
-    warnings.simplefilter("ignore")
     rover, plan, first = build_rover("yutu2"), read_plan(), first_belief()
     terrain = terrains(case.training)[case.ground]
     driven = chain(case, rover, plan, kept)
@@ -146,7 +141,6 @@ def experiment(case: Case, kept: Path | None = None) -> dict[str, Any]:
         "replaced": list(driven.replaced),
         "model_error": case.model_error,
         "drive_s": driven.drive_s,
-        "theta": theta.tolist(),
         "before_m": float(np.hypot(*(before - end))),
         "known_m": float(np.hypot(*(known - end))),
         "limits": [
@@ -197,7 +191,6 @@ def learned(
     soil = belief.soil
     sd = np.sqrt(np.diag(soil.covariance))
     own, own_sd = ground_moments(soil)
-    ranks = None if soil.population is None else (soil.population < theta).mean(axis=0).tolist()
     return region(predicted.endpoints_m[done], end) | {
         "verdicts": [verdict_of(predicted, own) for own in limited],
         "soil_only": region(driven[:, -1, :2], end),
@@ -206,17 +199,12 @@ def learned(
         "end_m": end.tolist(),
         "way_m2": way_matrix(predicted.planned[:, :2], driven[..., :3]).tolist(),
         "discrepancy": belief.discrepancy.to_dict(),
-        "members": int(done.sum()),
-        "ruts": ruts,
         "refused": found.refused,
         "reduced": found.reduced,
-        "inflation": dict(found.inflation),
-        "wheel_errors": dict(found.wheel_errors),
         "surprise": found.prior_shift,
         "persistence": found.autocorrelation,
         "z": ((soil.mean - theta) / sd).tolist(),
         "ground_z": ((own - theta) / own_sd).tolist(),
-        "rank": ranks,
         "left": list(soil.sd_ratio.values()),
         "took_s": took,
     }
@@ -237,32 +225,9 @@ def said(row: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-def rows_of(files: list[Path]) -> list[dict[str, Any]]:
-    """Lines of result files, the last of each soil; a line that was cut off is left out."""
-    rows: dict[Any, dict[str, Any]] = {}
-    for line in (line for file in files if file.exists() for line in file.read_text("utf-8").splitlines()):
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        rows[row["physics"], row["seed"], row["soil"]] = row
-    return list(rows.values())
-
-
-def run(cases: list[Case], out: Path | None, jobs: int, kept: Path | None = None) -> list[dict[str, Any]]:
-    """Do the cases that are not in the file yet, and add them to it; all of the file's rows are given back."""
-    rows = rows_of([out] if out else [])
-    done = {(row["physics"], row["seed"], row["soil"]) for row in rows}
-    missing = [case for case in cases if (case.physics, case.seed, case.number) not in done]
-    with ProcessPoolExecutor(jobs, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-        one = partial(experiment, kept=kept)
-        for row in pool.map(one, missing) if jobs > 1 else map(one, missing):
-            print(said(row), flush=True)
-            rows.append(row)
-            if out:
-                with out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
-    return rows
+def last_of_each(files: list[Path]) -> list[dict[str, Any]]:
+    """Lines of result files, the last of each soil."""
+    return list({(row["physics"], row["seed"], row["soil"]): row for row in rows_of(*files)}.values())
 
 
 def arguments() -> argparse.Namespace:
@@ -301,10 +266,10 @@ def main() -> None:
     """Drive, and report."""
     given = arguments()
     if given.report:
-        print(report(rows_of(given.report)))
+        print(report(last_of_each(given.report)))
         return
-    cases = [
-        Case(
+    cases = {
+        (name, given.seed, number): Case(
             physics=name,
             number=number,
             seed=given.seed,
@@ -314,8 +279,9 @@ def main() -> None:
         )
         for number in range(given.first, given.first + given.soils)
         for name in given.physics
-    ]
-    print(report(run(cases, given.out, given.jobs, given.kept)))
+    }
+    driven = partial(experiment, kept=given.kept)
+    print(report(computed(driven, cases, ("physics", "seed", "soil"), given.out, given.jobs, said)))
 
 
 if __name__ == "__main__":

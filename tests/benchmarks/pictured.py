@@ -526,10 +526,10 @@ films, whose title is a part of an image."""
 LONG = "a name of a measurement that is much longer than names should be"
 
 
-def many(job: str, count: int, **options: Any) -> "Figure":
+def many_bands(count: int) -> "Figure":
     """The first page of spectra with long names, one of them without the second band."""
     own = [spectrum(f"SYNTHETIC {k}, {LONG}", 0.1 + 0.02 * k, 915.0 + 7.0 * k) for k in range(count)]
-    return getattr(lunarsci, job)(own, **options).plot()
+    return lunarsci.bands(own).plot()
 
 
 def plane_of(count: int) -> "Figure":
@@ -551,7 +551,7 @@ def norms(count: int) -> "Figure":
     return next(iter(normative_pages([f"{k} {LONG}" for k in range(count)], [own] * count)))
 
 
-def craters(count: int, apart_deg: float = 1.2) -> "Figure":
+def craters(count: int) -> "Figure":
     """Craters with long names, crowded about the site."""
     from lunarsci.spectra.origin.catalogue import distance_km
     from lunarsci.spectra.origin.figure import match_pages
@@ -562,28 +562,13 @@ def craters(count: int, apart_deg: float = 1.2) -> "Figure":
     crowd = []
     for k in range(count):
         crater = replace(
-            own.crater, name=f"{k} {LONG}", latitude_deg=latitude + float(random.normal(0, apart_deg)),
-            longitude_deg=longitude + float(random.normal(0, apart_deg)), diameter_km=float(random.uniform(3, 40)),
+            own.crater, name=f"{k} {LONG}", latitude_deg=latitude + float(random.normal(0, 1.2)),
+            longitude_deg=longitude + float(random.normal(0, 1.2)), diameter_km=float(random.uniform(3, 40)),
         )  # fmt: skip
         prior = replace(own.prior, distance_km=distance_km(matched().site, crater.center))
         crowd.append(replace(own, crater=crater, prior=prior, posterior=0.9 / count))
     rock = replace(one.rock, id=f"SYNTHETIC {LONG}")
     return next(iter(match_pages([replace(one, rock=rock, craters=tuple(crowd))], matched().site)))
-
-
-def ranges(count: int) -> "Figure":
-    from lunarsci.images.camera_figures import range_page
-
-    away = np.geomspace(1, 20, 20)
-    errors = [1e-4 * (k + 1) * away**2 for k in range(count)]
-    return range_page([f"{k} {LONG}" for k in range(count)], away, errors, errors)
-
-
-def site(**stated: float) -> "Figure":
-    """A site given by numbers, some of them missing."""
-    from lunarsci.regolith.jobs.compare_soils import compare_soils
-
-    return compare_soils(**stated).plot()
 
 
 def histories(count: int) -> "Figure":
@@ -640,38 +625,20 @@ def trade(count: int, page: int) -> "Figure":
     return curve_page(crowd, names, synthetic=True) if page else front_page(crowd, range(count), synthetic=True)
 
 
-def missing_spectra() -> "Figure":
-    """Six spectra of long names in a report, with values that are missing."""
-    document = calibrated().to_dict()["spectra"][0] if "spectra" in calibrated().to_dict() else {}
-    own = [{**document, "id": f"{k} {LONG}", "reflectance": [None, *document["reflectance"][1:]]} for k in range(6)]
-    return chart(calibrated(), spectra=own)
-
-
 CROWDED: dict[str, Callable[[], "Figure"]] = {
-    "many bands": lambda: many("bands", 20),
-    "many fits": lambda: many("fit", 6, starts=1),
+    "many bands": lambda: many_bands(20),
     "many centres": lambda: plane_of(12),
     "many shares": lambda: shares(40),
     "many norms": lambda: norms(40),
-    "one share": lambda: shares(1),
     "30 craters": lambda: craters(30),
-    "30 craters far apart": lambda: craters(30, 8.0),
-    "one crater": lambda: craters(1),
     "12 end members": lambda: library(12),
-    "40 end members": lambda: library(40),
-    "many cameras": lambda: ranges(6),
     "many stations": lambda: ties(9, f"station of {LONG}"),
-    "a map of many parts": lambda: merged(5),
-    "a site": lambda: site(stiffness=1400.0, exponent=1.0),
-    "a site's shear": lambda: site(cohesion=520.0, friction_angle=40.0),
     "many drives": lambda: histories(30),
     "50 candidates": lambda: candidates(50, 0),
     "50 risks": lambda: candidates(50, 1),
     "12 targets": lambda: long_mission(12, 0),
     "12 arrivals": lambda: long_mission(12, 1),
-    "one path": lambda: lunarsci.predict(written("short.toml", PLAN)).plot(),
     "50 designs": lambda: trade(50, 0),
     "50 design curves": lambda: trade(50, 1),
-    "a report's spectra": missing_spectra,
 }
-"""The same with many items, with one, with long names and with missing values."""
+"""The same with many items and with long names."""

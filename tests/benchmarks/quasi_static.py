@@ -4,11 +4,8 @@ It shares no code with the twin but the numbers of rover, plan and terrain. At e
 and the joints of the suspension balance (six equations of the whole, one of the differential, one of each bogie), and
 that decides at once how the rover stands (height, roll, pitch, differential, bogies) and how it moves (forward, to the
 left, turning). Its law of wheel and soil is not the closed form of Ding et al. (2024): `QuasiStatic` lists how.
-
-`python tests/benchmarks/quasi_static.py` compares it with the twin on the embedded plan for soils drawn from the prior.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,12 +18,9 @@ from mujoco_rover import Driven
 from quasi_static_forces import Ground, Law, balance, height_of, place, plane_at, wheel_forces
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.prior import default_prior, values_of
-from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.plans.plan import Leg, Plan, read_plan
-from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.ensemble import predict
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.rover import Rover
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -374,43 +368,4 @@ def _blends(plan: Plan, bounds: list[float], moves: list[FloatArray], at: FloatA
 
 
 PAPER = QuasiStatic(peak_c1=0.5, peak_c2=0.0, rebound=0.0, entry=1.0, side_share=0.0, footprint_m=0.005)
-VARIANTS = {
-    "integrals": PAPER,
-    "c1 0.305, c2 0.32": dataclasses.replace(PAPER, peak_c1=0.305, peak_c2=0.32),
-    "rebound 0.1": dataclasses.replace(PAPER, rebound=0.1),
-    "entry at r_s": dataclasses.replace(PAPER, entry=0.65),
-    "side faces": dataclasses.replace(PAPER, side_share=1.0),
-    "footprint 40 mm": dataclasses.replace(PAPER, footprint_m=0.04),
-    "defaults": QuasiStatic(),
-}
-"""One choice changed after the other from the physics nearest to the paper's."""
-
-
-def main() -> None:
-    """Print how far the ends, slips and sinkages are from the twin's, and which choice moves them how much."""
-    rover, terrain, plan, laws = build_rover("yutu2"), synthetic_longji(), read_plan(), default_prior()
-    random = np.random.default_rng(5)
-    values = values_of(
-        laws, np.array([[laws[n].center + laws[n].sd * random.normal() for n in laws] for _ in range(8)])
-    )
-    twin = predict(rover, terrain, plan, samples={name: values[:, k] for k, name in enumerate(laws)})
-    for k, row in enumerate(values):
-        soil = dict(zip(laws, map(float, row), strict=True))
-        print(", ".join(f"{name} {value:.3g}" for name, value in soil.items()), "| twin", twin.outcome_text(k))
-        for name, one in (VARIANTS | {"drawn": draw_physics(k)}).items():
-            driven = drive(rover, terrain, plan, soil, one)
-            reached = min(len(driven.time_s), int(twin.recorded[k]))
-            own, his = driven.states[5:reached], twin.states[k, 5:reached]
-            off = 1e3 * (driven.poses[-1, :2] - twin.paths[k, len(driven.poses) - 1, :2])
-            print(f"  {name:18s} {driven.outcome}: end {np.hypot(*off):6.0f} mm off ({off[0]:.0f}, {off[1]:.0f}); slip "
-                  f"{own[..., 3].mean():.4f} (twin {his[..., 3].mean():.4f}); side slip rms {_rms(own[..., 4]):.2f} "
-                  f"({_rms(his[..., 4]):.2f}) deg; sinkage {1e3 * own[..., 2].mean():.1f} "
-                  f"({1e3 * his[..., 2].mean():.1f}) mm")  # fmt: skip
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt((values**2).mean()))
-
-
-if __name__ == "__main__":
-    main()
+"""The physics nearest to the paper's."""

@@ -326,44 +326,22 @@ def case(piece: Piece) -> dict[str, Any]:
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """Each piece, and each vehicle."""
-    names = ("in_95", "width_m", "place_width_m", "rms_m")
+    """Each piece, and each vehicle; shares over all poses that were left out, their errors over pieces."""
+    every = pd.DataFrame(rows)
+    every["exit"] = np.select([every.refused != "", every.doubt != ""], [2, 3], 0)
     print("in 95: share of left-out x and y in their interval; width of it (2 x 1.96 sd), with and without the lidar's")
-    print(
-        f"{'':16s}{'poses':>6s}{'exit':>5s}{'kept':>6s} |{'twin states':^34s} |{'constant velocity':^34s} |{'cpu':>6s}"
-    )
-    head = f"{'in 95':>7s}{'width':>9s}{'place':>9s}{'rms':>9s}"
-    print(f"{'':33s} |{head} |{head} |")
+    print(every.drop(columns=["found", "doubt", "refused"]).to_string(float_format="%.3f"))
     for row in rows:
-        code = 2 if row["refused"] else 3 if row["doubt"] else 0
-        texts = [
-            "".join(f"{row.get(f'{of}_{name}', math.nan):{9 if k else 7}.3f}" for k, name in enumerate(names))
-            for of in ("states", "plain")
-        ]
-        kept = row.get("kept", math.nan)
-        print(f"{row['piece']:16s}{row['poses']:6d}{code:5d}{kept:6.2f} |{texts[0]} |{texts[1]} |{row['cpu_s']:6.2f}")
-        print(
-            f"{'':8s}{row['refused'] or '; '.join(one[:110] for one in row['found'])}" if row["found"] or code else ""
-        )
-    for vehicle in dict.fromkeys(row["vehicle"] for row in rows):
-        own = [row for row in rows if row["vehicle"] == vehicle]
-        served = [row for row in own if not row["refused"]]
-        sure = [row for row in served if not row["doubt"]]
-        print(f"{vehicle}: {len(own)} pieces, {len(sure)} with exit 0, {len(served) - len(sure)} with exit 3, "
-              f"{len(own) - len(served)} refused")  # fmt: skip
-        for label, some in (("served", served), ("exit 0", sure)):
-            if not some:
-                continue
-            weights = np.array([row["out"] for row in some], dtype=float)
+        print(f"{row['piece']}: {row['refused'] or '; '.join(one[:110] for one in row['found'])}")
+    for vehicle, own in every.groupby("vehicle", sort=False):
+        print(f"{vehicle}: pieces by exit code {own.exit.value_counts().to_dict()}")
+        for label, some in (("served", own[own.exit != 2]), ("exit 0", own[own.exit == 0])):
             for of in ("states", "plain"):
-                values = np.array([row[f"{of}_in_95"] for row in some])
-                mean = float(weights @ values / weights.sum())
-                error = float(np.sqrt((((values - mean) * weights) ** 2).sum()) / weights.sum())
-                width, place, rms = (np.median([row[f"{of}_{name}"] for row in some]) for name in names[1:])
-                print(f"  {label}, {of:6s}: in 95 {100 * mean:.1f}±{100 * error:.1f} %, median width {width:.3f} m, "
-                      f"of the place {place:.3f} m, rms {rms:.3f} m")  # fmt: skip
-            kept, cpu = (np.median([row[name] for row in some]) for name in ("kept", "cpu_s"))
-            print(f"  {label}: positions kept {100 * kept:.0f} %, {cpu:.2f} s of the processor")
+                share = some[f"{of}_in_95"]
+                mean = np.average(share, weights=some.out)
+                error = np.hypot.reduce((share - mean) * some.out) / some.out.sum()
+                print(f"  {label}, {of}: in 95 {100 * mean:.1f}±{100 * error:.1f} %")
+            print(some.median(numeric_only=True).to_string())
 
 
 def main() -> None:

@@ -1,29 +1,17 @@
-"""What `twin states` makes of telemetry whose sensors, clock or rows fail in parts: resets, wraps, hangs, halts, gaps.
+"""Telemetry whose sensors, clock or rows fail in parts: resets, wraps, hangs, halts, gaps.
 
-`python tests/benchmarks/spoiled_drives.py [--kind KIND ...] [--count N] [--first K] [--cache DIR] [--out FILE.jsonl]`
-drives and prints the table of `faulty_drives.py`, whose healthy drives are spoiled here, in ways and by magnitudes that
-are drawn anew for each; `--report FILE.jsonl ...` prints the table of earlier runs.
+What `faulty_drives.py --spoiled` sends of its healthy drives, in ways and by magnitudes that are drawn anew for each.
 """
 
-import argparse
 import dataclasses
-import json
 import math
-import time
-import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from faulty_drives import Truth, report, scores, telemetry_of, terrain_of, truth_of
 
-from lunarsci.errors import DataError
-from lunarsci.io.inputs import InputFile
-from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.telemetry.reading import Findings, read_telemetry
-from lunarsci.twin.telemetry.states import states_of
+from lunarsci.twin.rover import Rover
 
 Random = np.random.Generator
 Spoil = Callable[[pd.DataFrame, Rover, Random], pd.DataFrame]
@@ -175,7 +163,7 @@ def halts(table: pd.DataFrame, rover: Rover, random: Random) -> pd.DataFrame:
     return whole
 
 
-def stood(truth: Truth, begin_s: float, longer_s: float) -> Truth:
+def stood(truth: Any, begin_s: float, longer_s: float) -> Any:
     """The true drive with a halt."""
     row = int(np.searchsorted(truth.time_s, begin_s))
     time_s = np.insert(truth.time_s, [row, row], begin_s)
@@ -188,57 +176,3 @@ def stood(truth: Truth, begin_s: float, longer_s: float) -> Truth:
 SPOILS: dict[str, Spoil] = {one.__name__: one for one in (
     wraps, resets, hangs, rates, blanks, coarse, held, gaps, clocks, steering, tilted, fewer, halts
 )}  # fmt: skip
-KINDS = tuple(SPOILS)
-
-
-def case(number: int, kind: str, kept: Path | None) -> dict[str, Any]:
-    """One drive: what was sent, what was found."""
-    rover = build_rover("yutu2")
-    truth = truth_of(number, "healthy", rover, kept)
-    random = np.random.default_rng([number, KINDS.index(kind), 9])
-    table, _, plan, _ = telemetry_of(truth, "healthy", rover, random)
-    table = SPOILS[kind](table.copy(), rover, random)
-    if table.attrs:
-        truth = stood(truth, **table.attrs)
-    row = {"kind": kind, "number": number, "soil": number, "magnitude": None}
-    findings, begin = Findings("drive.csv"), time.process_time()
-    try:
-        source = InputFile("drive.csv", table.to_csv(index=False).encode())
-        states = states_of(read_telemetry(source, rover, findings), rover, terrain_of(number), findings, plan)
-    except DataError as refused:
-        return row | {"refused": str(refused), "cpu_s": time.process_time() - begin}
-    row |= {"refused": "", "doubt": findings.doubt, "cpu_s": time.process_time() - begin}
-    row["doubts"] = [one.kind for one in findings.entries if one.doubt]
-    row["found"] = [f"{one.kind}: {one.what}" for one in findings.entries]
-    return row | scores(states, truth)
-
-
-def main() -> None:
-    """See the module."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kind", nargs="+", default=list(KINDS), choices=KINDS)
-    parser.add_argument("--count", type=int, default=20, help="drives of each kind, each on a soil of its own")
-    parser.add_argument("--first", type=int, default=0, help="number of the first one")
-    parser.add_argument("--cache", type=Path, help="folder that keeps the true drives")
-    parser.add_argument("--out", type=Path, help="a line of JSON for each drive")
-    parser.add_argument("--report", type=Path, nargs="+", help="files of earlier runs")
-    chosen = parser.parse_args()
-    no_words = dict.fromkeys(KINDS, ())
-    if chosen.report:
-        report([json.loads(line) for file in chosen.report for line in file.read_text().splitlines()], no_words)
-        return
-    warnings.simplefilter("ignore")
-    if chosen.cache:
-        chosen.cache.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for number in range(chosen.first, chosen.first + chosen.count):
-        for kind in chosen.kind:
-            rows.append(case(number, kind, chosen.cache))
-            if chosen.out:
-                with chosen.out.open("a") as stream:
-                    print(json.dumps(rows[-1]), file=stream)
-    report(rows, no_words)
-
-
-if __name__ == "__main__":
-    main()

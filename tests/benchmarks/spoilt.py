@@ -2,23 +2,20 @@
 
 `python tests/benchmarks/spoilt.py [WORD...]` prints a line a case: what was done to the files, what happened, and by
 how much the result would differ. Files are made up (SYNTHETIC); cases were written down before the readers were read.
-`tests/test_spoilt.py` runs them all. Cases of VNIS products are here, all others in `spoilt_tables.py`.
+`tests/test_spoilt.py` runs them. Cases of VNIS products are here, all others in `spoilt_tables.py`.
 """
 
 import argparse
-import importlib.util
 import os
 import re
-import sys
 import tempfile
-import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+import spoilt_tables
+from spoilt_tables import Outcome, happened
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciError
@@ -29,35 +26,8 @@ from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition
 
-REFUSED, UNTRUSTED, TOLD, SILENT = "refused", "untrusted", "told", "silent"
 Files = dict[str, bytes]
 Spoiler = Callable[[Files], None]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What happened: `refused` (no result), `untrusted` (exit 3), `told` (warning or count), or `silent`; and why."""
-
-    end: str
-    said: str
-    error_percent: float
-
-    def with_error(self, percent: float) -> "Outcome":
-        return replace(self, error_percent=percent)
-
-
-def happened(run: Callable[[], tuple[str, list[str]]], error_percent: float, usual: Collection[str] = ()) -> Outcome:
-    """Run a job that gives the reason not to trust it and what it says of itself, `usual` apart."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            doubt, notes = run()
-        except LunarSciError as error:
-            return Outcome(REFUSED, str(error), error_percent)
-    said = [text for text in (*notes, *(str(item.message) for item in caught)) if text not in usual]
-    if doubt:
-        return Outcome(UNTRUSTED, doubt, error_percent)
-    return Outcome(TOLD, said[0], error_percent) if said else Outcome(SILENT, "", error_percent)
 
 
 # -- VNIS products ----------------------------------------------------------------------------------------------------
@@ -398,23 +368,11 @@ def _same(path: Path, content: bytes) -> bool:
     return path.read_bytes() == content
 
 
-# -- Everything else --------------------------------------------------------------------------------------------------
-
-
-def tables() -> ModuleType:
-    """The cases of tables, grids, documents."""
-    spec = importlib.util.spec_from_file_location("spoilt_tables", Path(__file__).with_name("spoilt_tables.py"))
-    assert spec is not None and spec.loader is not None
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def outcomes(folder: Path, wanted: Callable[[str], bool] = lambda _: True) -> Iterator[tuple[str, str, Outcome]]:
     """Part, name and outcome of every case."""
     for name, outcome in vnis_outcomes(folder, lambda name: wanted(f"vnis {name}")):
         yield "vnis", name, outcome
-    yield from tables().outcomes(folder, happened, wanted)
+    yield from spoilt_tables.outcomes(folder, wanted)
 
 
 def main() -> None:

@@ -4,12 +4,10 @@ import csv
 import hashlib
 import io
 import json
-import math
 import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -114,13 +112,6 @@ def test_csv_has_one_row_for_each_channel(run: Run, label: Path) -> None:
         assert [float(row[f"systematic_{name}"]) for row in rows] == mode
 
 
-def test_field_prints_one_number(run: Run, label: Path) -> None:
-    gain = run(*COMMAND, label, "--field", "spectra.0.splice.gain")
-    assert float(gain.out) == result(run(*COMMAND, label, "--json"))[0]["splice"]["gain"]
-    wrong = run(*COMMAND, label, "--field", "spectra.0.splice.gian")
-    assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1)
-
-
 def test_a_masked_channel_is_null_and_an_empty_cell(run: Run, tmp_path: Path, one: Files) -> None:
     table = named(one, label=False)
     rows = one[table].splitlines(keepends=True)
@@ -148,28 +139,6 @@ def test_files_hold_the_spectra_and_the_provenance(run: Run, label: Path, tmp_pa
     assert run(*COMMAND, label, "-o", target, "--no-time", "--force").code == 0
     assert target.read_bytes() == first
     assert hashlib.sha256(label.read_bytes()).hexdigest().encode() in first
-
-
-def test_json_and_csv_files_are_what_stdout_shows(run: Run, label: Path, tmp_path: Path) -> None:
-    for suffix, option in ((".json", "--json"), (".csv", "--csv")):
-        target = tmp_path / f"out{suffix}"
-        assert run(*COMMAND, label, "-o", target, "--no-time").code == 0
-        wanted = run(*COMMAND, label, option, "--no-time").out
-        assert _without_output(target.read_text()) == _without_output(wanted)
-
-
-def _without_output(text: str) -> str:
-    """The provenance tells with which options of output a document was made, if it does."""
-    return re.sub(r'"(output|as_json|path)": [^\n]*\n', "", text)
-
-
-def test_a_page_is_drawn(run: Run, label: Path, tmp_path: Path) -> None:
-    """The other formats are drawn in `test_contract.py`, and the PDF of two below."""
-    first, second = tmp_path / "a.svg", tmp_path / "b.svg"
-    for target in (first, second):
-        assert run(*COMMAND, label, "--plot", target, "-q").code == 0
-    assert first.read_bytes().startswith(b"<?xml")
-    assert first.read_bytes() == second.read_bytes()
 
 
 def test_a_page_for_each_observation(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
@@ -255,17 +224,10 @@ def test_what_is_no_product_is_refused(run: Run, tmp_path: Path, argument: str) 
         assert "cannot come from stdin" in done.err[0]
 
 
-def test_stdin_beside_a_label_does_not_stop_it(run: Run, label: Path) -> None:
-    done = run(*COMMAND, "-", label, "--json")
-    assert (done.code, len(done.err), len(result(done))) == (1, 2, 1)
-    assert done.err[1].startswith("1 spectrum with a result, 1 input without: ")
-
-
 # -- The other commands -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", ["bands", "fit"])
-@pytest.mark.parametrize("suffix", ["ecsv", "fits"])
+@pytest.mark.parametrize(("command", "suffix"), [("bands", "ecsv"), ("fit", "fits")])
 def test_a_label_gives_the_numbers_of_its_calibrated_file(
     run: Run, label: Path, tmp_path: Path, command: str, suffix: str
 ) -> None:
@@ -394,76 +356,7 @@ def test_wrong_usage(run: Run, label: Path, arguments: list[str]) -> None:
     assert (done.code, done.out, len(done.err)) == (2, "", 1)
 
 
-@pytest.mark.parametrize("shadow", ["-0.1", "1", "nan"])
-def test_a_shadow_limit_out_of_range(run: Run, label: Path, shadow: str) -> None:
-    done = run(*COMMAND, label, f"--shadow={shadow}")
-    assert (done.code, done.out, len(done.err)) == (1, "", 1)
-    assert "shadow limit" in done.err[0]
-
-
-def test_options_and_hashes_are_in_the_provenance(run: Run, label: Path, one: Files) -> None:
-    provenance = json.loads(run(*COMMAND, label, "--photometry", "akimov", "--json").out)["provenance"]
-    assert provenance["command"] == "lunarsci spectra calibrate"
-    assert provenance["options"]["photometry"] == "akimov"
-    assert provenance["options"]["solar"] == "e490"
-    assert {item["path"]: item["sha256"] for item in provenance["inputs"]} == {
-        str(label.parent / n): hashlib.sha256(data).hexdigest() for n, data in one.items() if not n.endswith(".json")
-    }
-    for table in provenance["tables"]:
-        data = (files("lunarsci.spectra_data") / table["name"]).read_bytes()
-        assert table["sha256"] == hashlib.sha256(data).hexdigest()
-    assert any("10.1038/s41467-024-46233-8" in source for source in provenance["sources"])
-
-
-# -- Time, memory, batches --------------------------------------------------------------------------------------------
-
-TIMED = """
-import sys, time
-from lunarsci.spectra.vnis.calibrate import calibrate
-from lunarsci.spectra.vnis.observation import read_observation
-start = time.perf_counter()
-calibrate(read_observation(sys.argv[1]))
-print(time.perf_counter() - start)
-"""
-
-
-LAUNCHER = """
-import resource, subprocess, sys
-code = subprocess.run([sys.executable, *sys.argv[1:]]).returncode
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
-sys.exit(code)
-"""
-"""A process begins with the memory of the one that started it: so a small one starts what is measured."""
-
-
-def launched(arguments: list[str], **streams: Any) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, "-S", "-c", LAUNCHER, *arguments], text=True, **streams)
-
-
-def megabytes(said: str) -> float:
-    """From what the launcher says last."""
-    return float(said.split()[-1]) / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def measured(arguments: list[str]) -> tuple[str, float, float]:
-    """Output, seconds and MB of a Python process of its own."""
-    start = time.perf_counter()
-    process = launched(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    out, err = process.communicate()
-    assert process.returncode == 0, err
-    return out, time.perf_counter() - start, megabytes(err)
-
-
-@pytest.mark.slow
-def test_an_observation_takes_less_than_2_s_and_300_mb(label: Path, tmp_path: Path) -> None:
-    tries = (float(measured(["-c", TIMED, str(label)])[0]) for _ in range(3))
-    seconds = next((seconds for seconds in tries if seconds < 2), math.inf)
-    _, wall, size = measured(["-m", "lunarsci.cli", *COMMAND, str(label), "--json"])
-    _, _, with_file = measured(["-m", "lunarsci.cli", *COMMAND, str(label), "-o", str(tmp_path / "out.ecsv")])
-    sys.stdout.write(f"\ncalibration {seconds:.2f} s; command {wall:.2f} s, {size:.0f} MB, ECSV {with_file:.0f} MB\n")
-    assert seconds < 2
-    assert size < 300
-    assert with_file < 300
+# -- Batches ----------------------------------------------------------------------------------------------------------
 
 
 def renumbered(content: Mapping[str, bytes], number: int) -> Files:
@@ -477,7 +370,7 @@ def renumbered(content: Mapping[str, bytes], number: int) -> Files:
     return made
 
 
-MANY = 24
+MANY = 12
 
 
 @pytest.fixture
@@ -500,14 +393,13 @@ def many(tmp_path: Path, two: Files) -> Path:
 def test_many_observations_run_through_with_a_bar(many: Path, tmp_path: Path, drawn_on: Callable[[int], str]) -> None:
     import pty
 
-    target, start = tmp_path / "all.csv", time.perf_counter()
+    target = tmp_path / "all.csv"
     ours, theirs = pty.openpty()
-    arguments = ["-m", "lunarsci.cli", *COMMAND, str(many), "-o", str(target)]
-    process = launched(arguments, stdout=subprocess.PIPE, stderr=theirs)
+    line = [sys.executable, "-m", "lunarsci.cli", *COMMAND, str(many), "-o", str(target)]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     drawn = drawn_on(ours)
-    assert process.communicate()[0] == ""
-    sys.stdout.write(f"\n{MANY} observations: {time.perf_counter() - start:.0f} s, {megabytes(drawn):.0f} MB\n")
+    assert process.communicate()[0] == b""
     assert process.returncode == 1
     assert "calibrating" in drawn
     shares = [int(share) for share in re.findall(r"(\d+)%", drawn)]

@@ -137,17 +137,13 @@ def test_two_libraries_with_one_id_do_not_go_together(run: Run, library: Path) -
     assert not library.with_name("both.ecsv").exists()
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_plot_draws(run: Run, library: Path, suffix: str) -> None:
-    magic = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
-    picture, again = (library.with_name(name + suffix) for name in "ab")
+def test_plot_draws(run: Run, library: Path) -> None:
+    picture, again = (library.with_name(f"{name}.svg") for name in "ab")
     done = run(*LIBRARY, "plot", library, "-o", picture)
     assert (done.code, done.out, done.err[0]) == (0, "", f"written: {picture}")
-    assert picture.read_bytes().startswith(magic[suffix])
     assert run(*LIBRARY, "plot", library, "--plot", again, "-q").code == 0
     assert picture.read_bytes() == again.read_bytes()
-    if suffix == ".svg":
-        assert "orthopyroxene: 3" in picture.read_text()
+    assert "orthopyroxene: 3" in picture.read_text()
 
 
 @pytest.mark.parametrize(
@@ -186,11 +182,6 @@ def test_a_bad_file_among_good_ones_is_named_and_the_rest_imported(run: Run, lab
     assert done.code == 1
     assert len(json.loads(done.out)["result"]["end_members"]) == 6
     assert [line for line in done.err if "bad.csv" in line]
-
-
-def test_other_commands_read_a_library(run: Run, library: Path) -> None:
-    done = run("spectra", "bands", library, "--json", "-q")
-    assert {spectrum["id"] for spectrum in json.loads(done.out)["result"]["spectra"]} >= {"ol-csv", "px-envi"}
 
 
 @pytest.mark.reference

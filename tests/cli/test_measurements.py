@@ -20,7 +20,7 @@ def numbers(value: object) -> list[float]:
 
 
 @pytest.mark.parametrize(("file", "count"), FILES)
-@pytest.mark.parametrize("continuum", ["conic", "hull", "linear"])
+@pytest.mark.parametrize("continuum", ["conic", "hull"])
 def test_bands(run: Callable[..., object], reference_data: Path, file: str, count: int, continuum: str) -> None:
     done = run("spectra", "bands", reference_data / "spectra" / file, "--continuum", continuum, "--json")
     # Among those of RELAB are olivines and plagioclases with water, as `test_narrow.py` counts them.

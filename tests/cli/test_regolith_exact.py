@@ -50,18 +50,6 @@ def test_exact_forces_lie_above_the_closed_form_and_have_moments(run: Run) -> No
     assert "overturning moment" in run(*FORCES, "--exact").out
 
 
-def test_bulldozing_and_rebound_are_taken_along(run: Run) -> None:
-    plain = result(run, *FORCES, "--exact")
-    more = result(run, *FORCES, "--exact", "--bulldozing", "hegedus", "--gravity", "9.81", "--rebound", "0.3")
-    assert more["lateral_force_n"] > plain["lateral_force_n"]
-    assert more["model"]["rebound"] == 0.3
-
-
-def test_a_load_is_carried_by_the_exact_integrals(run: Run) -> None:
-    found = result(run, "regolith", "forces", "--load", "37", "--slip", "0.2", "--exact", "--shear", "combined")
-    assert found["normal_force_n"] == pytest.approx(37, abs=1e-6)
-
-
 def test_choices_of_the_integrals_imply_them(run: Run) -> None:
     for choice in (("--bulldozing", "wong"), ("--rebound", "0.3"), ("--shear", "ellipse")):
         assert result(run, *FORCES, *choice) == result(run, *FORCES, *choice, "--exact")
@@ -103,25 +91,10 @@ def test_the_joint_posterior_has_one_reading(run: Run, drive: Path) -> None:
         infer(drive, reading="printed")
 
 
-def test_the_picture_shows_the_forces_that_were_asked_for(run: Run, tmp_path: Path) -> None:
-    pictures = [tmp_path / "closed.svg", tmp_path / "exact.svg"]
-    assert run(*FORCES, "--plot", pictures[0]).code == 0
-    assert run(*FORCES, "--exact", "--plot", pictures[1]).code == 0
-    assert pictures[0].read_bytes() != pictures[1].read_bytes()
-
-
 def test_slip_beyond_the_range_of_the_model_is_said(run: Run) -> None:
     done = run("regolith", "forces", "--sinkage", "0.012", "--slip", "0.7")
     assert done.code == 0
     assert any("beyond 0.6" in line for line in done.err)
-
-
-def test_slip_deepens_the_sinkage_and_the_soil_still_carries_the_load_alone(run: Run) -> None:
-    still = result(run, "regolith", "forces", "--load", "36")
-    found = result(run, "regolith", "forces", "--load", "36", "--slip", "0.3", "--slip-sinkage", "lyasko")
-    assert found["sinkage_m"] == pytest.approx(still["sinkage_m"] * 1.3 / 0.85, rel=1e-6)
-    assert found["normal_force_n"] == pytest.approx(36, rel=1e-6)
-    assert found["soil"]["stiffness_kpa_m_n"] < still["soil"]["stiffness_kpa_m_n"]
 
 
 def test_moduli_of_reece_make_the_moon_softer_than_the_earth(run: Run) -> None:
@@ -163,26 +136,12 @@ def test_states_and_options_that_make_no_sense_are_refused(run: Run, options: tu
     assert done.out == ""
 
 
-@pytest.mark.parametrize("exact", [(), ("--exact", "--shear", "combined")])
-def test_locked_wheels_and_side_slip_of_90_degrees_have_forces(run: Run, exact: tuple[str, ...]) -> None:
-    at = ("regolith", "forces", "--sinkage", "0.012", *exact)
-    locked, still = result(run, *at, "--slip", "-1"), result(run, *at, "--slip", "1", "--side-slip", "10")
-    sideways = result(run, *at, "--slip", "0.1", "--side-slip", "90")
-    assert locked["drawbar_pull_n"] < result(run, *at, "--slip", "-0.6")["drawbar_pull_n"] < 0
-    assert [locked["lateral_force_n"], still["lateral_force_n"]] == pytest.approx([0, 0], abs=1e-5)
-    assert sideways["lateral_force_n"] > result(run, *at, "--slip", "0.1", "--side-slip", "60")["lateral_force_n"] > 0
-
-
 @pytest.mark.parametrize("exact", [(), ("--exact",)])
 def test_a_pull_that_only_cohesion_gives_is_not_to_be_trusted(run: Run, exact: tuple[str, ...]) -> None:
     done = run("regolith", "forces", "--sinkage", "2e-7", "--slip", "0.2", *exact, "--json")
     assert done.code == 3
     assert "cohesion alone would pull" in done.err[-1]
     assert json.loads(done.out)["result"]["cohesion_share"] > 10
-
-
-def test_slip_beyond_what_was_measured_is_said(run: Run) -> None:
-    assert "beyond 0.6" in run("regolith", "forces", "--load", "36", "--slip", "0.7").err[0]
 
 
 def test_a_result_that_lacks_its_curves_is_refused_by_name(run: Run, tmp_path: Path) -> None:

@@ -58,14 +58,6 @@ def test_without_a_file_the_answers_are_printed(run: Run, rock: Path, tmp_path: 
     assert row["answer"] == section["answer"]
 
 
-def test_equal_results_give_equal_pages_without_time(run: Run, rock: Path, tmp_path: Path) -> None:
-    bands, first, second = (tmp_path / name for name in ("bands.json", "first.html", "second.html"))
-    run("spectra", "bands", rock, "-o", bands)
-    for page in (first, second):
-        run("report", bands, "-o", page, "--no-time")
-    assert first.read_bytes() == second.read_bytes()
-
-
 def test_what_is_no_result_is_refused(run: Run, rock: Path, tmp_path: Path) -> None:
     (tmp_path / "thing.json").write_text('{"a": 1}')
     for what in (tmp_path / "thing.json", rock, tmp_path / "nowhere.json"):

@@ -1,7 +1,6 @@
 """`lunarsci reproduce`."""
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -61,28 +60,10 @@ def test_examples_that_are_not_judged_stand_in_brackets(run: Callable[..., Any])
     assert "in brackets" in table.out
 
 
-@pytest.mark.parametrize(
-    ("part", "own", "other"),
-    [("soil", "cohesion", "slip-25deg"), ("spectra", "lcp-1um", "cohesion"), ("rock", "lcp-1um", "cohesion")],
-)
-def test_one_part_alone(run: Callable[..., Any], part: str, own: str, other: str) -> None:
-    found = run("reproduce", "--part", part)
-    assert found.code == 0
-    assert own in found.out
-    assert other not in found.out
-
-
 def test_evidence_is_one_flag_away(run: Callable[..., Any]) -> None:
     evidence = "b and F_N cannot be told apart"
     assert evidence not in run("reproduce", "--part", "soil").out
     assert evidence in run("reproduce", "--part", "soil", "-v").out
-
-
-def test_pages_of_each_part(run: Callable[..., Any], tmp_path: Path) -> None:
-    for part, pages in (("spectra", 1), ("soil", 3), ("drive", 2)):
-        target = tmp_path / f"{part}.pdf"
-        assert run("reproduce", "--part", part, "--plot", target).code == 0
-        assert len(re.findall(rb"/Type /Page\b", target.read_bytes())) == pages
 
 
 def test_spectra_of_a_boulder_are_looked_at(run: Callable[..., Any], rock: Path) -> None:
@@ -99,11 +80,6 @@ def test_what_is_no_spectrum_is_refused_in_one_line(run: Callable[..., Any], tmp
     failed = run("reproduce", "--part", "spectra", "--boulders", path)
     assert (failed.code, failed.out, len(failed.err)) == (1, "", 1)
     assert "notes.csv" in failed.err[0]
-
-
-def test_equal_runs_give_equal_bytes(run: Callable[..., Any]) -> None:
-    first, second = (run("reproduce", "--part", "drive", "--json", "--no-time").out for _ in range(2))
-    assert first == second
 
 
 def test_another_rover_drives_otherwise(run: Callable[..., Any]) -> None:

@@ -64,12 +64,6 @@ def test_a_circle_in_the_way_is_a_no_go(run: Run, plan: Path, y: float, code: in
     assert limit["min"] == pytest.approx(y - 0.3 - 0.525, abs=0.1) and limit["ok"] == (code == 0)
 
 
-def test_the_table_names_sense_ellipse_and_worst_drive(run: Run, plan: Path) -> None:
-    text = run("twin", "predict", plan).out
-    assert "≥ 0.05" in text and "≤ 0.3" in text
-    assert "error ellipse" in text and "worst drive: member" in text
-
-
 @pytest.mark.parametrize("name", ["drive.bmp", "drive"])
 def test_a_film_of_another_kind_is_wrong_usage(run: Run, plan: Path, tmp_path: Path, name: str) -> None:
     wrong = run("twin", "predict", plan, "--animate", tmp_path / name)

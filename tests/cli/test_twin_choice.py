@@ -142,11 +142,6 @@ def test_limits_of_a_mission_are_counted_and_written(run: Run, belief: Path, tmp
     assert done.code == 1 and "no [limits] in it" in done.err[0]
 
 
-def test_equal_runs_give_equal_bytes(run: Run, belief: Path) -> None:
-    first, second = (run(*BASE, "--risk", "0.2", "--soil", belief, "--json").out for _ in range(2))
-    assert first == second and len(first) > 1000
-
-
 def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
     """Maps, the search for candidates, and their drives (also those on fresh soils), none with a step back."""
     heard: list[tuple[int, int]] = []

@@ -104,10 +104,6 @@ def test_options_that_would_do_nothing_are_refused(run: Run, options: tuple[str,
     assert done.code == 2 and done.out == "" and options[-2] in " ".join(done.err)
 
 
-def test_a_seed_of_one_drive_is_refused(run: Run) -> None:
-    assert run("twin", "forces", "--seed", "4").code == 2
-
-
 def test_a_correlation_without_errors_and_a_plan_beside_commands_are_refused(
     run: Run, files: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.result import Abundance, MineralFraction, share_pages
 
 Run = Callable[..., Any]
 NM = np.arange(450.0, 2451.0, 10.0)
@@ -116,15 +115,6 @@ def test_the_first_table_is_the_shares(run: Run, mixtures: Path, tmp_path: Path)
     picture = tmp_path / "shares.pdf"
     assert run("spectra", "unmix", mixtures, *NAMED, "--plot", picture).code == 0
     assert len(re.findall(rb"/Type /Page\b", picture.read_bytes())) == 1
-
-
-def test_the_page_of_shares_names_spectra_and_minerals() -> None:
-    share = [MineralFraction(name, 0.5, 0.4, 0.6, 0.3, 0.7) for name in ("olivine", "orthopyroxene")]
-    [page] = share_pages([Abundance(id, "unmix", tuple(share), id == "a", "", 0.01) for id in ("a", "b")])
-    assert [panel.get_title() for panel in page.axes] == ["olivine", "orthopyroxene"]
-    assert [label.get_text() for label in page.axes[0].get_yticklabels()] == ["a", "b"]
-    faces = [line.get_markerfacecolor() for line in page.axes[0].lines if line.get_marker() == "o"]
-    assert faces[1] == "white" != faces[0]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lunarsci.cli import main
 
 import lunarsci
 from lunarsci.arrays import FloatArray
@@ -497,19 +496,6 @@ def test_three_detectors_with_few_channels_in_common_are_joined(
     assert len(spectrum.metadata["read_as"]) == 2
 
 
-@pytest.fixture
-def written(tmp_path: Path) -> Callable[[str], tuple[Written, Path]]:
-    """`written(kind)`: a file of the kind, and what must be read of it."""
-
-    def make(kind: str) -> tuple[Written, Path]:
-        made = KINDS[kind]
-        for name, content in made.files.items():
-            (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-        return made, tmp_path / next(iter(made.files))
-
-    return make
-
-
 def is_rock(spectrum: Spectrum, made: Written) -> bool:
     good = spectrum.usable
     off = np.abs(spectrum.reflectance / made.scale / rock(spectrum.wavelength_nm) - 1.0)[good].max()
@@ -523,14 +509,24 @@ def quietly(job: Callable[[], object]) -> object:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_rock_is_read_from_python(kind: str, written: Callable[[str], tuple[Written, Path]]) -> None:
-    made, path = written(kind)
+def test_the_rock_is_read(kind: str, tmp_path: Path) -> None:
+    made = KINDS[kind]
+    for name, content in made.files.items():
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    path = tmp_path / next(iter(made.files))
     spectra = list(quietly(lambda: read_spectra(str(path), **made.options)))  # type: ignore[call-overload]
     assert len(spectra) == made.count and all(is_rock(spectrum, made) for spectrum in spectra)
     for spectrum in spectra:
         assert (spectrum.uncertainty is None) == (made.sigma is None)
         if made.sigma is not None and spectrum.uncertainty is not None:
             np.testing.assert_allclose(spectrum.uncertainty[spectrum.usable], made.sigma, rtol=1e-4)
+    found = info(path)
+    assert (found.kind, found.trouble) == ("spectra", "")
+    answer = quietly(lambda: lunarsci.bands(str(path)).to_dict()["spectra"])
+    truth = expected()
+    for one in answer:  # type: ignore[attr-defined]
+        for band in ("bc1000_nm", "bc2000_nm"):
+            assert abs(one[band] - truth[band]) < 3
 
 
 @cache
@@ -538,19 +534,3 @@ def expected() -> dict[str, float]:
     """The bands of the rock as an array."""
     [found] = lunarsci.bands(NM, R).to_dict()["spectra"]
     return dict(found)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_rock_is_read_by_the_command_line(
-    kind: str, written: Callable[[str], tuple[Written, Path]], capfd: pytest.CaptureFixture[str]
-) -> None:
-    made, path = written(kind)
-    found = info(path)
-    assert (found.kind, found.trouble) == ("spectra", "")
-    assert main(["spectra", "bands", str(path), "--json", "--no-time"]) == 0
-    answer = json.loads(capfd.readouterr().out)["result"]["spectra"]
-    truth = expected()
-    assert len(answer) == made.count
-    for one in answer:
-        for band in ("bc1000_nm", "bc2000_nm"):
-            assert abs(one[band] - truth[band]) < 3

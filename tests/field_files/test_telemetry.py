@@ -22,7 +22,6 @@ from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telem
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 LONG = {"F": "front", "M": "middle", "R": "rear"}
 SIDE = {"L": "left", "R": "right"}
-EPOCH_S = 1_700_000_000
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 2.5\ncurvature_per_m = 0.15\n"
 
 

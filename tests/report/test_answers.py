@@ -248,7 +248,6 @@ def test_a_soil_map_is_told_by_its_zones(tmp_path: Path) -> None:
     )
     file = tmp_path / "map.json"
     for kept, drives, said in (
-        (zones[:1], "1 zone, from 1 drive. Zone 1 (out, 0.0 to 4.0 m): The soil for predictions", ""),
         (zones, "2 zones, from 2 drives.", "Zone 2: a drive: the wheels leaned"),
         ((), "", ""),
     ):
@@ -258,9 +257,9 @@ def test_a_soil_map_is_told_by_its_zones(tmp_path: Path) -> None:
         assert drives in told.text and (told.tone == DOUBT) == bool(said) and said in told.trust
         assert len(document.pictures) == (2 if kept else 0)
         assert any("alike over 5 m, which is assumed" in line for line in unknown(document))
+        if kept:
+            table = tables(document)[-1]
     assert "no zone yet" in told.text
-    file.write_bytes(soil_map_bytes(SoilMap(zones=zones)))
-    table = tables(read_results([file])[0][0])[-1]
     assert table.title == "zones" and [row[0] for row in table.rows] == ["zone 1", "zone 2"]
     assert any(header.startswith("cohesion") for header in table.headers)
 

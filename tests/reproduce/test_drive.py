@@ -9,7 +9,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
-from lunarsci.reproduce.drive import STAND_IN, Drives, drive_numbers, medians, predicted_drives
+from lunarsci.reproduce.drive import STAND_IN, Drives, drive_numbers, medians
 from lunarsci.reproduce.numbers import Number, published_numbers
 from lunarsci.reproduce.soil import Rolling
 from lunarsci.twin.rover import build_rover
@@ -22,11 +22,6 @@ VERDICTS = {
     "slip-55deg": "differs",
 }
 SOIL = read_soil("longji")
-
-
-@pytest.fixture(scope="module")
-def drives() -> Drives:
-    return predicted_drives()
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +117,5 @@ def test_examples_are_medians_and_extremes_of_what_was_driven(drives: Drives, nu
     assert numbers["ends-within"].ours == pytest.approx(np.hypot(*ends.T).max())
 
 
-def test_progress_counts_the_grounds() -> None:
-    told: list[tuple[int, int]] = []
-    predicted_drives(progress=lambda done, total: told.append((done, total)))
+def test_progress_counts_the_grounds(drives: Drives, told: list[tuple[int, int]]) -> None:
     assert told == [(k, 4) for k in range(1, 5)]

@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from chosen_drives import Proposal, judged, over_cost_map, shortest
-from chosen_report import report
+from chosen_drives import Proposal, judged, over_cost_map, report, shortest
 from cost_map import cost_map_legs
 from errands import Errand, errand, kept, other_truths
 

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop import ERRORS, measured, rows_of
-from loop_regions import after_past_returns, region
-from loop_report import interval, report, verdicts
+from loop import ERRORS, last_of_each, measured
+from loop_report import after_past_returns, interval, region, report, verdicts
 from mujoco_rover import Driven
 from true_drives import Case, way_back
 
@@ -70,7 +69,7 @@ def test_files_go_on_after_a_cut(tmp_path: Path) -> None:
     lines = [{"physics": "same", "seed": 1, "soil": n, "before_m": k} for n, k in ((0, 1.0), (1, 2.0), (0, 3.0))]
     file = tmp_path / "made_up.jsonl"
     file.write_text("\n".join([*map(json.dumps, lines), '{"physics": "sa']), encoding="utf-8")
-    assert [(row["soil"], row["before_m"]) for row in rows_of([file, tmp_path / "none"])] == [(0, 3.0), (1, 2.0)]
+    assert [(row["soil"], row["before_m"]) for row in last_of_each([file, tmp_path / "none"])] == [(0, 3.0), (1, 2.0)]
 
 
 def soil_ends(number: int) -> dict[str, Any]:
