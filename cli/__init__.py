@@ -1,5 +1,6 @@
 """The `lunarsci` command."""
 
+import ast
 import os
 import re
 import signal
@@ -9,6 +10,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -70,32 +72,42 @@ EXIT_CODES = (
 )
 
 
-def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
+def command_line(wanted: Collection[str] | None = None) -> typer.Typer:
     """The program; parts that are not wanted are left out or there by name alone, which spares importing them.
 
-    `wanted` has groups, single commands, and the commands wanted of a group; all of it where none is named.
+    `wanted` has groups, single commands, and the commands wanted of a group; None wants all.
     """
     program = typer.Typer(no_args_is_help=True, help=HELP, epilog=EXIT_CODES, context_settings=HELP_NAMES)
     program.callback()(lunarsci)
     for name, text in GROUPS.items():
         group = typer.Typer(no_args_is_help=True, help=text)
         group.callback()(lambda: None)
-        if name in wanted:
-            chosen = [one for one in COMMANDS[name] if one in wanted] or COMMANDS[name]
+        if wanted is None or name in wanted:
             for command in COMMANDS[name]:
-                _add(group, command, f".{name}.{command}" if command in chosen else "")
+                if wanted is None or command in wanted:
+                    import_module(f".{name}.{command}", __name__).add_to(group)
+                else:
+                    group.command(command, help=_summary(name, command))(lambda: None)
         program.add_typer(group, name=name)
     for name, text in SINGLE.items():
-        _add(program, name, f".{name}" if name in wanted else "", text)
+        if wanted is None or name in wanted:
+            import_module(f".{name}", __name__).add_to(program)
+        else:
+            program.command(name, help=text)(lambda: None)
     return program
 
 
-def _add(app: typer.Typer, name: str, module: str, text: str = "") -> None:
-    """A command from its module; without one, its name and its line of help alone."""
-    if module:
-        import_module(module, __name__).add_to(app)
-    else:
-        app.command(name, help=text)(lambda: None)
+def _summary(group: str, command: str) -> str:
+    """The first paragraph of a command's help, from its source, which is not run."""
+    tree = ast.parse(Path(__file__).with_name(group).joinpath(f"{command}.py").read_text("utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):  # a group of its own: typer.Typer(help=)
+            for part in node.value.keywords:
+                if part.arg == "help" and isinstance(part.value, ast.Constant):
+                    return str(part.value.value)
+        if isinstance(node, ast.FunctionDef) and node.returns and "Report" in ast.unparse(node.returns):
+            return " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
+    return ""
 
 
 @cache
@@ -107,7 +119,7 @@ def _program(*wanted: str) -> Callable[..., Any]:
 def _parts(arguments: Sequence[str]) -> list[str]:
     """Which parts of the program are needed: a group and its command, or those of what a shell wants to complete."""
     if COMPLETING not in os.environ:
-        return list(arguments[:2])
+        return [word for word in arguments if not word.startswith("-")][:2]
     typed = [word for name in TYPED for word in os.environ.get(name, "").split()]
     first = next((k for k, word in enumerate(typed) if word in (*GROUPS, *SINGLE)), len(typed))
     return typed[first : first + 2]
