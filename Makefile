@@ -15,7 +15,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help demo test quick studies mutants check docs fuzz man clean FORCE
+.PHONY: help demo test quick studies mutants newest check docs fuzz man clean FORCE
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -72,6 +72,13 @@ MUTANTS ?= --count 150
 mutants: $(VENV)/.tested ## faults planted at random in the science, and which of them no test sees; some hours
 	$(BIN)/python tests/benchmarks/mutants.py $(MUTANTS)
 
+# Compiled code stands on numba's insides, which may change with any release.
+newest: ## compiled code under the newest numba, whatever pyproject.toml allows, in .venv-newest
+	$(PYTHON) -m venv .venv-newest
+	.venv-newest/bin/python -m pip install --quiet --editable '.[test]'
+	.venv-newest/bin/python -m pip install --quiet --upgrade --no-deps numba llvmlite
+	NUMBA_CACHE_DIR=.venv-newest/numba .venv-newest/bin/python -m pytest tests/test_compiled.py tests/test_formulas.py tests/test_lanes.py tests/regolith
+
 fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py
 
@@ -79,5 +86,5 @@ man: $(VENV)/.installed ## manual pages, into share/man/man1
 	$(BIN)/python -m lunarsci.cli.manual share/man/man1
 
 clean: ## removes what make has made
-	rm -rf $(VENV) build dist *.egg-info lunarsci-demo share docs/_build docs/notebooks docs/jupyter_execute .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-newest build dist *.egg-info lunarsci-demo share docs/_build docs/notebooks docs/jupyter_execute .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
