@@ -15,8 +15,8 @@ from lunarsci.cli import main
 
 from lunarsci.errors import DataError
 from lunarsci.guide.info import info
+from lunarsci.images.camera import StereoRig
 from lunarsci.images.jobs.cameras import CameraSheet, cameras
-from lunarsci.images.rig import StereoRig
 from lunarsci.images.rig_files import read_rig, rig_text
 
 MATRIX = np.array([[700.0, 0.0, 410.0], [0.0, 702.0, 305.0], [0.0, 0.0, 1.0]])
