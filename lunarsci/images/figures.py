@@ -214,7 +214,6 @@ def _bar(figure: "Figure", shown: "AxesImage", axis: "Axes", label: str) -> None
     figure.colorbar(shown, ax=axis, orientation="horizontal", label=label, shrink=0.85, aspect=25)
 
 
-MARK = "#D55E00"
 LONG = 0.08
 """Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 

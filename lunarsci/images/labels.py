@@ -238,21 +238,21 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
     return np.asarray(left @ right)
 
 
-def count_of(name: str, told: str | float | None, what: str) -> int:
+def count_of(name: str, cell: str | float | None, what: str) -> int:
     """A number of pixels. Raises DataError for text, parts of one, and what no picture has."""
-    count = finite(name, what, str(told))
+    count = finite(name, what, str(cell))
     if not (1 <= count <= MOST_PX and count.is_integer()):
-        raise DataError(f"{name}: its {what} are {told}; a picture has 1 to {MOST_PX}")
+        raise DataError(f"{name}: its {what} are {cell}; a picture has 1 to {MOST_PX}")
     return int(count)
 
 
-def finite(name: str, tag: str, told: str) -> float:
+def finite(name: str, tag: str, cell: str) -> float:
     try:
-        value = float(told)
-    except ValueError as error:
-        raise DataError(f"{name}: {tag} is '{told}', no number; fetch it again") from error
+        value = float(cell)
+    except ValueError:
+        value = np.nan
     if not np.isfinite(value):
-        raise DataError(f"{name}: {tag} is {value}; fetch it again")
+        raise DataError(f"{name}: {tag} is '{cell}', no number; fetch it again")
     return value
 
 

@@ -2,8 +2,8 @@
 
 Semi-global matching (Hirschmueller 2008, 10.1109/TPAMI.2007.1166) of OpenCV gives where to begin, least squares on
 small windows of the rectified pictures go on: about a pixel the left picture is the right one, moved by a disparity
-that changes linearly over the window, times a gain, plus an offset (Gruen 1985, S. Afr. J. Photogramm. 14, 175: adaptive
-least squares correlation). The normal matrix and what is left of the light give the disparity's error.
+that changes linearly over the window, times a gain, plus an offset (Gruen 1985, S. Afr. J. Photogramm. 14, 175:
+adaptive least squares correlation). The normal matrix and what is left of the light give the disparity's error.
 
 Also what is wrong with two pictures that do not make a pair, as far as looking and trying tells.
 """

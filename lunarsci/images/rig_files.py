@@ -58,20 +58,8 @@ _SIDE = re.compile(r"^Camera([12])\.(\w+)$")
 _TERMS = ("k1", "k2", "p1", "p2", "k3")
 
 
-def written_tree(file: InputFile, start: str) -> Mapping[str, Any] | None:
-    """The keys that a file of COLMAP, Metashape, Videre or instant-ngp stands for; None of any other file.
-
-    Raises DataError for a model with terms that Brown's have not.
-    """
-    try:
-        return _written(file, start)
-    except DataError:
-        raise
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]}); export it again") from error
-
-
 def _written(file: InputFile, start: str) -> Mapping[str, Any] | None:
+    """The keys that a file of COLMAP, Metashape, Videre or instant-ngp stands for; None of any other file."""
     if _COLMAP.search(start):
         return {f"cam{one[1]}": _of_colmap(one) for one in _COLMAP.finditer(text(file))}
     if "[image]" in start and "camera matrix" in start:
@@ -83,7 +71,7 @@ def _written(file: InputFile, start: str) -> Mapping[str, Any] | None:
     return None
 
 
-def plainer(tree: Mapping[str, Any]) -> Mapping[str, Any]:
+def _plainer(tree: Mapping[str, Any]) -> Mapping[str, Any]:
     """The keys of settings of VINS and ORB-SLAM 3 as those of one camera, or of two and the way between them."""
     if isinstance(projection := tree.get("projection_parameters"), Mapping):
         lens = tree.get("distortion_parameters")
@@ -143,10 +131,7 @@ def _of_ini(content: str) -> dict[str, Any]:
 
 def _of_metashape(file: InputFile) -> dict[str, Any]:
     given = {child.tag: child.text or "" for child in xml_root(file.name, file.data)}
-    try:
-        number = {key: float(one) for key, one in given.items() if key not in ("projection", "date")}
-    except ValueError as error:
-        raise DataError(f"{file.name}: {error}; export the calibration again") from error
+    number = {key: float(one) for key, one in given.items() if key not in ("projection", "date")}
     if given.get("projection") != "frame" or number.get("b2") or number.get("k4"):
         raise DataError(
             f"{file.name}: a camera of Metashape with projection '{given.get('projection')}', b2 or k4; calibrate it "
@@ -164,16 +149,13 @@ def _of_metashape(file: InputFile) -> dict[str, Any]:
 
 
 def _of_transforms(file: InputFile) -> dict[str, Any]:
-    try:
-        given = json_document(text(file))
-        return {
-            "image_width": int(given["w"]),
-            "image_height": int(given["h"]),
-            "intrinsics": [given["fl_x"], given.get("fl_y", given["fl_x"]), given["cx"], given["cy"]],
-            "distortion": [given.get(term, 0.0) for term in _TERMS],
-        }
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{file.name}: transforms without {error}; a camera has fl_x, fl_y, cx, cy, w and h") from error
+    given = json_document(text(file))
+    return {
+        "image_width": int(given["w"]),
+        "image_height": int(given["h"]),
+        "intrinsics": [given["fl_x"], given.get("fl_y", given["fl_x"]), given["cx"], given["cy"]],
+        "distortion": [given.get(term, 0.0) for term in _TERMS],
+    }
 
 
 LengthUnit: TypeAlias = Literal["m", "cm", "mm"]
@@ -280,24 +262,28 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
     """The keys of a file of YAML or of OpenCV's XML that has cameras, or a way from one to the other; None of any
     other one. Raises DataError for one that is broken."""
     start = beginning(file)
-    if written := written_tree(file, start):
-        return written
-    if "<opencv_storage" in start:
-        found: Any = _of_element(xml_root(file.name, file.data))
-    elif not KEYS.search(start):
-        return None
-    else:
-        try:
-            found = yaml_document(text(file))
-        except ValueError as error:
-            if not SURELY.search(start):
-                return None
-            raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
-        try:
-            found = plainer(found) if isinstance(found, Mapping) else found
-        except (ValueError, TypeError, OverflowError) as error:
-            raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]})") from error
-    return found if isinstance(found, Mapping) and (_cameras_in(found) or _way_in(found)) else None
+    try:
+        if written := _written(file, start):
+            return written
+        if "<opencv_storage" in start:
+            tree = _of_element(xml_root(file.name, file.data))
+        else:
+            tree = _of_yaml(file, start) if KEYS.search(start) else None
+    except DataError:
+        raise
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]}); export it again") from error
+    return tree if isinstance(tree, Mapping) and (_cameras_in(tree) or _way_in(tree)) else None
+
+
+def _of_yaml(file: InputFile, start: str) -> Any:
+    try:
+        tree = yaml_document(text(file))
+    except ValueError as error:
+        if not SURELY.search(start):
+            return None
+        raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
+    return _plainer(tree) if isinstance(tree, Mapping) else tree
 
 
 def _of_element(node: "Element") -> Any:
