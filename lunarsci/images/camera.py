@@ -76,10 +76,9 @@ class Camera:
     def __post_init__(self) -> None:
         if not (self.width_px >= 2 and self.height_px >= 2):
             raise ParameterError(f"{self.name}: a picture of {self.width_px} x {self.height_px} px; give 2 or more")
-        if not (0 < self.fx_px < math.inf and 0 < self.fy_px < math.inf):
-            raise ParameterError(f"{self.name}: focal length {self.fx_px}, {self.fy_px} px; give numbers above 0")
-        if not np.isfinite(self.vector()).all():
-            raise ParameterError(f"{self.name}: an intrinsic parameter is not finite")
+        if not (self.fx_px > 0 and self.fy_px > 0 and np.isfinite(self.vector()).all()):
+            numbers = ", ".join(f"{name} {getattr(self, name)}" for name in INTRINSICS)
+            raise ParameterError(f"{self.name}: focal length above 0 and finite numbers are needed, not {numbers}")
 
     def vector(self) -> FloatArray:
         """The intrinsics in the order of `INTRINSICS`. (9,)"""
