@@ -264,6 +264,11 @@ def test_a_rig_file_with_swapped_cameras_is_refused_and_both_advices_work(tmp_pa
             "focal length above 0 and finite numbers are needed, not fx_px 0.0",
         ),
         ("image_width: 8\nK: " + "[" * 3000, "broken YAML"),
+        ('{"fl_x": 900, "cx": 4, "cy": 3, "h": 6}', "lacks something .'w'.; export it again"),
+        (
+            "<calibration><projection>frame</projection><f>much</f></calibration>",
+            "lacks something .could not convert string to float: 'much'.; export it again",
+        ),
     ],
 )
 def test_broken_files_are_refused_in_one_line(tmp_path: Path, content: str, said: str) -> None:
