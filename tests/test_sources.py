@@ -23,11 +23,11 @@ NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCEN
 """Names of numbers that say how exactly an answer is reckoned, or how it is told, not what it is."""
 SETTINGS = {
     "they are by definition what they are, or follow from others": (
-        "arrays.py: NORMAL_MAD", "parallel/blocks.py: UNITS", "images/camera_files.py: METRES",
+        "arrays.py: NORMAL_MAD", "parallel/blocks.py: UNITS", "images/rig_files.py: METRES",
         "compiled/lanes.py: LN_2_HIGH, LN_2_LOW",
         "regolith/inference/mode.py: RISES", "regolith/prior.py: NINETY_FIVE",
         "regolith/inference/verdict.py: OTHER_SIGNS",
-        "regolith/inference/verdict.py: UNITS", "images/camera_files.py: CORNER_PX",
+        "regolith/inference/verdict.py: UNITS", "images/rig_files.py: CORNER_PX",
         "spectra/abundance/mixing.py: UNIT_NM",
         "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
@@ -56,7 +56,7 @@ SETTINGS = {
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/cahv.py: RANGES", "images/refinement.py: SMALL_STEP_PX", "compiled/lanes.py: LARGEST",
+        "images/labels.py: RANGES", "images/matching.py: SMALL_STEP_PX", "compiled/lanes.py: LARGEST",
         "compiled/lanes.py: ROUNDING",
         "heights/projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST, DEEPEST",

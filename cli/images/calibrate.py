@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lunarsci.images.calibration import pictures_matching
 from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest, CalibratedCameras, calibrate_cameras
-from lunarsci.images.moments import matching
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -62,7 +62,7 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
 
     with progress("looking for the board", quiet=output.quiet) as update:
         found = calibrate_cameras(
-            matching(pictures), matching([right] if right else [], "right"), request, progress=update
+            pictures_matching(pictures), pictures_matching([right] if right else [], "right"), request, progress=update
         )
 
     def rig_file(_: Mapping[str, Any]) -> bytes:

@@ -19,7 +19,7 @@ LABEL_BYTES = 1 << 16
 
 def kind_of_rover_file(file: InputFile, start: str) -> str:
     """`camera`, `rig` or `terrain`; '' of any other file. `start` are its first lines. Raises DataError."""
-    from lunarsci.images.camera_files import is_rig, tree_of
+    from lunarsci.images.rig_files import is_rig, tree_of
 
     if LABEL_OF_CAMERA.search(start):
         return "camera"

@@ -1,20 +1,24 @@
-"""Pictures of tracks, rocks and merged maps."""
+"""Pictures of tracks, rocks, merged maps, elevation models, calibrated cameras and ties of stations."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import DOT_STYLES, INK, as_label, headline, legend_below, page
-from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.lines import places_on, unrolled
-from lunarsci.images.merge import MergedMap
+from lunarsci.figure import COLORS, DOT_STYLES, INK, LINE_STYLES, as_label, headline, legend_below, page
+from lunarsci.images.calibration import CameraCalibration
+from lunarsci.images.camera import Pose
+from lunarsci.images.elevation import ElevationModel, MergedMap
+from lunarsci.images.localisation import Localised
+from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
 from lunarsci.images.rocks import RockSurvey
-from lunarsci.images.tracks import TrackDepths, TrackProfile
+from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 MARK, BAND = "#D55E00", "#9fb4c0"
 
@@ -141,3 +145,192 @@ def merge_page(merged: MergedMap) -> "Figure":
     _map(axes[1, 0], model, count, "models [-]", cmap="Blues", vmin=0)
     _map(axes[1, 1], model, merged.z_score, "disagreement [standard errors]", cmap="RdBu_r", vmin=-4, vmax=4)
     return figure
+
+
+REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8f", "#3f74c9", "#003d2e")
+"""Of `REASONS` in their order; in grey each is by a tenth lighter or darker than the next."""
+
+
+def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Figure":
+    """Picture with disparities, reasons where there is none, heights, and random and common errors."""
+    figure = page(5.9)
+    axes = figure.subplots(2, 3)
+    title = f"{as_label(model.name)}: {matches.shares()['matched']:.0%} of the pixels matched"
+    headline(figure, title, synthetic=model.synthetic)
+    _matched_picture(axes[0, 0], matches)
+    _disparity(figure, axes[0, 1], matches)
+    _reasons(axes[0, 2], matches)
+    for axis, key, name in (
+        (axes[1, 0], "height_m", "height [m]"),
+        (axes[1, 1], "height_m_sigma", "random error [mm]"),
+        (axes[1, 2], "height_m_common_sigma", "common error [mm]"),
+    ):
+        _shown_map(figure, axis, model, key, name, pose)
+    return figure
+
+
+def _matched_picture(axis: "Axes", matches: StereoMatches) -> None:
+    low, high = np.percentile(matches.left, [0.5, 99.5])
+    axis.imshow(matches.left, cmap="gray", vmin=low, vmax=high)
+    axis.set_title("left picture, rectified")
+    axis.set_axis_off()
+
+
+def _disparity(figure: "Figure", axis: "Axes", matches: StereoMatches) -> None:
+    shown = axis.imshow(matches.disparity, cmap="viridis", interpolation="nearest")
+    axis.set_title("disparity")
+    axis.set_axis_off()
+    _bar(figure, shown, axis, "disparity [px]")
+
+
+def _reasons(axis: "Axes", matches: StereoMatches) -> None:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    axis.imshow(matches.reason, cmap=ListedColormap(REASON_COLOURS), vmin=-0.5, vmax=len(REASONS) - 0.5)
+    axis.set_title("why there is no disparity")
+    shares = list(matches.shares().values())
+    handles = [
+        Patch(facecolor=colour, edgecolor="0.5", label=f"{name} {share:.1%}")
+        for colour, name, share in zip(REASON_COLOURS, REASONS, shares, strict=True)
+        if share >= 0.0005 or name == REASONS[MATCHED]
+    ]
+    axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.03), frameon=False, ncols=2)
+    axis.set_axis_off()
+
+
+def _shown_map(figure: "Figure", axis: "Axes", model: ElevationModel, key: str, name: str, pose: Pose) -> None:
+    scale = 1e3 if "mm" in name else 1.0
+    values = scale * model.layer(key)
+    low, high = np.nanpercentile(values, [2, 98])
+    colours = "cividis" if key == "height_m" else "viridis"
+    shown = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
+    axis.plot(*pose.center_m[:2], marker="^", color=COLORS[1], markeredgecolor="white", clip_on=False)
+    axis.set(title=name.partition(" [")[0], xlabel="x [m]", ylabel="y [m]")
+    _bar(figure, shown, axis, name)
+
+
+def _bar(figure: "Figure", shown: "AxesImage", axis: "Axes", label: str) -> None:
+    figure.colorbar(shown, ax=axis, orientation="horizontal", label=label, shrink=0.85, aspect=25)
+
+
+LONG = 0.08
+"""Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
+
+
+def calibration_page(found: "CameraCalibration", name: str) -> "Figure":
+    """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
+    count = len(found.cameras)
+    figure = page(6.0 if count > 1 else 3.6)
+    headline(figure, f"{as_label(name, 60)}: residuals {found.residual_px:.3f} px")
+    axes: Any = figure.subplots(2, 2) if count > 1 else figure.subplots(1, 2)[None]
+    for k in range(count):
+        _calibration_residuals(figure, axes[0, k], found, k)
+        _by_moment(axes[1, k] if count > 1 else axes[0, 1], found, k)
+    legend_below(figure, axes.flat)
+    return figure
+
+
+def _calibration_residuals(figure: "Figure", axis: "Axes", found: "CameraCalibration", index: int) -> None:
+    camera, rows = found.cameras[index], found.residuals[index]
+    u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 25), np.linspace(0, camera.height_px - 1, 21))
+    uncertain = found.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
+    top = float(np.nanpercentile(uncertain, 98))
+    shown = axis.pcolormesh(u, v, uncertain, cmap="Blues", vmin=0, vmax=top, shading="gouraud")
+    figure.colorbar(shown, ax=axis, orientation="horizontal", label="uncertainty of a direction [px]", shrink=0.8)
+    scale = 3 * found.residual_px / (LONG * camera.width_px)
+    arrows = axis.quiver(
+        *rows[:, 1:].T, angles="xy", scale_units="xy", scale=scale, width=0.002, color=MARK, headwidth=3
+    )
+    axis.quiverkey(arrows, 0.85, 1.03, 3 * found.residual_px, f"{3 * found.residual_px:.2f} px", labelpos="E")
+    axis.set(xlim=(0, camera.width_px), ylim=(camera.height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    axis.set_title(f"{camera.name}: {len(rows)} points", loc="left")
+
+
+def _by_moment(axis: "Axes", found: "CameraCalibration", index: int) -> None:
+    rows = found.residuals[index]
+    moments = np.unique(rows[:, 0]).astype(int)
+    rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]
+    axis.bar(moments + 1, rms, color=INK)
+    axis.axhline(found.residual_px, color=MARK, lw=1, label="all pictures")
+    axis.set(xlabel="picture, in the order given [-]", ylabel="rms of residuals [px]")
+    axis.set_title(found.cameras[index].name, loc="left")
+
+
+def range_page(
+    names: Sequence[str], ranges_m: FloatArray, random_m: Sequence[FloatArray], common_m: Sequence[FloatArray]
+) -> "Figure":
+    """Random and common error of the range of a single point, by its range."""
+    figure = page(4.0 + 0.15 * 2 * len(names), 5.6)
+    axis: Any = figure.subplots()
+    for k, name in enumerate(names):
+        look: Any = LINE_STYLES[k % len(LINE_STYLES)]
+        axis.plot(ranges_m, 1e3 * random_m[k], label=f"{as_label(name)}: random", **look)
+        if (common_m[k] > 0).any():
+            axis.plot(ranges_m, 1e3 * common_m[k], marker=".", label=f"{as_label(name)}: common", **look)
+    axis.set(xscale="log", yscale="log", xlabel="range [m]", ylabel="error of the range, one standard deviation [mm]")
+    axis.set_xticks([1, 2, 3, 5, 10, 20], ["1", "2", "3", "5", "10", "20"])
+    axis.set_xticks([], minor=True)
+    axis.grid()
+    legend_below(figure, axis, 2)
+    return figure
+
+
+ARROW = 30.0
+"""Residuals are drawn so many times as long."""
+
+
+def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "Figure":
+    """Picture of one pair's ties: in the farther and the nearer left picture, residuals, and a plan of stations."""
+    pair, adjusted = found.pairs[number], found.adjusted
+    far, near = found.stations[pair.far], found.stations[pair.near]
+    figure = page(7.2)
+    parts: Any = figure.subfigures(2, 1)
+    above, below = parts
+    (left, right), (residuals, plan) = above.subplots(1, 2), below.subplots(1, 2)
+    title = f"{as_label(far.name)} and {as_label(near.name)}: {len(pair.ties.correlation)} ties"
+    headline(figure, f"{title}; a tie has the same colour in both pictures", synthetic=synthetic)
+    colours = np.arange(len(pair.ties.correlation), dtype=float)
+    _ties_picture(left, far.matches.left, pair.ties.far_px, colours, f"{as_label(far.name)}, from afar")
+    _ties_picture(right, near.matches.left, pair.ties.near_px, colours, f"{as_label(near.name)}, from near")
+    off = adjusted.residual_px[number]
+    _ties_residuals(residuals, pair.ties.far_px, off, adjusted.weights[number])
+    _plan(plan, found)
+    legend_below(below, plan, 2)
+    return figure
+
+
+def _ties_picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
+    low, high = np.percentile(light, [0.5, 99.5])
+    axis.imshow(np.sqrt(np.clip(light, 0, high)), cmap="gray", vmin=np.sqrt(max(low, 0)), vmax=np.sqrt(high))
+    axis.scatter(places[:, 0], places[:, 1], c=colours, s=14, cmap="viridis", edgecolors="white", linewidths=0.5)
+    axis.set_title(title)
+    axis.set_axis_off()
+
+
+def _ties_residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: FloatArray) -> None:
+    shown = axis.quiver(
+        *places.T, *(ARROW * off).T, weights, angles="xy", scale_units="xy", scale=1, cmap="viridis", clim=(0, 1)
+    )
+    axis.invert_yaxis()
+    axis.set(xlabel="u [px]", ylabel="v [px]")
+    axis.set_title(f"residuals, {ARROW:g} times as long; median {np.median(np.linalg.norm(off, axis=1)):.2f} px")
+    axis.figure.colorbar(shown, ax=axis, orientation="horizontal", label="weight of the tie [-]", shrink=0.8)
+
+
+def _plan(axis: "Axes", found: Localised) -> None:
+    """Stations by dead reckoning and by ties, with ellipses of 95 %, drawn larger where they would not be seen."""
+    from matplotlib.patches import Ellipse
+
+    told = np.array([s.pose.center_m[:2] for s in found.stations])
+    now = np.array([p.center_m[:2] for p in found.poses])
+    axis.plot(*told.T, "o--", color="0.5", label="dead reckoning")
+    axis.plot(*now.T, "^-", color=COLORS[1], label="by ties")
+    for k in range(1, len(now)):
+        own = found.covariance[6 * k - 3 : 6 * k - 1, 6 * k - 3 : 6 * k - 1]
+        sizes, ways = np.linalg.eigh(own)
+        turn = np.degrees(np.arctan2(ways[1, 1], ways[0, 1]))
+        width, height = 2 * 2.448 * np.sqrt(np.maximum(sizes[::-1], 0)) * 10
+        axis.add_patch(Ellipse(tuple(now[k]), width, height, angle=turn, fill=False, color=COLORS[1]))
+    axis.set(xlabel="x [m]", ylabel="y [m]", title="left cameras; ellipses of 95 %, ten times as large")
+    axis.set_aspect("equal", adjustable="datalim")

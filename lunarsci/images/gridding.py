@@ -9,11 +9,9 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError
-from lunarsci.images.camera import Pose
+from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.matching import StereoMatches
-from lunarsci.images.refinement import HALF_PX
-from lunarsci.images.rig import StereoRig
+from lunarsci.images.matching import HALF_PX, StereoMatches
 
 COMMON_NODES = 4
 """Distance of the nodes at which the rig's errors are computed; they change slowly between these."""

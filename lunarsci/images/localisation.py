@@ -16,8 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError
-from lunarsci.images.camera import Pose, rotation_of, vector_of
-from lunarsci.images.rig import PARAMETERS, StereoRig
+from lunarsci.images.camera import PARAMETERS, Pose, StereoRig, rotation_of, vector_of
 from lunarsci.images.ties import (
     ENOUGH,
     FARTHEST_M,

@@ -1,21 +1,510 @@
-"""Stereo rigs by name, from TOML files, and from the labels of two pictures."""
+"""Stereo rigs and cameras: by name, from TOML files, from the labels of two pictures, and as other programs write them.
 
+ROS: https://docs.ros.org/en/noetic/api/sensor_msgs/html/msg/CameraInfo.html, and Videre's INI. OpenCV:
+`cv::FileStorage`, which is YAML with a head and tags that no reader of YAML takes, and XML. Kalibr:
+https://github.com/ethz-asl/kalibr/wiki/yaml-formats. COLMAP (https://colmap.github.io/format.html) and Metashape (user
+manual, appendix on camera models) count pixels from the corner of the first one, so that its centre is at 0.5; OpenCV
+from its centre. Also VINS, ORB-SLAM 3 and instant-ngp.
+"""
+
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError
-from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
-from lunarsci.images.camera_files import rig_or_camera
-from lunarsci.images.labels import rig_of_labels
-from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of, is_swapped
-from lunarsci.io.documents import toml_document
-from lunarsci.io.inputs import InputFile, read_input, text
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.images.camera import (
+    INTRINSICS,
+    PARAMETERS,
+    RELATIVE,
+    Camera,
+    Pose,
+    Sensor,
+    StereoRig,
+    covariance_of,
+    is_swapped,
+    rotation_of,
+    vector_of,
+)
+from lunarsci.images.labels import COARSE_PX, CahvModel, count_of, fit_cahv, orthonormal, rig_of_labels
+from lunarsci.images.pictures import open_cv
+from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
+from lunarsci.io.inputs import InputFile, beginning, read_input, text
+
+COLMAP: Mapping[str, tuple[str, ...]] = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+}
+"""Models of COLMAP and their numbers, in order."""
+CORNER_PX = 0.5
+"""From the corner of the first pixel to its centre."""
+_COLMAP = re.compile(rf"^\s*(\d+)\s+({'|'.join(COLMAP)})\s+(\d+)\s+(\d+)\s+(.*)$", re.MULTILINE)
+_SECTION = re.compile(r"^\s*\[([^\]]+)\]\s*$", re.MULTILINE)
+_BLOCK = re.compile(r"^(camera matrix|distortion|rectification|projection)\s*\n((?:[-+\d.eE \t]+\n?)+)", re.MULTILINE)
+_SIZE = re.compile(r"^(width|height)\s+(\d+)", re.MULTILINE)
+_SIDE = re.compile(r"^Camera([12])\.(\w+)$")
+_TERMS = ("k1", "k2", "p1", "p2", "k3")
+
+
+def _written(file: InputFile, start: str) -> Mapping[str, Any] | None:
+    """The keys that a file of COLMAP, Metashape, Videre or instant-ngp stands for; None of any other file."""
+    if _COLMAP.search(start):
+        return {f"cam{one[1]}": _of_colmap(one) for one in _COLMAP.finditer(text(file))}
+    if "[image]" in start and "camera matrix" in start:
+        return _of_ini(text(file))
+    if "<calibration>" in start and "<projection>" in start:
+        return _of_metashape(file)
+    if start.lstrip().startswith("{") and re.search(r'"fl_x"\s*:', start):
+        return _of_transforms(file)
+    return None
+
+
+def _plainer(tree: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The keys of settings of VINS and ORB-SLAM 3 as those of one camera, or of two and the way between them."""
+    if isinstance(projection := tree.get("projection_parameters"), Mapping):
+        lens = tree.get("distortion_parameters")
+        tree = {key: one for key, one in tree.items() if not isinstance(one, Mapping)}
+        if {"mu", "mv", "u0", "v0"} <= {*projection}:
+            place = [projection[name] for name in ("mu", "mv", "u0", "v0")]
+            own = {"d": [projection.get(f"k{k}", 0.0) for k in range(2, 6)], "distortion_model": "equidistant"}
+            return {**tree, "intrinsics": place, **own}
+        return {**tree, **projection, **(lens if isinstance(lens, Mapping) else {})}
+    sides = {str(key): match for key in tree if (match := _SIDE.match(str(key)))}
+    if not sides:
+        return tree
+    shared = {"image_width": tree.get("Camera.width"), "image_height": tree.get("Camera.height")}
+    shared |= {"distortion_model": "equidistant"} if "Kannala" in str(tree.get("Camera.type")) else {}
+    cameras = dict[str, dict[str, Any]]()
+    for key, match in sides.items():
+        cameras.setdefault(match[1], dict(shared))[match[2]] = tree[key]
+    if len(cameras) == 1:
+        return next(iter(cameras.values()))
+    between = tree.get("Stereo.T_c1_c2")
+    if isinstance(between, Mapping) and len(between.get("data", ())) == 16:
+        matrix = np.linalg.inv(np.array(between["data"], dtype=float).reshape(4, 4))
+        cameras["2"]["T_cn_cnm1"] = matrix.tolist()
+    return {"left": cameras["1"], "right": cameras["2"]}
+
+
+def _of_colmap(found: re.Match[str]) -> dict[str, Any]:
+    given = dict(zip(COLMAP[found[2]], map(float, found[5].split()), strict=False))
+    size = given.get("f", 0.0)
+    fx, fy = given.get("fx", size), given.get("fy", size)
+    fisheye = found[2] == "OPENCV_FISHEYE"
+    terms = ("k1", "k2", "k3", "k4") if fisheye else (*_TERMS, "k4", "k5", "k6")
+    return {
+        "image_width": int(found[3]),
+        "image_height": int(found[4]),
+        "intrinsics": [fx, fy, given.get("cx", 0.0) - CORNER_PX, given.get("cy", 0.0) - CORNER_PX],
+        "distortion": [given.get(term, 0.0) for term in terms],
+        "distortion_model": "equidistant" if fisheye else "",
+    }
+
+
+def _of_ini(content: str) -> dict[str, Any]:
+    parts = _SECTION.split(content)
+    size = dict(_SIZE.findall(parts[parts.index("image") + 1]))
+    cameras = dict[str, dict[str, Any]]()
+    for name, body in zip(parts[1::2], parts[2::2], strict=True):
+        own = {match[1]: [float(one) for one in match[2].split()] for match in _BLOCK.finditer(body)}
+        if "camera matrix" in own:
+            words = {"camera matrix": "camera_matrix", "distortion": "distortion_coefficients"}
+            cameras[name] = {
+                **{words.get(key, f"{key}_matrix"): values for key, values in own.items()},
+                "image_width": int(size["width"]),
+                "image_height": int(size["height"]),
+            }
+    return dict(cameras)
+
+
+def _of_metashape(file: InputFile) -> dict[str, Any]:
+    given = {child.tag: child.text or "" for child in xml_root(file.name, file.data)}
+    number = {key: float(one) for key, one in given.items() if key not in ("projection", "date")}
+    if given.get("projection") != "frame" or number.get("b2") or number.get("k4"):
+        raise DataError(
+            f"{file.name}: a camera of Metashape with projection '{given.get('projection')}', b2 or k4; calibrate it "
+            "as frame with k1 to k3, p1 and p2 alone"
+        )
+    width, height, size = (number.get(key, 0.0) for key in ("width", "height", "f"))
+    middle = [0.5 * width + number.get("cx", 0.0) - CORNER_PX, 0.5 * height + number.get("cy", 0.0) - CORNER_PX]
+    terms = [number.get(key, 0.0) for key in ("k1", "k2", "p2", "p1", "k3")]
+    return {
+        "image_width": int(width),
+        "image_height": int(height),
+        "intrinsics": [size + number.get("b1", 0.0), size, *middle],
+        "distortion": terms,
+    }
+
+
+def _of_transforms(file: InputFile) -> dict[str, Any]:
+    given = json_document(text(file))
+    return {
+        "image_width": int(given["w"]),
+        "image_height": int(given["h"]),
+        "intrinsics": [given["fl_x"], given.get("fl_y", given["fl_x"]), given["cx"], given["cy"]],
+        "distortion": [given.get(term, 0.0) for term in _TERMS],
+    }
+
+
+LengthUnit: TypeAlias = Literal["m", "cm", "mm"]
+METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+USUAL_BASELINE_M = 0.2
+"""Of stereo rigs on rovers: 0.1 m (hazard cameras) to 0.42 m (Maki et al. 2003, 10.1029/2003JE002077). [m]"""
+BROWN = ("k1", "k2", "p1", "p2", "k3")
+"""Terms of Brown in the order of OpenCV, ROS and Kalibr."""
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "matrix": ("cameramatrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics"),
+    "lens": ("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoeff", "distortion", "dist", "d"),
+    "model": ("distortionmodel",),
+    "width": ("imagewidth", "width"),
+    "height": ("imageheight", "height"),
+    "size": ("imagesize", "resolution", "imagedimensions"),
+    "rectification": ("rectificationmatrix", "r"),
+    "projection": ("projectionmatrix", "p"),
+    "name": ("cameraname",),
+    "body": ("tbs",),
+}
+"""What is read of a camera, by names in small letters without what is between them."""
+TURN = ("r", "rotation", "rotationmatrix", "rot", "rmat")
+SHIFT = ("t", "translation", "translationvector", "trans", "tvec", "transvector")
+SIDES = (("1", "left", "l"), ("2", "right", "r"))
+"""What names of a file of two cameras begin or end with."""
+ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
+"""Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
+FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
+NO_LENS = ("none", "")
+KEYS = re.compile(
+    r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
+    r"[ \t]*:",
+    re.MULTILINE | re.IGNORECASE,
+)
+"""A line that a file of cameras in YAML has."""
+SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
+"""What no other text has."""
+STATED = "errors: a file of this kind states none"
+CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WrittenCamera:
+    """A camera as a file has it.
+
+    Attributes
+    ----------
+    camera : of the picture as it is taken.
+    rectification, projection : R (3, 3) and P (3, 4) of ROS; None where the file has none.
+    body : of EuRoC, from the camera's frame to that of the body (4, 4); None where the file has none.
+    remarks : how it was read, where there was a choice.
+    """
+
+    camera: Camera
+    rectification: FloatArray | None = None
+    projection: FloatArray | None = None
+    body: FloatArray | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """How it was read, and what P says of its partner."""
+        apart = float(np.linalg.norm(self.from_partner_m))
+        partner = (f"P: {apart:.4g} m from its partner, whose file makes a rig with this one",) if apart else ()
+        return (*self.remarks, *partner, STATED)
+
+    @property
+    def from_partner_m(self) -> FloatArray:
+        """Where its partner's centre is in its rectified frame, by P. (3,) [m]"""
+        given = self.projection
+        if given is None or not given[0, 0] > 0 or not given[1, 1] > 0:
+            return np.zeros(3)
+        return np.array([given[0, 3] / given[0, 0], given[1, 3] / given[1, 1], 0.0])
+
+
+class _Way(NamedTuple):
+    """From one camera's frame to another one's: a rotation (3, 3), a translation (3,), and its unit if one is sure."""
+
+    rotation: FloatArray
+    translation: FloatArray
+    unit: LengthUnit | None
+
+    @classmethod
+    def of(cls, matrix: FloatArray) -> "_Way":
+        """Of a matrix (4, 4) in metres."""
+        return cls(matrix[:3, :3], matrix[:3, 3], "m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _LensModel(CahvModel):
+    """A camera at the origin with a lens of OpenCV that is not Brown's: rational, thin prism, or fish-eye."""
+
+    lens: FloatArray
+    fisheye: bool
+
+    def project(self, points: FloatArray) -> FloatArray:
+
+        cv2, matrix = open_cv(), np.stack([self.vectors[name] for name in "HVA"])
+        own = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
+        return np.asarray(own(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, self.lens)[0])[:, 0]
+
+
+def tree_of(file: InputFile) -> Mapping[str, Any] | None:
+    """The keys of a file of YAML or of OpenCV's XML that has cameras, or a way from one to the other; None of any
+    other one. Raises DataError for one that is broken."""
+    start = beginning(file)
+    try:
+        if written := _written(file, start):
+            return written
+        if "<opencv_storage" in start:
+            tree = _of_element(xml_root(file.name, file.data))
+        else:
+            tree = _of_yaml(file, start) if KEYS.search(start) else None
+    except DataError:
+        raise
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]}); export it again") from error
+    return tree if isinstance(tree, Mapping) and (_cameras_in(tree) or _way_in(tree)) else None
+
+
+def _of_yaml(file: InputFile, start: str) -> Any:
+    try:
+        tree = yaml_document(text(file))
+    except ValueError as error:
+        if not SURELY.search(start):
+            return None
+        raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
+    return _plainer(tree) if isinstance(tree, Mapping) else tree
+
+
+def _of_element(node: "Element") -> Any:
+    if len(node):
+        return {child.tag: _of_element(child) for child in node}
+    words = (node.text or "").split()
+    return words[0] if len(words) == 1 else words
+
+
+def _flattened(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys in small letters without what is between them; intrinsics that have a key each as a matrix and its lens."""
+    found = {re.sub(r"[^a-z0-9]", "", str(key).lower()): value for key, value in tree.items()}
+    found = {
+        key.removeprefix("camera") if key[6:] not in ("matrix", "name") else key: one for key, one in found.items()
+    }
+    cells = [next((found[name] for name in names if name in found), None) for names in ONE_BY_ONE]
+    if None not in cells:
+        found |= {"intrinsics": cells}
+        found |= {"d": [found.get(term, 0.0) for term in BROWN]} if "k1" in found else {}
+    return found
+
+
+def _part(tree: Mapping[str, Any], side: Sequence[str]) -> dict[str, Any]:
+    """Keys of one camera of two, without what tells the camera, and those that both share."""
+    found = dict(tree)
+    for key, value in tree.items():
+        for mark in side:
+            for name in (key.removeprefix(mark), key.removesuffix(mark)):
+                if name != key and any(name in names for names in NAMES.values()):
+                    found[name] = value
+    return found
+
+
+def _has_camera(tree: Mapping[str, Any]) -> bool:
+    matrix = next((tree[name] for name in NAMES["matrix"] if name in tree), None)
+    return matrix is not None and len(_floats(matrix)) in (4, 9)
+
+
+def _cameras_in(tree: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Cameras of a file, by name: one, those of a chain, or two whose names tell them apart."""
+    chain = [(str(key), _flattened(value)) for key, value in tree.items() if isinstance(value, Mapping)]
+    if nested := [(key, value) for key, value in chain if _has_camera(value)]:
+        return nested
+    own = _flattened(tree)
+    if _has_camera(own):
+        return [(str(own.get("cameraname", "")), own)]
+    parts = [(side[1], _part(own, side)) for side in SIDES]
+    return [(name, part) for name, part in parts if _has_camera(part)]
+
+
+def _way_in(tree: Mapping[str, Any]) -> "_Way | None":
+    """The way from the first camera's frame to the second one's, if a file has one."""
+    own = _flattened(tree)
+    for value in tree.values():
+        chain = _floats(_flattened(value).get("tcncnm1", ())) if isinstance(value, Mapping) else np.empty(0)
+        if chain.size == 16:
+            return _Way.of(chain.reshape(4, 4))
+    shift, turn = (next((_floats(own[name]) for name in names if name in own), np.empty(0)) for names in (SHIFT, TURN))
+    if shift.size != 3 or turn.size not in (3, 9):
+        return None
+    return _Way(rotation_of(turn) if turn.size == 3 else turn.reshape(3, 3), shift, None)
+
+
+def _floats(value: Any) -> FloatArray:
+    """Numbers of a list, of lists, or of a matrix with `data`; none where something in it is no number."""
+    if isinstance(value, Mapping):
+        value = value.get("data", ())
+    try:
+        return np.array([float(one) for one in _flat(value)])
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def _flat(value: Any) -> Iterator[Any]:
+    if isinstance(value, list | tuple):
+        for one in value:
+            yield from one if isinstance(one, list | tuple) else (one,)
+    else:
+        yield value
+
+
+def _camera_of(file: str, name: str, tree: Mapping[str, Any]) -> WrittenCamera:
+    """Raises DataError for one that lacks something."""
+    found = {what: next((tree[key] for key in names if key in tree), None) for what, names in NAMES.items()}
+    matrix, lens = _floats(found["matrix"]), _floats([] if found["lens"] is None else found["lens"])
+    fx, fy, cx, cy = matrix if matrix.size == 4 else matrix[[0, 4, 2, 5]]
+    size = [found["width"], found["height"]]
+    if None in size:
+        size = list(_floats(found["size"])) if found["size"] is not None else []
+    if len(size) != 2:
+        raise DataError(f"{file}: the size of the picture is missing; add image_width: … and image_height: …")
+    width, height = (count_of(file, one, what) for one, what in zip(size, ("samples", "lines"), strict=True))
+    own = {"fx_px": float(fx), "fy_px": float(fy), "cx_px": float(cx), "cy_px": float(cy)}
+    plain = Camera(name=str(found["name"] or name or file), width_px=width, height_px=height, **own)
+    model = str(found["model"] or "").lower().replace("_", "").replace(" ", "")
+    camera, remarks = _bent(plain, lens, model)
+    turn, onto, body = (_floats(found[key]) for key in ("rectification", "projection", "body"))
+    return WrittenCamera(
+        camera=camera,
+        rectification=orthonormal(turn.reshape(3, 3)) if turn.size == 9 and turn.any() else None,
+        projection=onto.reshape(3, 4) if onto.size == 12 else None,
+        body=body.reshape(4, 4) if body.size == 16 else None,
+        remarks=remarks,
+    )
+
+
+def _bent(plain: Camera, lens: FloatArray, model: str) -> tuple[Camera, tuple[str, ...]]:
+    """A camera with its lens: Brown's terms as they are, any other by the nearest ones."""
+    fisheye = model in FISHEYE
+    if not lens.any() and not fisheye:
+        return plain, ()
+    if model == "fov" or lens.size > 14:
+        raise ParameterError(f"{plain.name}: a lens '{model}' of {lens.size} numbers is not known; give plumb_bob")
+    if not fisheye and not lens[len(BROWN) :].any():
+        terms = dict(zip(BROWN, map(float, lens), strict=False))
+        return replace(plain, **terms), ()  # type: ignore[arg-type]
+    vectors = {"C": np.zeros(3), "A": np.array([0.0, 0.0, 1.0])}
+    vectors |= {"H": np.array([plain.fx_px, 0.0, plain.cx_px]), "V": np.array([0.0, plain.fy_px, plain.cy_px])}
+    size = {"width_px": plain.width_px, "height_px": plain.height_px}
+    fitted = fit_cahv(_LensModel(vectors=vectors, lens=lens, fisheye=fisheye, **size), plain.name)
+    missed = (
+        f"a {'fish-eye' if fisheye else 'rational'} lens, fitted by Brown's terms to {fitted.residual_max_px:.2g} px"
+    )
+    doubt = "; its edge is not to be trusted" if fitted.residual_max_px > COARSE_PX else ""
+    return fitted.camera, (missed + doubt,)
+
+
+def is_rig(file: InputFile) -> bool:
+    """Whether a file by itself has two cameras, and the way between them. Raises DataError for a broken one."""
+    tree = tree_of(file)
+    return tree is not None and len(_cameras_in(tree)) == 2 and _way_in(tree) is not None
+
+
+def rig_or_camera(files: Sequence[InputFile], unit: LengthUnit | None = None) -> "StereoRig | WrittenCamera | None":
+    """The rig, or the one camera, that one or two files of ROS, OpenCV or Kalibr tell; None where one is none of these.
+
+    Two files are of the left and the right camera, or of both cameras and of the way between them. `unit` is that of
+    OpenCV's translation, whose file never says it. Raises DataError.
+    """
+    trees = [tree for file in files if (tree := tree_of(file)) is not None]
+    if not trees or len(trees) < len(files):
+        return None
+    told = ", ".join(file.name for file in files)
+    try:
+        named = [(file.name, *one) for file, tree in zip(files, trees, strict=True) for one in _cameras_in(tree)]
+        cameras = [_camera_of(*one) for one in named]
+        if len(cameras) == 1 and len(files) == 1:
+            return cameras[0]
+        if len(cameras) != 2:
+            raise ParameterError(f"{len(cameras)} cameras; a rig has two, {CAMERA_FORM}")
+        way = next((way for tree in trees if (way := _way_in(tree)) is not None), None) or _way_by_body(cameras)
+        rig = _rig_of_written(told, cameras, way, unit)
+        if not is_swapped(rig.translation_m):
+            return rig
+        if named[0][0] != named[1][0]:
+            raise ParameterError("left and right are swapped; give the left one first")
+        return _exchanged(rig)
+    except (ParameterError, TypeError, ValueError, OverflowError) as error:
+        raise DataError(f"{told}: {error}") from error
+
+
+def _way_by_body(cameras: list[WrittenCamera]) -> _Way | None:
+    first, second = cameras
+    return None if first.body is None or second.body is None else _Way.of(np.linalg.inv(second.body) @ first.body)
+
+
+def _exchanged(rig: StereoRig) -> StereoRig:
+    """A rig with its first camera as the right one."""
+    said = "the second camera stands left of the first one, and is taken as the left one"
+    return replace(
+        rig,
+        left=rig.right,
+        right=rig.left,
+        rotation=rig.rotation.T,
+        translation_m=-rig.rotation.T @ rig.translation_m,
+        read_as=(*rig.read_as, said),
+    )
+
+
+def _rig_of_written(told: str, cameras: list[WrittenCamera], way: _Way | None, unit: LengthUnit | None) -> StereoRig:
+    """A rig whose cameras stand as P of both says, else as the way between them does."""
+    first, second = cameras
+    remarks = [*first.remarks, *(one for one in second.remarks if one not in first.remarks)]
+    by_projection = second.from_partner_m - first.from_partner_m
+    if by_projection.any():
+        turns = [np.eye(3) if one.rectification is None else one.rectification for one in cameras]
+        rotation, translation = turns[1].T @ turns[0], turns[1].T @ by_projection
+        remarks.append("baseline from the projection matrices P; intrinsics are those of pictures before rectification")
+    elif way is not None:
+        scale, said = _scale_of(float(np.linalg.norm(way.translation)), way.unit or unit)
+        rotation, translation = orthonormal(way.rotation), scale * way.translation
+        remarks += said
+    else:
+        raise ParameterError(
+            "nothing tells how the two cameras stand to each other; give P of both (ROS), T_cn_cnm1 (Kalibr), or R and "
+            "T (OpenCV), in the file or in one beside it"
+        )
+    return StereoRig(
+        name=told,
+        left=first.camera,
+        right=second.camera,
+        rotation=rotation,
+        translation_m=translation,
+        covariance=covariance_of({}),
+        assumed=(STATED,),
+        source=f"calibration {told}",
+        read_as=tuple(remarks),
+    )
+
+
+def _scale_of(length: float, unit: LengthUnit | None) -> tuple[float, list[str]]:
+    """Metres in the unit of a translation: the one asked for, else m or mm, whichever makes the baseline more usual."""
+    if unit is not None:
+        return METRES[unit], []
+    apart = {name: abs(np.log(max(length, 1e-12) * METRES[name] / USUAL_BASELINE_M)) for name in ("m", "mm")}
+    likely = min(apart, key=lambda name: apart[name])
+    return METRES[likely], [
+        f"T is in {likely}, a baseline of {length * METRES[likely]:.4g} m, as the file names no unit "
+        "(--translation-unit)"
+    ]
+
 
 OWN = "rigs.toml"
 ONE_CAMERA = "is one camera; a rig needs two"

@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.images.camera import Pose
+from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.pictures import open_cv
-from lunarsci.images.rig import StereoRig
 
 FARTHEST_M = 25.0
 """Points beyond are not laid into another view; assumed. [m]"""

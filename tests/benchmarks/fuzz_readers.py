@@ -553,9 +553,9 @@ def picture_readers() -> dict[str, Reader]:
         "rig of labels": Reader(of_labels, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),
         "pose": Reader(pose, ["spoilt.toml"], [POSE]),
         "stations": Reader(of_file("images.jobs.merge:read_positions", 2), ["spoilt.csv"], [places]),
-        "track in a picture": Reader(of_path("images.landscape:read_track"), ["spoilt.csv"],
+        "track in a picture": Reader(of_path("images.render:read_track"), ["spoilt.csv"],
                                      [table("x_m,y_m,rut_m")]),
-        "line": Reader(of_path("images.lines:read_line"), ["spoilt.geojson"], [line]),
+        "line": Reader(of_path("images.tracks:read_line"), ["spoilt.geojson"], [line]),
     }  # fmt: skip
 
 

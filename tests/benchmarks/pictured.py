@@ -143,9 +143,8 @@ def elevation(name: str, model: Any) -> str:
 
 def merged(count: int = 2) -> "Figure":
     """Parts of one ground, each a little off."""
-    from lunarsci.images.elevation import ElevationModel
+    from lunarsci.images.elevation import ElevationModel, merge
     from lunarsci.images.figures import merge_page
-    from lunarsci.images.merge import merge
 
     track, models = ground()[0], []
     random = np.random.default_rng(1)
@@ -164,8 +163,8 @@ def merged(count: int = 2) -> "Figure":
 
 def ties(count: int = 2, name: str = "stop") -> "Figure":
     """Points that two stations share, as if they had been found: on a grid, with residuals of 0.3 px."""
+    from lunarsci.images.figures import ties_figure
     from lunarsci.images.localisation import Adjusted, Localised, PairTies
-    from lunarsci.images.locate_figure import ties_figure
     from lunarsci.images.ties import Station, TiePoints
 
     matches, random = heights().matches, np.random.default_rng(4)
@@ -198,8 +197,7 @@ def boards() -> Any:
     cv2 = pytest.importorskip("cv2", reason="needs the extra images")
     import boards as seen_boards
 
-    from lunarsci.images.calibration import BoardView, calibrate
-    from lunarsci.images.targets import BoardTarget, Sighting
+    from lunarsci.images.calibration import BoardTarget, BoardView, Sighting, calibrate
 
     lenses = [seen_boards.lens(520, 243, 196, (-0.12, 0.05, 5e-4, -8e-4, 0.01)),
               seen_boards.lens(518, 236, 203, (-0.11, 0.04, -5e-4, 4e-4, 0.0))]  # fmt: skip
@@ -410,7 +408,7 @@ def still() -> "Figure":
 
 
 def rig() -> "Figure":
-    from lunarsci.images.camera_figures import calibration_page
+    from lunarsci.images.figures import calibration_page
 
     return calibration_page(boards(), "SYNTHETIC")
 

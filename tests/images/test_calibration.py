@@ -20,7 +20,16 @@ from lunarsci.cli import main
 from lunarsci.cli.shared.examples import EXAMPLES
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.images.calibration import BoardView, CameraCalibration, calibrate
+from lunarsci.images.calibration import (
+    BoardTarget,
+    BoardView,
+    CameraCalibration,
+    Sighting,
+    calibrate,
+    check_board,
+    find_target,
+    of_moments,
+)
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import (
     SIDES,
@@ -29,10 +38,8 @@ from lunarsci.images.jobs.calibrate_cameras import (
     _seen_share,
     calibrate_cameras,
 )
-from lunarsci.images.moments import of_moments
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
-from lunarsci.images.targets import BoardTarget, Sighting, check_board, find_target
 from lunarsci.io.inputs import InputFile
 
 SQUARE = 0.025

@@ -15,8 +15,8 @@ from lunarsci.cli import main
 
 from lunarsci.errors import DataError
 from lunarsci.guide.info import info
+from lunarsci.images.camera import StereoRig
 from lunarsci.images.jobs.cameras import CameraSheet, cameras
-from lunarsci.images.rig import StereoRig
 from lunarsci.images.rig_files import read_rig, rig_text
 
 MATRIX = np.array([[700.0, 0.0, 410.0], [0.0, 702.0, 305.0], [0.0, 0.0, 1.0]])
@@ -259,8 +259,16 @@ def test_a_rig_file_with_swapped_cameras_is_refused_and_both_advices_work(tmp_pa
     [
         ("camera_matrix: [1, 2\n", "broken YAML"),
         ("image_width: 8\nimage_height: x\nK: [1, 0, 1, 0, 1, 1, 0, 0, 1]\n", "lines is 'x', no number"),
-        ("image_width: 80\nimage_height: 60\nK: [0, 0, 1, 0, 1, 1, 0, 0, 1]\n", "focal length 0.0"),
+        (
+            "image_width: 80\nimage_height: 60\nK: [0, 0, 1, 0, 1, 1, 0, 0, 1]\n",
+            "focal length above 0 and finite numbers are needed, not fx_px 0.0",
+        ),
         ("image_width: 8\nK: " + "[" * 3000, "broken YAML"),
+        ('{"fl_x": 900, "cx": 4, "cy": 3, "h": 6}', "lacks something .'w'.; export it again"),
+        (
+            "<calibration><projection>frame</projection><f>much</f></calibration>",
+            "lacks something .could not convert string to float: 'much'.; export it again",
+        ),
     ],
 )
 def test_broken_files_are_refused_in_one_line(tmp_path: Path, content: str, said: str) -> None:

@@ -7,11 +7,19 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.cahv import CahvModel, fit_cahv
-from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
+from lunarsci.images.camera import (
+    INTRINSICS,
+    PARAMETERS,
+    Camera,
+    Pose,
+    Sensor,
+    StereoRig,
+    covariance_of,
+    rotation_of,
+    vector_of,
+)
 from lunarsci.images.jobs.cameras import CameraSheet, CamerasRequest
-from lunarsci.images.labels import read_label
-from lunarsci.images.rig import PARAMETERS, Sensor, StereoRig, covariance_of
+from lunarsci.images.labels import CahvModel, fit_cahv, read_label
 from lunarsci.images.rig_files import check_rig_of, known_rigs, read_rig, rig_text
 from lunarsci.io.inputs import InputFile
 

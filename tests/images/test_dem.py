@@ -15,16 +15,24 @@ pytest.importorskip("cv2", reason="needs the extra images")
 from lunarsci.cli import main
 
 from lunarsci.errors import DataError
-from lunarsci.images.camera import Camera, Pose
+from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of
 from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.gridding import _common_errors, _lay, grid_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
-from lunarsci.images.landscape import Landscape, landscape_on
-from lunarsci.images.matching import MATCHED, SHADOW, Rectified, StereoMatches, _islands, _relief, match, rectify
+from lunarsci.images.matching import (
+    HALF_PX,
+    MATCHED,
+    SHADOW,
+    Rectified,
+    StereoMatches,
+    _islands,
+    _relief,
+    match,
+    rectify,
+    refine,
+)
 from lunarsci.images.pictures import png_bytes, read_picture
-from lunarsci.images.refinement import HALF_PX, refine
-from lunarsci.images.render import RenderedPair, render
-from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
+from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.twin.ground.synthetic import synthetic_terrain
 from lunarsci.twin.ground.terrain_files import terrain_bytes

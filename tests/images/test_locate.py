@@ -13,14 +13,12 @@ from stations import judged
 pytest.importorskip("cv2", reason="needs the extra images")
 
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
+from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
-from lunarsci.images.landscape import landscape_on
 from lunarsci.images.localisation import DEFINED_PX, SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.pictures import png_bytes
-from lunarsci.images.render import render
-from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
+from lunarsci.images.render import landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
 from lunarsci.images.ties import OVERLAPPING, TiePoints, _eight, _peak
 from lunarsci.io.inputs import InputFile

@@ -7,9 +7,8 @@ import pytest
 from stamped_ground import FINE, fractal
 
 from lunarsci.errors import ParameterError
-from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.elevation import ElevationModel, StationPosition, merge
 from lunarsci.images.jobs.merge import MergedStations
-from lunarsci.images.merge import StationPosition, merge
 
 SPACING = 0.02
 

@@ -11,12 +11,10 @@ pytest.importorskip("cv2", reason="needs the extra images")
 import cv2
 
 from lunarsci.errors import DataError
-from lunarsci.images.camera import Camera, Pose
+from lunarsci.images.camera import Camera, Pose, StereoRig, covariance_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
-from lunarsci.images.landscape import Landscape, landscape_on
 from lunarsci.images.pictures import png_bytes
-from lunarsci.images.render import RenderedPair, render
-from lunarsci.images.rig import StereoRig, covariance_of
+from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, rig_text
 
 POSE = Pose.looking([0.0, 0.0, 1.5], 2.0, 30.0, 1.0)

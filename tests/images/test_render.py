@@ -9,10 +9,8 @@ import pytest
 from lunarsci.cli import main
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.camera import Camera, Pose
-from lunarsci.images.landscape import Landscape, landscape_on, read_track, with_track
-from lunarsci.images.render import World, _scattered, render, seen_by
-from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
+from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of
+from lunarsci.images.render import Landscape, World, _scattered, landscape_on, read_track, render, seen_by, with_track
 from lunarsci.images.rig_files import read_pose, read_rig
 from lunarsci.io.inputs import InputFile
 from lunarsci.pages.image_answers import rendered

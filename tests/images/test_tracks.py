@@ -11,8 +11,17 @@ from stamped_ground import FINE, NAVCAM, PANCAM, Ground, with_track
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
 from lunarsci.images.jobs.track import TrackSinkage
-from lunarsci.images.lines import Unrolled, places_on, read_line
-from lunarsci.images.tracks import BIWEIGHT, TrackDepths, TrackProfile, cells_of, robust_fit, track_depths
+from lunarsci.images.tracks import (
+    BIWEIGHT,
+    TrackDepths,
+    TrackProfile,
+    Unrolled,
+    cells_of,
+    places_on,
+    read_line,
+    robust_fit,
+    track_depths,
+)
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain_files import read_terrain
 

@@ -11,13 +11,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.calibration import BoardView, CameraCalibration, calibrate
-from lunarsci.images.camera import INTRINSICS, vector_of
-from lunarsci.images.moments import files_of, of_moments
+from lunarsci.images.calibration import (
+    BoardTarget,
+    BoardView,
+    CameraCalibration,
+    Sighting,
+    alike_turned,
+    calibrate,
+    check_board,
+    files_of,
+    find_target,
+    of_moments,
+)
+from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
 from lunarsci.images.pictures import Picture, read_picture
-from lunarsci.images.rig import StereoRig, is_swapped
 from lunarsci.images.rig_files import camera_text, rig_text
-from lunarsci.images.targets import BoardTarget, Sighting, alike_turned, check_board, find_target
 from lunarsci.io.inputs import InputFile
 from lunarsci.result import MadeFrom, Result, job, request_of
 
@@ -248,7 +256,7 @@ class CalibratedCameras(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.images.camera_figures import calibration_page
+        from lunarsci.images.figures import calibration_page
 
         yield calibration_page(self.found, self.request.name)
 

@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.cahv import LabelCamera
-from lunarsci.images.camera import INTRINSICS, Camera, vector_of
-from lunarsci.images.camera_files import LengthUnit, WrittenCamera, is_rig, rig_or_camera
-from lunarsci.images.labels import read_label, rig_of_labels
-from lunarsci.images.rig import StereoRig
-from lunarsci.images.rig_files import SingleCamera, known_rigs, read_camera, read_rig, rig_text
+from lunarsci.images.camera import INTRINSICS, Camera, StereoRig, vector_of
+from lunarsci.images.labels import LabelCamera, read_label, rig_of_labels
+from lunarsci.images.rig_files import (
+    LengthUnit,
+    SingleCamera,
+    WrittenCamera,
+    is_rig,
+    known_rigs,
+    read_camera,
+    read_rig,
+    rig_or_camera,
+    rig_text,
+)
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, Source, read_input, text
 from lunarsci.result import MadeFrom, Result, job, request_of
@@ -122,7 +129,7 @@ class CameraSheet(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.images.camera_figures import range_page
+        from lunarsci.images.figures import range_page
 
         if not self.rigs:
             raise ParameterError("one camera tells no ranges; give a rig, or the labels of the left and right picture")

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.errors import RequestError
-from lunarsci.images.camera import Pose
+from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.gridding import grid_of, levelled
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
-from lunarsci.images.rig import StereoRig
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.result import MadeFrom, Result, job, request_of
@@ -122,7 +121,7 @@ class StereoTerrain(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.images.dem_figure import dem_figure
+        from lunarsci.images.figures import dem_figure
 
         yield dem_figure(self.model, self.matches, self.pose)
 

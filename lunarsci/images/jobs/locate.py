@@ -10,12 +10,11 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.camera import Pose
+from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
 from lunarsci.images.localisation import ODD_SIGMAS, Localised, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
-from lunarsci.images.rig import StereoRig
 from lunarsci.images.rig_files import check_rig_of, pose_text, read_pose, read_rig
 from lunarsci.images.ties import Station
 from lunarsci.io.documents import toml_document
@@ -188,7 +187,7 @@ class LocatedStations(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.images.locate_figure import ties_figure
+        from lunarsci.images.figures import ties_figure
 
         if not self.found.pairs:
             raise ParameterError(f"there are no ties to draw: {self.untrusted}; leave --plot out")

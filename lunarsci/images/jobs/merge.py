@@ -7,9 +7,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
-from lunarsci.images.merge import MergedMap, StationPosition
-from lunarsci.images.merge import merge as merged_map
+from lunarsci.images.elevation import (
+    ElevationModel,
+    MergedMap,
+    StationPosition,
+    elevation_bytes,
+    elevation_geotiff,
+    read_elevation,
+)
+from lunarsci.images.elevation import merge as merged_map
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.result import MadeFrom, Result, job, request_of

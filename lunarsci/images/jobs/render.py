@@ -12,12 +12,10 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.figure import file_label, headline, page
 from lunarsci.images import render as renderer
-from lunarsci.images.camera import Pose
+from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import read_elevation
-from lunarsci.images.landscape import ROCK_COLUMNS, Landscape, landscape_on, read_track, with_track
 from lunarsci.images.pictures import png_bytes
-from lunarsci.images.render import RenderedPair
-from lunarsci.images.rig import StereoRig
+from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landscape_on, read_track, with_track
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, job, request_of

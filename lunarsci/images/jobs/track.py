@@ -9,8 +9,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.images.elevation import ElevationModel, read_elevation
-from lunarsci.images.lines import read_line
-from lunarsci.images.tracks import TrackDepths, track_depths
+from lunarsci.images.tracks import TrackDepths, read_line, track_depths
 from lunarsci.io.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, job, request_of
