@@ -6,8 +6,8 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.comparison.checks import EndCheck, PathCheck
-from lunarsci.twin.comparison.matched import Miss, miss_of
+from lunarsci.twin.comparison.forecast import Miss, miss_of
+from lunarsci.twin.comparison.scores import EndCheck, PathCheck
 from lunarsci.twin.comparison.verdict import DriveComparison
 from lunarsci.twin.jobs import compare_trials as job
 from lunarsci.twin.jobs.compare import ComparedDrive

@@ -39,11 +39,9 @@ from lunarsci.twin.assimilation.change_point import traverse_of
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, pace_of, read_record, states_at
 from lunarsci.twin.assimilation.residuals import POSITION
 from lunarsci.twin.assimilation.segments import FEWEST_VALUES, LEAST_SLIPS, record_within
-from lunarsci.twin.assimilation.slip_lean import SlipLean
-from lunarsci.twin.assimilation.update import WIDENED, SoilUpdate, assimilate
-from lunarsci.twin.comparison.checks import ALL
-from lunarsci.twin.comparison.forecast import forecast_of
-from lunarsci.twin.comparison.matched import match_observations
+from lunarsci.twin.assimilation.update import WIDENED, SlipLean, SoilUpdate, assimilate
+from lunarsci.twin.comparison.forecast import forecast_of, match_observations
+from lunarsci.twin.comparison.scores import ALL
 from lunarsci.twin.comparison.verdict import compare
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.path import reach_m
@@ -53,8 +51,7 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
-from lunarsci.twin.telemetry.state_tables import position_table, wheel_table
-from lunarsci.twin.telemetry.states import DriveStates
+from lunarsci.twin.telemetry.states import DriveStates, position_table, wheel_table
 
 CASES = {
     "right": 48,

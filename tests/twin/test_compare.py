@@ -13,9 +13,8 @@ from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.comparison.checks import ALL, check_end, check_path
-from lunarsci.twin.comparison.forecast import Forecast, forecast_of
-from lunarsci.twin.comparison.matched import MatchedObservations, match_observations
+from lunarsci.twin.comparison.forecast import Forecast, MatchedObservations, forecast_of, match_observations
+from lunarsci.twin.comparison.scores import ALL, check_end, check_path
 from lunarsci.twin.comparison.verdict import DriveComparison, _shares, compare
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from lunarsci.twin.comparison.checks import standardised
 from lunarsci.twin.comparison.scores import (
     correlation_length,
     crps,
@@ -15,6 +14,7 @@ from lunarsci.twin.comparison.scores import (
     predictive_rank,
     region_edge,
     squared_distances,
+    standardised,
     standing,
     worst_of,
 )

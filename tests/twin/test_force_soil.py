@@ -14,7 +14,7 @@ from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.loads.alternating import AlternatingEstimate, Round, alternate, verdict_of
+from lunarsci.twin.loads.load_ensemble import AlternatingEstimate, Round, alternate, verdict_of
 from lunarsci.twin.loads.prescribed_motion import FORCE_COLUMNS, PoseStates, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan

@@ -10,8 +10,15 @@ from scipy.optimize import minimize
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.particles import draw_particles, fit_emulator
-from lunarsci.twin.assimilation.posterior import PosteriorMode, SoilCoordinates, find_mode, inflation_of, wheel_errors
+from lunarsci.twin.assimilation.posterior import (
+    PosteriorMode,
+    SoilCoordinates,
+    draw_particles,
+    find_mode,
+    fit_emulator,
+    inflation_of,
+    wheel_errors,
+)
 from lunarsci.twin.assimilation.residuals import DriveBias
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

@@ -11,8 +11,7 @@ from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, Var
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.drive_record import DriveRecord
 from lunarsci.twin.assimilation.residuals import DriveBias, DriveResiduals
-from lunarsci.twin.comparison.forecast import forecast_of
-from lunarsci.twin.comparison.matched import match_observations, miss_of, taught
+from lunarsci.twin.comparison.forecast import forecast_of, match_observations, miss_of, taught
 from lunarsci.twin.judgement.endpoint import endpoint_spread
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.limits import Limit

@@ -9,8 +9,15 @@ from made_trials import EASTING_M, HUSKY, NORTHING_M, ROSEY, made_drive, write_c
 from lunarsci.errors import BatchError, DataError, RequestError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.drives.layouts import read_public_drive, trials_in
-from lunarsci.twin.drives.replay import WheelTurns, replayed, rigid_twist, wheels_alone
-from lunarsci.twin.drives.scores import QuantityScore, TrialScore, summary_of
+from lunarsci.twin.drives.replay import (
+    QuantityScore,
+    TrialScore,
+    WheelTurns,
+    replayed,
+    rigid_twist,
+    summary_of,
+    wheels_alone,
+)
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.jobs.compare_trials import compare_trials
 from lunarsci.twin.jobs.states import states

@@ -16,8 +16,7 @@ from lunarsci.regolith.prior import PARAMETERS, ROLLING
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
-from lunarsci.twin.assimilation.slip_lean import SlipLean
-from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.jobs.predict import predict as predict_job

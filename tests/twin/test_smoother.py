@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.telemetry import smoother
-from lunarsci.twin.telemetry.motion_nodes import Nodes
+from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.nodes import WheelVelocities, slips_of
-from lunarsci.twin.telemetry.slip_process import SlipProcess
-from lunarsci.twin.telemetry.smoother import smooth
+from lunarsci.twin.telemetry.smoother import SlipProcess, smooth
 
 COUNT, WAY_M = 21, 0.1
 CHANGE = SlipProcess.fixed(np.array([0.03, 0.02, 0.01]), np.full(3, 1.0))

@@ -12,8 +12,16 @@ import pytest
 import lunarsci
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.rovers import read_rover
-from lunarsci.twin.designs.trade import Design, MissionOutcome, pareto_front, unchanged
-from lunarsci.twin.designs.variation import check_design, design_values, parse_variation, varied_description
+from lunarsci.twin.designs.trade import (
+    Design,
+    MissionOutcome,
+    check_design,
+    design_values,
+    pareto_front,
+    parse_variation,
+    unchanged,
+    varied_description,
+)
 from lunarsci.twin.jobs.sweep import DesignTrade, sweep
 from lunarsci.twin.rover import build_rover
 

@@ -13,9 +13,9 @@ from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.telemetry.motion_nodes import Nodes
+from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
-from lunarsci.twin.telemetry.slip_process import AMPLITUDES, LENGTHS_M, change_of
+from lunarsci.twin.telemetry.smoother import AMPLITUDES, LENGTHS_M, change_of
 
 
 def test_intervals_hold_on_waved_ground() -> None:

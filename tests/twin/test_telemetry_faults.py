@@ -22,11 +22,10 @@ from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.positions import check_attitude, usable_headings
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
+from lunarsci.twin.telemetry.readings import in_units
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
-from lunarsci.twin.telemetry.state_tables import motion_table, position_table, wheel_table
-from lunarsci.twin.telemetry.states import DriveStates, states_of
+from lunarsci.twin.telemetry.states import DriveStates, motion_table, position_table, states_of, wheel_table
 from lunarsci.twin.telemetry.wheel_motion import wheel_motion
-from lunarsci.twin.telemetry.wheel_readings import in_units
 
 Spoil = Callable[[pd.DataFrame], pd.DataFrame]
 PLAN = Plan(name="test", legs=(Leg(3.0, 0.15), Leg(2.0, -0.13)), speed_m_s=0.05)

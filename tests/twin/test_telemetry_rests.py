@@ -20,8 +20,7 @@ from lunarsci.twin.telemetry import nodes, rests
 from lunarsci.twin.telemetry.positions import sway_m
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
-from lunarsci.twin.telemetry.state_tables import motion_table, wheel_table
-from lunarsci.twin.telemetry.states import DriveStates, states_of
+from lunarsci.twin.telemetry.states import DriveStates, motion_table, states_of, wheel_table
 
 GROUND = synthetic_longji()
 PLAN = Plan(name="two", legs=(Leg(2.0, 0.15), Leg(stop_s=20.0), Leg(2.0, -0.13)), speed_m_s=0.05)

@@ -26,8 +26,7 @@ from lunarsci.twin.assimilation.change_point import (
 )
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
-from lunarsci.twin.assimilation.slip_lean import SlipLean
-from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan

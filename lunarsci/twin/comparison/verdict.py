@@ -23,20 +23,22 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
-from lunarsci.twin.comparison.checks import (
+from lunarsci.twin.comparison.forecast import Forecast, MatchedObservations
+from lunarsci.twin.comparison.scores import (
     ALL,
     NOMINAL,
     BandCheck,
     EndCheck,
     PathCheck,
+    Standing,
     check_bands,
     check_end,
     check_path,
+    correlation_length,
     half_band,
+    standing,
+    worst_of,
 )
-from lunarsci.twin.comparison.forecast import Forecast
-from lunarsci.twin.comparison.matched import MatchedObservations
-from lunarsci.twin.comparison.scores import Standing, correlation_length, standing, worst_of
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
 
 STEPS, MODES = 6, 3

@@ -8,10 +8,10 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.figure import COLORS, INK, as_label, headline, legend_below, page
 from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
-from lunarsci.twin.comparison.matched import MatchedObservations
+from lunarsci.twin.comparison.forecast import MatchedObservations
+from lunarsci.twin.comparison.scores import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.verdict import DriveComparison
-from lunarsci.twin.drives.scores import TrialScore
+from lunarsci.twin.drives.replay import TrialScore
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, wheel_dots
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 

@@ -21,10 +21,15 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
-from lunarsci.twin.comparison.checks import ALL, BandCheck, EndCheck
-from lunarsci.twin.comparison.forecast import Forecast, read_forecast
-from lunarsci.twin.comparison.matched import MatchedObservations, match_observations, miss_of, taught
-from lunarsci.twin.comparison.scores import Standing
+from lunarsci.twin.comparison.forecast import (
+    Forecast,
+    MatchedObservations,
+    match_observations,
+    miss_of,
+    read_forecast,
+    taught,
+)
+from lunarsci.twin.comparison.scores import ALL, BandCheck, EndCheck, Standing
 from lunarsci.twin.comparison.verdict import DriveComparison
 from lunarsci.twin.jobs.given_soil import doubt_of
 from lunarsci.twin.plans.plan import read_plan

@@ -15,8 +15,7 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.assimilation.drive_record import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
-from lunarsci.twin.drives.replay import WheelTurns
-from lunarsci.twin.drives.scores import TrialScore, TrialSoils, score_trial, summary_of
+from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
 from lunarsci.twin.ground.driven_soil import read_soil_samples
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.compare import CompareRequest, whole_record

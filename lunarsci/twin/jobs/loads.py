@@ -21,8 +21,15 @@ from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 from lunarsci.twin.judgement.load_check import WheelLoads, force_table, wheel_loads
 from lunarsci.twin.judgement.tables import held_table
 from lunarsci.twin.lanes import FINISHED
-from lunarsci.twin.loads.alternating import AlternatingEstimate, alternate
-from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, TOTALS, LoadEnsemble, draw_loads
+from lunarsci.twin.loads.load_ensemble import (
+    BALANCE_ERROR,
+    DRAWS,
+    TOTALS,
+    AlternatingEstimate,
+    LoadEnsemble,
+    alternate,
+    draw_loads,
+)
 from lunarsci.twin.loads.prescribed_motion import (
     FORCES,
     PoseStates,

@@ -8,8 +8,16 @@ from lunarsci.constants import PAPER
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.twin.designs.trade import Design, pareto_front, try_design, unchanged
-from lunarsci.twin.designs.variation import Variation, check_names, design_values, parse_variation
+from lunarsci.twin.designs.trade import (
+    Design,
+    Variation,
+    check_names,
+    design_values,
+    pareto_front,
+    parse_variation,
+    try_design,
+    unchanged,
+)
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
 from lunarsci.twin.jobs.predict import PoweredRequest
 from lunarsci.twin.jobs.soils import Soils

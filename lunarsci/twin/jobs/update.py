@@ -17,8 +17,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
-from lunarsci.twin.assimilation.slip_lean import SlipLean
-from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_layers import soil_layers
 from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_map_bytes

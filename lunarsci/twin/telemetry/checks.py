@@ -15,8 +15,7 @@ from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.repeats import held
-from lunarsci.twin.telemetry.rests import GAP
+from lunarsci.twin.telemetry.rests import GAP, held
 
 LEAST_ROWS = 5
 FAST = "fast slip"

@@ -13,13 +13,10 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.filter import ReferenceMotion
-from lunarsci.twin.telemetry.motion_nodes import EFFECTS, SCALE, ErrorChain, Nodes, at_nodes
-from lunarsci.twin.telemetry.nuisances import Priors
+from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, ReferenceMotion, at_nodes
 from lunarsci.twin.telemetry.odometry import ground_velocities, mean_speed, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
-from lunarsci.twin.telemetry.slip_process import believed_change
-from lunarsci.twin.telemetry.smoother import Smoothed, probable
+from lunarsci.twin.telemetry.smoother import Priors, Smoothed, believed_change, probable
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 
 NODE_M = 0.1

@@ -14,8 +14,7 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.checks import check_far, ordered
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.repeats import chance_by_noise, held
-from lunarsci.twin.telemetry.rests import GAP
+from lunarsci.twin.telemetry.rests import GAP, chance_by_noise, held
 
 ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 3.0
 """Median difference of roll or pitch from the terrain's beyond which it is said [deg], or as a share of its slope where

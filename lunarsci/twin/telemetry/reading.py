@@ -25,9 +25,16 @@ from lunarsci.io.tables import (
     without_repeats,
 )
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.columns import ERRORS, NEEDED, UNIT, UNITS, check_telemetry_columns, named_columns
+from lunarsci.twin.telemetry.columns import (
+    ERRORS,
+    NEEDED,
+    UNIT,
+    UNITS,
+    check_telemetry_columns,
+    in_own_words,
+    named_columns,
+)
 from lunarsci.twin.telemetry.rests import RowsKept
-from lunarsci.twin.telemetry.ros_columns import in_own_words
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,8 +19,7 @@ from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.simulated import deepest_at
-from lunarsci.twin.telemetry.state_rows import LEAST_ROW_M, StateRows
-from lunarsci.twin.telemetry.states import DriveStates
+from lunarsci.twin.telemetry.states import LEAST_ROW_M, DriveStates, StateRows
 
 SIGMA_M = 0.00033
 """Error of a depth whose error is not given: 1 mm as three standard deviations, Ding et al. (2024),

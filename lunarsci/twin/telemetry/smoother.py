@@ -1,33 +1,403 @@
 """Where the rover was and how it slipped, from its wheels, its heading and localised positions.
 
-The model is that of `filter`, its constants and hypotheses are those of `nuisances`. How fast deviations change decides
-how far positions tell of the slip between them: each has an amplitude and a length. What positions and headings are
-probable for is known from the filter (its marginal likelihood); with what is believed beforehand it gives weights to
-candidates. No one of them is chosen: the motion is averaged over them, so that what is not known of them widens its
-errors. Errors of positions and headings follow Student's law, by weights that are found with the motion (Lange, Little
-& Taylor 1989, 10.1080/01621459.1989.10478852). The smoother, linearised anew about its own result, is Gauss-Newton for
-the whole drive (Bell 1994, 10.1137/0804035).
+The model is that of `filter`, with unknown constants and hypotheses about them. How fast deviations change decides how
+far positions tell of the slip between them: each has an amplitude and a length (`SlipProcess`). What positions and
+headings are probable for is known from the filter (its marginal likelihood); with what is believed beforehand it gives
+weights to candidates. No one of them is chosen: the motion is averaged over them, so that what is not known of them
+widens its errors. Errors of positions and headings follow Student's law, by weights that are found with the motion
+(Lange, Little & Taylor 1989, 10.1080/01621459.1989.10478852). The smoother, linearised anew about its own result, is
+Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
+
+Telemetry may be off throughout a drive. A healthy drive has constants near 0, as the plain priors say. Each hypothesis
+widens some of them: the localised point is elsewhere on the rover, headings drift, clocks differ, the rover slides at a
+halt, encoders count wrongly. As the state is linear in the constants (see `filter`), the marginal likelihood of any set
+of hypotheses is a quadratic form (MacKay 2003, ch. 28). None is chosen: constants are averaged over the sets, each as
+probable as it is.
 """
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.filter import (
+    AHEAD,
+    DRIFT,
+    EFFECTS,
+    LAG,
+    LEVER,
+    MEANS,
+    OFFSET,
+    SCALE,
+    SIZE,
+    SLIDES,
     FilterRun,
     Model,
+    Nodes,
     ReferenceMotion,
     TriedProcesses,
+    at_nodes,
     filtered,
     linearised,
     smoothed_back,
 )
-from lunarsci.twin.telemetry.motion_nodes import AHEAD, EFFECTS, MEANS, SCALE, SIZE, Nodes, at_nodes
-from lunarsci.twin.telemetry.nuisances import Posterior, Priors, averaged, likely_sets
-from lunarsci.twin.telemetry.slip_process import SlipProcess, change_of
+
+MEAN_SIGMA = (0.3, 0.1, 0.05)
+"""Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
+LEVEL, LEVEL_SIGMA = -0.03, (0.15, 0.02)
+"""Deviation ahead on level ground: soils drawn from the default priors slip by 0.03 in the median, and 16 to 84 % by
+-0.04 to 0.11. Its standard deviation is twice as wide, lest it draw the radius along, and that to the left; assumed."""
+EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02, 0.02)
+"""Of the coefficients: slip grows about as the slope is steep, side slip about twice so, and a rover that steers turns
+about as its wheels say; assumed, as wide as soils drawn from the default priors differ (0.4 to 2.2, 0.8 to 5, -0.1 to
+0, and -0.01 to 0 in drives by the twin)."""
+SKID_SIGMA = (0.4, 0.2, 0.1)
+"""Of the last three for a rover that steers by its sides' speeds: its tracks are up to twice as far apart as its
+wheels, and turn about places that lie off its axles (Mandow et al. 2007, 10.1109/IROS.2007.4399139). [-, m, m]"""
+RIM_SIGMA = 0.03
+"""Of ln of a wheel's rolling radius on soil, between shell and grousers, over that of its file; assumed."""
+POINT_M, CLOCK_S, STANDS_M = 0.01, 0.1, 2e-4
+"""How well the localised point [m] and the clock [s] are usually known, and a rover stands at a halt [m]; assumed."""
+ELSEWHERE_M, DRIFTS_RAD, LATE_S, SLIDES_M = 0.3, math.radians(5.0), 3.0, 0.3
+"""Standard deviation of the localised point, the drift, the lag and the slide where there is one; assumed."""
+RARE, OFTEN = math.log(0.1), math.log(3.0)
+"""ln of the odds of each hypothesis beforehand, and of that encoders are wrong where they differ from the commands, as
+a motor that is controlled turns as told; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hypothesis:
+    """Constants that may be far from 0.
+
+    Attributes
+    ----------
+    name : a word for it.
+    members : which constants.
+    mean, sigma : their prior if it holds.
+    ln_odds : beforehand.
+    slide : which of `Nodes.slides` it concerns, -1 for none.
+    said : whether it is worth a word where it holds.
+    """
+
+    name: str
+    members: tuple[int, ...]
+    sigma: float
+    mean: float = 0.0
+    ln_odds: float = RARE
+    slide: int = -1
+    said: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Priors:
+    """What is believed of the constants beforehand.
+
+    Attributes
+    ----------
+    mean, sigma : of a healthy drive. (k,), (k,)
+    hypotheses : what else may be.
+    """
+
+    mean: FloatArray
+    sigma: FloatArray
+    hypotheses: tuple[Hypothesis, ...] = ()
+
+    @classmethod
+    def plain(cls, nodes: Nodes) -> "Priors":
+        """Only slip, side slip and turn, and what slopes do to them, are unknown."""
+        mean, sigma = np.zeros(nodes.constants), np.zeros(nodes.constants)
+        mean[3:SCALE] = EFFECT_MEAN
+        sigma[:SCALE] = (*MEAN_SIGMA, *EFFECT_SIGMA)
+        return cls(mean=mean, sigma=sigma)
+
+    @classmethod
+    def of_drive(cls, nodes: Nodes, *, skids: bool, told_share: float = 1.0) -> "Priors":
+        """All of them.
+
+        Parameters
+        ----------
+        skids : whether no wheel of the rover is steered.
+        told_share : rim speed measured over commanded, 1 where there is no command. What differs may be the encoders'.
+        """
+        plain = cls.plain(nodes)
+        mean, sigma = plain.mean, plain.sigma
+        if skids:
+            sigma[5:SCALE] = SKID_SIGMA
+        mean[0], sigma[:2] = LEVEL, LEVEL_SIGMA
+        heading = float(np.nanmedian(nodes.yaw_sigma_rad))
+        sigma[SCALE], sigma[LEVER], sigma[[OFFSET, DRIFT]], sigma[LAG] = RIM_SIGMA, POINT_M, heading, CLOCK_S
+        sigma[SLIDES:] = STANDS_M
+        hypotheses = [
+            Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0], said=False),
+            Hypothesis(name="constant side slip", members=(1,), sigma=MEAN_SIGMA[1]),
+            Hypothesis(name="lever arm", members=(9, 10), sigma=ELSEWHERE_M),
+            Hypothesis(name="heading drift", members=(DRIFT,), sigma=DRIFTS_RAD),
+            Hypothesis(name="lag", members=(LAG,), sigma=LATE_S),
+            Hypothesis(
+                name="encoder scale",
+                members=(SCALE,),
+                sigma=RIM_SIGMA,
+                mean=-math.log(told_share),
+                ln_odds=OFTEN,
+                said=abs(math.log(told_share)) > RIM_SIGMA,
+            ),
+        ]
+        for number in range(len(nodes.slides)):
+            members = (SLIDES + 2 * number, SLIDES + 2 * number + 1)
+            name = "slide at a halt" if number < len(nodes.halts) else "position shift"
+            hypotheses.append(Hypothesis(name=name, members=members, sigma=SLIDES_M, slide=number))
+        return cls(mean=mean, sigma=sigma, hypotheses=tuple(hypotheses))
+
+    def under(self, held: BoolArray) -> tuple[FloatArray, FloatArray, float]:
+        """Mean, sigma, and ln of the odds beforehand, where some hypotheses hold."""
+        mean, sigma, ln_odds = self.mean.copy(), self.sigma.copy(), 0.0
+        for one in itertools.compress(self.hypotheses, held):
+            members = list(one.members)
+            mean[members], sigma[members] = one.mean, one.sigma
+            ln_odds += one.ln_odds
+        return mean, sigma, ln_odds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Constants after the measurements, averaged over the sets of hypotheses that were weighed.
+
+    mean (k,), covariance (k, k), `ln_likelihood` marginal, up to a constant, and how probable each hypothesis is.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    ln_likelihood: float
+    probable: FloatArray
+
+
+def ln_evidence(squares: FloatArray, mean: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ln of the marginal likelihood (m,), means (m, k) and covariances (m, k, k) of normal constants.
+
+    `squares` are those of a `FilterRun`, (m, 1 + k, 1 + k).
+    """
+    at_mean = squares[:, 1:, 0] + squares[:, 1:, 1:] @ mean
+    chi_square = squares[:, 0, 0] + (squares[:, 0, 1:] + at_mean) @ mean
+    precision = np.eye(len(mean)) + sigma[:, None] * squares[:, 1:, 1:] * sigma
+    off = np.linalg.solve(precision, -(sigma * at_mean)[..., None])[..., 0]
+    chi_square = chi_square + np.einsum("mi,mi->m", off, sigma * at_mean)
+    covariance = sigma[:, None] * np.linalg.inv(precision) * sigma
+    return -0.5 * chi_square - 0.5 * np.linalg.slogdet(precision)[1], mean + sigma * off, covariance
+
+
+def likely_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
+    """Sets of hypotheses to average over: the most probable one that is reached hypothesis by hypothesis, and all that
+    differ from it by one. `squares` are those of one assumption. (1 + k, 1 + k)"""
+    held = np.zeros(len(priors.hypotheses), dtype=bool)
+
+    def probable(tried: BoolArray) -> float:
+        mean, sigma, ln_odds = priors.under(tried)
+        return ln_odds + float(ln_evidence(squares[None], mean, sigma)[0][0])
+
+    best = probable(held)
+    while True:
+        near = [np.where(np.arange(len(held)) == k, ~held, held) for k in range(len(held))]
+        found = [probable(one) for one in near]
+        if not found or max(found) <= best:
+            return [held, *near]
+        best, held = max(found), near[int(np.argmax(found))]
+
+
+def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Posterior]:
+    """The constants for each assumption of a run."""
+    parts = []
+    for held in sets:
+        mean, sigma, ln_odds = priors.under(held)
+        ln_likelihood, means, covariances = ln_evidence(run.squares, mean, sigma)
+        parts.append((ln_odds + ln_likelihood + run.ln_likelihood, means, covariances))
+    ln_all, means, covariances = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
+    highest = ln_all.max(axis=1, keepdims=True)
+    whole = highest[:, 0] + np.log(np.exp(ln_all - highest).sum(axis=1))
+    weights = np.exp(ln_all - whole[:, None])
+    result = []
+    for k, weight in enumerate(weights):
+        mean = weight @ means[k]
+        apart = means[k] - mean
+        covariance = np.einsum("s,sij->ij", weight, covariances[k] + apart[:, :, None] * apart[:, None, :])
+        result.append(Posterior(mean, covariance, float(whole[k]), weight @ np.array(sets)))
+    return result
+
+
+LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
+"""Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
+it, to much more where the ground is smooth. Assumed. [m]"""
+AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
+"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m. Assumed."""
+SHARES = np.array([1.0, 1.0, 0.3])
+"""How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
+LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
+"""What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
+long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with stress
+integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
+UNKNOWN = 0.02
+"""The same where the slopes are not known; assumed."""
+WIDTH = 1.7
+"""How widely it is believed, in ln; assumed."""
+WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
+"""Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
+by some centimetres a root metre; assumed. [m / sqrt(m)]"""
+COARSE = np.array([0.1, 0.1, 0.05])
+"""How slip changes while nothing is known of it: widely; assumed."""
+ORDER = (2, 1, 0)
+"""Of the velocities, the best known first: headings tell how the turn changes."""
+DRAWN = 12
+STRIDES = (1, 5, 7, 11)
+"""By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SlipProcess:
+    """How the deviations ahead [-], left [-] and turn [1/m] change along the way, and how the error of positions grows.
+
+    Attributes
+    ----------
+    amplitude, length_m : equally probable candidates. (m, 3), (m, 3) [m]
+    walk : growth of the error that positions share. (m,) [m / sqrt(m)]
+    usual, usual_length_m, usual_walk : their means, in ln but for the walk. (3,), (3,)
+    spread : standard deviation of ln amplitude. (3,)
+    information : what the data tell of amplitude and length beside what was believed, as the Kullback-Leibler
+        divergence; 0 where they tell nothing. (3,) [nat]
+    """
+
+    amplitude: FloatArray
+    length_m: FloatArray
+    walk: FloatArray
+    usual: FloatArray
+    usual_length_m: FloatArray
+    usual_walk: float
+    spread: FloatArray
+    information: FloatArray
+
+    @classmethod
+    def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "SlipProcess":
+        """Known amplitudes and lengths, and no walk. (3,), (3,) [m]"""
+        zero = np.zeros(3)
+        return cls(
+            amplitude=amplitude[None],
+            length_m=length_m[None],
+            walk=np.zeros(1),
+            usual=amplitude,
+            usual_length_m=length_m,
+            usual_walk=0.0,
+            spread=zero,
+            information=zero,
+        )
+
+    @classmethod
+    def coarse(cls) -> "SlipProcess":
+        """What is taken while nothing is known."""
+        return cls.fixed(COARSE, np.full(3, LENGTHS_M[1]))
+
+    @property
+    def middle(self) -> TriedProcesses:
+        """The usual ones alone."""
+        walk = np.array([self.usual_walk])
+        return TriedProcesses(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
+
+    @property
+    def all(self) -> TriedProcesses:
+        """All candidates."""
+        return TriedProcesses(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
+
+
+def believed_change(nodes: Nodes) -> SlipProcess:
+    """What is believed before positions and headings say anything."""
+    return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
+
+
+def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMotion | None = None) -> SlipProcess:
+    """How deviations change, from positions and headings: each in turn, the others as they are found to be.
+
+    Parameters
+    ----------
+    priors : of the constants; None takes the plain ones.
+    reference : a motion that is about right; None takes dead reckoning.
+    """
+    priors = priors or Priors.plain(nodes)
+    believed = _believed(nodes)
+    amplitude, length, walk = COARSE.copy(), np.full(3, LENGTHS_M[1]), 0.0
+    reference = reference or ReferenceMotion.first(nodes)
+    sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
+    if priors.hypotheses:
+        usual = TriedProcesses(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
+        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), kept=False).squares[0])
+
+    def likelihood(tried_a: FloatArray, tried_l: FloatArray, tried_w: FloatArray) -> FloatArray:
+        assumed = TriedProcesses(amplitude=tried_a, length_m=tried_l, walk=tried_w)
+        run = filtered(Model.about(nodes, reference, assumed), kept=False)
+        return np.array([one.ln_likelihood for one in averaged(priors, run, sets)])
+
+    ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
+    prior = -0.5 * ((ln_a + np.log(SHARES)[:, None] - np.log(believed)[:, None]) / WIDTH) ** 2
+    weights, walked = np.empty_like(prior), np.eye(len(WALKS))[0]
+    for channel in ORDER:
+        if channel == ORDER[1] and nodes.chain is None and priors.hypotheses:
+            # Slip that changes and positions that walk look alike: they are weighed together.
+            step, level = (part.ravel() for part in np.meshgrid(np.arange(len(WALKS)), AMPLITUDES, indexing="ij"))
+            tried_a = np.column_stack([level, level, np.full(len(level), amplitude[2])])
+            tried_l = np.tile([LENGTHS_M[1], LENGTHS_M[1], length[2]], (len(level), 1))
+            ln_weight = likelihood(tried_a, tried_l, np.array(WALKS)[step]) + np.log(WALK_ODDS)[step]
+            ln_weight -= 0.5 * (np.log(level[:, None] / believed[:2]) ** 2).sum(axis=1) / WIDTH**2
+            walked = np.bincount(step, _normed(ln_weight))
+            walk = float(walked @ WALKS)
+        tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
+        tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
+        weights[channel] = _normed(prior[channel] + likelihood(tried_a, tried_l, np.full(len(ln_a), walk)))
+        amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
+        length[channel] = math.exp(weights[channel] @ ln_l)
+    spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
+    drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
+    picked = np.column_stack(drawn[:3])
+    return SlipProcess(
+        amplitude=np.exp(ln_a[picked]) * SHARES,
+        length_m=np.exp(ln_l[picked]),
+        walk=np.array(WALKS)[drawn[3]],
+        usual=amplitude,
+        usual_length_m=length,
+        usual_walk=walk,
+        spread=spread,
+        information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
+    )
+
+
+def _believed(nodes: Nodes) -> FloatArray:
+    """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
+    if nodes.effect is None:
+        return UNKNOWN * SHARES
+    effect = nodes.effect[:, :2] @ np.array(EFFECT_MEAN)
+    way = np.append(0.0, np.cumsum(nodes.way_m))
+    later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
+    ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
+    return np.asarray(np.array([ahead, left, ahead]) * SHARES)
+
+
+def _normed(ln_weight: FloatArray) -> FloatArray:
+    weight = np.exp(ln_weight - ln_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def _spread(weight: FloatArray, values: FloatArray) -> float:
+    return math.sqrt(weight @ (values - weight @ values) ** 2)
+
+
+def _divergence(weight: FloatArray, believed: FloatArray) -> float:
+    return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
+
+
+def _drawn(weight: FloatArray, stride: int) -> IndexArray:
+    """Candidates as often as they are probable, in an order of their own. (m,)"""
+    levels = (np.arange(DRAWN) + 0.5) / DRAWN
+    picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
+    return np.asarray(picked[(stride * np.arange(DRAWN)) % DRAWN])
+
 
 FAR = 20.0
 """Mahalanobis distance squared from which on a measurement is looked at alone; assumed: once in 22 000 by chance."""

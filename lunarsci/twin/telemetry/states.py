@@ -1,34 +1,40 @@
 """From telemetry to the states of the wheels: slip, side slip and sinkage, each with its error, and tables of them.
 
-What the smoothed motion says of its telemetry: which hypotheses hold, and which positions fit no motion.
+The smoothed motion also tells which hypotheses about its telemetry hold, and which positions fit no motion.
 """
 
 import dataclasses
+import itertools
 import math
 import warnings
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.lanes import CLIFF, HOLE, LEFT, OVERTURNED
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
+    FAST,
+    MOST_FAST,
     WheelPace,
     check_pace,
+    check_slips,
+    check_stands,
     ordered,
     steering_angles,
     time_gaps,
 )
-from lunarsci.twin.telemetry.filter import linearised
-from lunarsci.twin.telemetry.motion_nodes import DRIFT, LAG, LEVER, LINEAR_S, SCALE, SLIDES, Nodes, lag_of_turns
+from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, LINEAR_S, SCALE, SLIDES, Nodes, lag_of_turns, linearised
 from lunarsci.twin.telemetry.nodes import (
     Rows,
     denser,
@@ -36,20 +42,181 @@ from lunarsci.twin.telemetry.nodes import (
     nodes_of,
     on_ground,
     put_back,
+    slips_of,
     turn_effect,
+    wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.nuisances import LATE_S, Hypothesis, Posterior, Priors
 from lunarsci.twin.telemetry.odometry import body_twist, mean_speed, of_one_motion
-from lunarsci.twin.telemetry.plan_checks import by_the_plan, check_ends
+from lunarsci.twin.telemetry.plan_checks import HALT, by_the_plan, check_ends
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
-from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.readings import as_meant
-from lunarsci.twin.telemetry.slip_process import SlipProcess
-from lunarsci.twin.telemetry.smoother import MEDIAN_OF_TWO, Smoothed, smooth
-from lunarsci.twin.telemetry.state_rows import StateRows, state_rows
-from lunarsci.twin.telemetry.wheel_motion import WheelMotion, wheel_motion
-from lunarsci.twin.telemetry.wheel_readings import in_units
+from lunarsci.twin.telemetry.reading import SHARED, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.readings import as_meant, in_units
+from lunarsci.twin.telemetry.smoother import (
+    LATE_S,
+    MEDIAN_OF_TWO,
+    Hypothesis,
+    Posterior,
+    Priors,
+    SlipProcess,
+    Smoothed,
+    smooth,
+)
+from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LEAST_ROW_M = 0.3
+"""Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
+UNEVEN = 0.2
+"""Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
+ON_THE_SPOT = 0.1
+"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StateRows:
+    """States at some nodes, of every wheel.
+
+    Attributes
+    ----------
+    node : which node each row is. (m,)
+    distance_m : way that the wheels rolled, of their middle; longer than the rover's by slip. (m,) [m]
+    place_m : wheel centres. (m, wheels, 2) [m]
+    slip_ratio, slip_ratio_sigma, side_slip_deg, side_slip_deg_sigma : (m, wheels)
+    slip_ratio_shared : part of the error of slip that all states share, of the scale of the rims. (m, wheels)
+    sinkage_m, sinkage_m_sigma : NaN where the track does not say it. (m, wheels) [m]
+    rim_m_s : measured speed of the rims r_s omega about the node, NaN where it is not. (m, wheels) [m/s]
+    measured : False at halts, and for wheels without readings or off the terrain. (m, wheels)
+    """
+
+    node: IndexArray
+    distance_m: FloatArray
+    place_m: FloatArray
+    slip_ratio: FloatArray
+    slip_ratio_sigma: FloatArray
+    slip_ratio_shared: FloatArray
+    side_slip_deg: FloatArray
+    side_slip_deg_sigma: FloatArray
+    sinkage_m: FloatArray
+    sinkage_m_sigma: FloatArray
+    rim_m_s: FloatArray
+    measured: BoolArray
+
+    @property
+    def fast(self) -> BoolArray:
+        """Measured, but with a slip beyond the range of the wheel model. (m, wheels)"""
+        return np.asarray(self.measured & (np.abs(self.slip_ratio) > VALID_SLIP))
+
+    @property
+    def valid(self) -> BoolArray:
+        """Measured and not fast: what a soil is learned from. (m, wheels)"""
+        return np.asarray(self.measured & ~self.fast)
+
+
+def state_rows(
+    rover: Rover,
+    wheels: WheelMotion,
+    nodes: Nodes,
+    smoothed: Smoothed,
+    motion: Motion,
+    held: PrescribedLoads,
+    rows: IndexArray,
+    gaps: BoolArray,
+    findings: Findings,
+) -> StateRows:
+    """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
+    speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
+    steps = np.diff(nodes.time_s)
+    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL_SHARE * wheels.usual_m_s)
+    distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
+    gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
+    chosen, halted = _chosen(nodes, drives, distance, gap_nodes, findings)
+    velocities = wheel_velocities(rover, nodes, smoothed, held)
+    slip, side, slip_sigma, side_sigma, shared = (part[chosen] for part in slips_of(velocities, motion))
+    low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
+    trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
+    sound = ~np.isin(held.outcome[chosen], (LEFT, HOLE, OVERTURNED, CLIFF))
+    check_stands(sound, nodes.time_s[chosen], findings)
+    slip[halted], side[halted] = 0.0, 0.0
+    result = StateRows(
+        node=chosen,
+        distance_m=distance[chosen],
+        place_m=_places(rover, motion, held)[chosen],
+        slip_ratio=slip,
+        slip_ratio_sigma=slip_sigma,
+        slip_ratio_shared=shared,
+        side_slip_deg=side,
+        side_slip_deg_sigma=side_sigma,
+        sinkage_m=np.full(slip.shape, np.nan),
+        sinkage_m_sigma=np.full(slip.shape, np.nan),
+        rim_m_s=_rims(wheels, low, high),
+        measured=trusted & sound[:, None] & ~halted[:, None],
+    )
+    check_slips(result.slip_ratio, result.measured, nodes.time_s[chosen], findings)
+    return result
+
+
+def _places(rover: Rover, motion: Motion, held: PrescribedLoads) -> FloatArray:
+    """Wheel centres, as of a level rover where it does not come to rest. (n, wheels, 2) [m]"""
+    yaw, wheel = np.radians(motion.yaw_deg)[:, None], rover.wheel_positions_m
+    level = np.stack(
+        [
+            motion.x_m[:, None] + np.cos(yaw) * wheel[:, 0] - np.sin(yaw) * wheel[:, 1],
+            motion.y_m[:, None] + np.sin(yaw) * wheel[:, 0] + np.cos(yaw) * wheel[:, 1],
+        ],
+        axis=-1,
+    )
+    return np.where(np.isfinite(held.states[..., :2]), held.states[..., :2], level)
+
+
+def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
+    """Mean of the measured rim speeds over steps between rows, NaN where none is. (m, wheels) [m/s]"""
+    measured = np.where(wheels.measured, wheels.rim_m_s, 0.0)
+    sums, counts = (np.vstack([np.zeros(one.shape[1]), one.cumsum(axis=0)]) for one in (measured, wheels.measured))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((sums[high] - sums[low]) / (counts[high] - counts[low]))
+
+
+def _chosen(
+    nodes: Nodes, drives: BoolArray, distance_m: FloatArray, gap: BoolArray, findings: Findings
+) -> tuple[IndexArray, BoolArray]:
+    """Nodes midway between positions, no closer than `LEAST_ROW_M`, and one for each halt.
+
+    Nodes and whether each is a halt. They are out of gaps, and where the rover keeps its speed, if there are such.
+    """
+    fixes = np.flatnonzero(nodes.fixed)
+    pace = nodes.way_m / np.diff(nodes.time_s)
+    even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < UNEVEN
+    driven, dark = (np.pad(one, 1) for one in (drives[1:] & drives[:-1], gap[1:] | gap[:-1]))
+    dark[[0, -1]] = gap[[0, -1]]
+    lost = np.append(0, np.cumsum(gap))
+    result: list[int] = []
+    for calm, blind in ((driven & ~dark & np.pad(even, 1), False), (driven & ~dark, False), (driven, True)):
+        last = -math.inf
+        for a, b in itertools.pairwise(fixes):
+            inside = np.arange(a, b + 1)[calm[a : b + 1]]
+            middle = 0.5 * (distance_m[a] + distance_m[b])
+            if not inside.size or (lost[b] > lost[a] and not blind) or distance_m[b] == distance_m[a]:
+                continue
+            node = int(inside[np.argmin(np.abs(distance_m[inside] - middle))])
+            if distance_m[node] - last >= LEAST_ROW_M:
+                result.append(node)
+                last = float(distance_m[node])
+        if result:
+            break
+    still = np.flatnonzero(np.append(~drives, False))
+    groups = np.split(still, np.flatnonzero(np.diff(still) > 1) + 1) if still.size else []
+    halts = [int(group[len(group) // 2]) for group in groups if group.size]
+    if not result and not halts:
+        raise DataError(f"{findings.file}: no two positions with a drive between them; slip needs two")
+    if not result:
+        what = "the rover does not drive between positions; it stands, or turns on the spot"
+        findings.add("no slip", what, "there are no states; its motion is given")
+    nodes_found = np.array(sorted({*result, *halts}), dtype=np.intp)
+    return nodes_found, np.isin(nodes_found, halts)
+
 
 HELD = 0.5
 """Probability from which on a hypothesis is said: it is more probable than not."""
@@ -292,7 +459,7 @@ def states_of(
     They are those of the moment of a row, not means about it. The motion is found by `smooth`; the twin, held to it on
     the terrain, gives the velocity of each wheel in its contact plane, whatever the suspension does, and how slopes and
     loads make the rover slip, in proportions that the data tell. Errors are those of the smoothed velocities, averaged
-    over how fast slip may change and over what `nuisances` lists; they do not hold those of the terrain.
+    over how fast slip may change and over what `smoother` lists; they do not hold those of the terrain.
 
     Parameters
     ----------
@@ -430,3 +597,85 @@ def _way(rover: Rover, sent: Rows, schedule: Schedule | None) -> tuple[FloatArra
     twist, _ = body_twist(rover, rims, 0.5 * (steering[1:] + steering[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, way
+
+
+BASIS = "positions"
+"""What slip and side slip rest on: the positions of `position_table`."""
+
+
+def wheel_table(drive: DriveStates) -> "pd.DataFrame":
+    """A row for each time and wheel: what `lunarsci twin update` reads as states.
+
+    Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
+    side_slip_deg, side_slip_deg_sigma, slip_ratio_shared, valid, slip_basis, rim_m_s, rover, ground, and doubt where
+    there is some.
+    """
+    import pandas as pd
+
+    rows, names, each = drive.rows, drive.rover.wheels, len(drive.rover.wheels)
+    columns = {
+        "time_s": np.repeat(drive.nodes.time_s[rows.node], each),
+        "distance_m": np.repeat(rows.distance_m, each),
+        "wheel": np.tile(names, len(rows.node)),
+        "x_m": rows.place_m[..., 0].ravel(),
+        "y_m": rows.place_m[..., 1].ravel(),
+    }
+    for name in ("sinkage_m", "slip_ratio", "side_slip_deg"):
+        columns[name] = getattr(rows, name).ravel()
+        columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
+    columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
+    columns["valid"] = rows.valid.ravel()
+    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive, _learned(drive))
+
+
+def _learned(drive: DriveStates) -> tuple[str, ...]:
+    """Kinds of findings that leave the states right, and not a soil learned from them with the plan."""
+    many = drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum()
+    return (HALT, FAST) if many else (HALT,)
+
+
+def _named(table: "pd.DataFrame", drive: DriveStates, kinds: tuple[str, ...] = ()) -> "pd.DataFrame":
+    """With the rover, its ground, and why the table is doubtful, by findings that are a doubt or of some kinds."""
+    doubts = [
+        f"{one.kind}: {one.what}" if one.doubt else f"{one.kind}: {one.what}; {one.done}"
+        for one in drive.findings.entries
+        if one.doubt or one.kind in kinds
+    ]
+    table = table.assign(rover=drive.rover.written, ground=drive.held.terrain.written)
+    return table.assign(doubt="; ".join(doubts)) if doubts else table
+
+
+def position_table(drive: DriveStates) -> "pd.DataFrame":
+    """`DriveStates.positions`: time_s, x_m, y_m, xx_m2, xy_m2, yy_m2, and `SHARED` where it is known."""
+    import pandas as pd
+
+    used = drive.positions
+    columns = {
+        "time_s": used.time_s,
+        "x_m": used.place_m[:, 0],
+        "y_m": used.place_m[:, 1],
+        "xx_m2": used.covariance_m2[:, 0, 0],
+        "xy_m2": used.covariance_m2[:, 0, 1],
+        "yy_m2": used.covariance_m2[:, 1, 1],
+    }
+    if used.shared_m2 is not None:
+        columns |= dict(zip(SHARED, used.shared_m2.reshape(-1, 4).T, strict=True))
+    return pd.DataFrame(columns)
+
+
+def motion_table(drive: DriveStates) -> "pd.DataFrame":
+    """The smoothed motion with the wheels' measured commands: what `lunarsci twin loads` reads.
+
+    Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, steering_W_deg, speed_W_m_s of each wheel W, rover,
+    ground, and doubt where there is some.
+    """
+    import pandas as pd
+
+    motion, covariance = drive.motion, drive.smoothed.covariance
+    columns = {name: getattr(motion, name) for name in ("time_s", "x_m", "y_m", "yaw_deg")}
+    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
+    columns |= {"x_m_sigma": errors[:, 0], "y_m_sigma": errors[:, 1], "yaw_deg_sigma": np.degrees(errors[:, 2])}
+    for k, wheel in enumerate(drive.rover.wheels):
+        columns[f"steering_{wheel}_deg"] = motion.steering_deg[:, k]
+        columns[f"speed_{wheel}_m_s"] = motion.speed_m_s[:, k]
+    return _named(pd.DataFrame(columns), drive)

@@ -17,9 +17,8 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.repeats import digit_of, held
-from lunarsci.twin.telemetry.rests import TURNED_DEG
-from lunarsci.twin.telemetry.wheel_readings import between
+from lunarsci.twin.telemetry.readings import between
+from lunarsci.twin.telemetry.rests import TURNED_DEG, digit_of, held
 
 SIGMA_DEG, RATE_SHARE, TOLD_SHARE = 1.0, 0.1, 0.2
 """Standard errors of turns between rows: of all [deg], of rates and of commands as shares; assumed."""
