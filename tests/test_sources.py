@@ -31,7 +31,7 @@ SETTINGS = {
         "spectra/abundance/mixing.py: UNIT_NM",
         "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
-        "spectra/mgm/program.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
+        "spectra/mgm/fit_file.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
         "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry/phase.py: _LIMITS_DEG",
         "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
         "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: SCALES",
@@ -50,7 +50,7 @@ SETTINGS = {
     "where something is drawn or told, or how finely": (
         "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/jobs/render.py: TRUTH_STEP_M",
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
-        "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/program.py: PLOT_AXIS",
+        "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/fit_file.py: PLOT_AXIS",
         "spectra/vnis/calibration.py: _SHADOW, _INVALID",
         "twin/routes/path_geojson.py: EVERY_M, NEAR_M", "twin/telemetry/simulated.py: DENSE_M"),
     "how long machines are waited for, and how much memory is taken": (
@@ -72,7 +72,7 @@ SETTINGS = {
         "spectra/mgm/levenberg_marquardt.py: BELIEF", "spectra/mgm/moments.py: ORIGIN",
         "spectra/mgm/multistart.py: COARSE_DOUBT", "spectra/mgm/multistart.py: SAME_BASIN",
         "spectra/mgm/intervals.py: COARSE_UM", "spectra/mgm/intervals.py: CONTINUUM_SPREAD",
-        "spectra/mgm/intervals.py: CLOSE", "spectra/mgm/intervals.py: NARROW", "spectra/mgm/program.py: NARROWEST_UM",
+        "spectra/mgm/intervals.py: CLOSE", "spectra/mgm/intervals.py: NARROW", "spectra/mgm/fit_file.py: NARROWEST_UM",
         "spectra/mgm/region.py: NEARLY, FINALLY", "spectra/mgm/region.py: SLACK",
         "spectra/mgm/sampler.py: AT_A_STEP, SETTLING", "spectra/mgm/sampler.py: FIRST_STEP, LEAST_STEP, MOST_STEP",
         "spectra/mgm/sampler.py: PARTED", "spectra/mgm/sampler.py: SHORTEST, LONGEST",

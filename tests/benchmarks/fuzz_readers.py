@@ -193,7 +193,7 @@ def spectra_readers() -> dict[str, Reader]:
         "library": Reader(of_file("spectra.library.end_member:read_library"), ["spoilt.ecsv"], [library()]),
         "samples": Reader(of_file("spectra.library.check:read_metadata"), ["spoilt.csv"],
                           [b"id,mineral,fo,max_um,source\nA,ol,0.9,45,SYNTHETIC\nB,Ilmenite,,,\n"]),
-        "start of a fit": Reader(of_file("spectra.mgm.program:read_start"), ["spoilt.fit"], [START]),
+        "start of a fit": Reader(of_file("spectra.mgm.fit_file:read_start"), ["spoilt.fit"], [START]),
         "sunlight": Reader(of_file("spectra.readers.solar_table:read_solar_spectrum"), ["spoilt.csv"], [sun]),
         "phase function": Reader(of_file("spectra.photometry.phase:read_phase_function"), ["spoilt.csv"],
                                  [b"phase_deg,750,1500\n0,2,2\n30,1,1\n60,0.6,0.7\n"]),

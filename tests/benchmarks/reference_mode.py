@@ -19,8 +19,7 @@ import numpy as np
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.fit_file import FitBand, FitFile
-from lunarsci.spectra.mgm.program import model_of
+from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, model_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

@@ -17,8 +17,17 @@ from lunarsci.figure import as_label, name_points, page
 from lunarsci.spectra.band_status import BandResult
 from lunarsci.spectra.bands import BandColumns, SpectrumBands, columns_of
 from lunarsci.spectra.chemistry.chondrite import area_ratio, bands_of_chondrites, chondrites
-from lunarsci.spectra.chemistry.estimates import CompositionEstimate, Estimates
-from lunarsci.spectra.chemistry.plane import OLIVINE_NM, Anchor, Regression, Texts, anchors, objections, regressions
+from lunarsci.spectra.chemistry.plane import (
+    OLIVINE_NM,
+    Anchor,
+    CompositionEstimate,
+    Estimates,
+    Regression,
+    Texts,
+    anchors,
+    objections,
+    regressions,
+)
 from lunarsci.spectra.continuum import CONIC
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.bands import BandColumns
-from lunarsci.spectra.chemistry.estimates import CompositionEstimate, Estimates
+from lunarsci.spectra.chemistry.plane import CompositionEstimate, Estimates
 from lunarsci.spectra.continuum import CONIC
 
 TABLE = "chondrite_calibration.csv"

@@ -10,10 +10,9 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm.data import MgmData, prepare
 from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH
-from lunarsci.spectra.mgm.fit_file import FitFile
+from lunarsci.spectra.mgm.fit_file import LIMITS, WAVENUMBER_NM, FitFile, ProgramParameters, parameters_of, raw_basis
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel
-from lunarsci.spectra.mgm.program import LIMITS, WAVENUMBER_NM, ProgramParameters, parameters_of, raw_basis
 from lunarsci.spectra.mgm.result import (
     FittedBand,
     MgmFailure,

@@ -13,9 +13,8 @@ from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.fit_file import FitBand, FitFile
+from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, fit_file_of, model_of
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
-from lunarsci.spectra.mgm.program import fit_file_of, model_of
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

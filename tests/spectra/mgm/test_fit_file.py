@@ -14,9 +14,17 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, fit_file_text, read_fit_file
+from lunarsci.spectra.mgm.fit_file import (
+    FitBand,
+    FitFile,
+    fit_file_of,
+    fit_file_text,
+    model_of,
+    parse_minerals,
+    read_fit_file,
+    read_start,
+)
 from lunarsci.spectra.mgm.model import mgm_model
-from lunarsci.spectra.mgm.program import fit_file_of, model_of, parse_minerals, read_start
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

@@ -5,9 +5,8 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.assemblages import FAMILIES
-from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmModel, mgm_model, unit_of
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmModel, constrained, mgm_model, parse_compositions, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -14,9 +14,8 @@ import pytest
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.bands import measure_bands
-from lunarsci.spectra.mgm.constraints import constrained
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.model import constrained, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.photometry.phase import Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.solar import solar_spectrum
