@@ -83,11 +83,12 @@ def command_line(wanted: Collection[str] | None = None) -> typer.Typer:
         group = typer.Typer(no_args_is_help=True, help=text)
         group.callback()(lambda: None)
         if wanted is None or name in wanted:
+            chosen = COMMANDS[name] if wanted is None else [one for one in COMMANDS[name] if one in wanted]
             for command in COMMANDS[name]:
-                if wanted is None or command in wanted:
+                if command in chosen:
                     import_module(f".{name}.{command}", __name__).add_to(group)
                 else:
-                    group.command(command, help=_summary(name, command))(lambda: None)
+                    group.command(command, help="" if chosen else _summary(name, command))(lambda: None)
         program.add_typer(group, name=name)
     for name, text in SINGLE.items():
         if wanted is None or name in wanted:
@@ -118,11 +119,13 @@ def _program(*wanted: str) -> Callable[..., Any]:
 
 def _parts(arguments: Sequence[str]) -> list[str]:
     """Which parts of the program are needed: a group and its command, or those of what a shell wants to complete."""
-    if COMPLETING not in os.environ:
-        return [word for word in arguments if not word.startswith("-")][:2]
-    typed = [word for name in TYPED for word in os.environ.get(name, "").split()]
-    first = next((k for k, word in enumerate(typed) if word in (*GROUPS, *SINGLE)), len(typed))
-    return typed[first : first + 2]
+    words = list(arguments)
+    if COMPLETING in os.environ:
+        words = [word for name in TYPED for word in os.environ.get(name, "").split()]
+    named = [word for word in words if not word.startswith("-")]
+    first = next((k for k, word in enumerate(named) if word in (*GROUPS, *SINGLE)), len(named))
+    part = named[first : first + 1]
+    return part + [word for word in named[first + 1 : first + 2] if word in COMMANDS.get(part[0], ())]
 
 
 def _show_version(value: bool) -> None:

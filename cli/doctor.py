@@ -29,7 +29,7 @@ def doctor(output: Output) -> Report:
     return Report.of(found, [_table(found)], figures=None)
 
 
-def _table(found: "HealthReport") -> TextTable:
+def _table(found: HealthReport) -> TextTable:
     lines = [f"{'ok ' if not one.trouble else 'OFF'}  {one.name}: {one.found}" for one in found.checks]
     lines += [f"     {line}" for line in found.trouble]
     title = f"{len(found.trouble)} of {len(found.checks)} things are off" if found.trouble else "all is well"

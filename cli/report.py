@@ -46,7 +46,7 @@ def report(results: Results, request: ReportRequest) -> Report:
     return Report.of(made, lambda: _tables(made), formats=html, figures=None)
 
 
-def _tables(made: "ReportedResults") -> list[TextTable]:
+def _tables(made: ReportedResults) -> list[TextTable]:
     lines = [
         line
         for row in made.rows()

@@ -42,7 +42,7 @@ def reproduce(request: ReproduceRequest, output: Output) -> Report:
     return Report.of(found, [_table(found, output.verbose)])
 
 
-def _table(found: "Reproduction", verbose: bool) -> TextTable:
+def _table(found: Reproduction, verbose: bool) -> TextTable:
     """One line a number, by part."""
     rows, numbers = [], found.numbers
     for part in found.parts:
@@ -56,27 +56,27 @@ def _table(found: "Reproduction", verbose: bool) -> TextTable:
     return TextTable(headers, rows, notes=_notes(found, verbose))
 
 
-def _row(number: "Number") -> list[str]:
+def _row(number: Number) -> list[str]:
     own = [f"{number.published:g}", _ours(number), _range(number), number.unit, number.verdict]
     return [f"  {number.id}", number.quantity, *own]
 
 
-def _ours(number: "Number") -> str:
+def _ours(number: Number) -> str:
     if number.ours is None:
         return "-"
     return f"({number.ours:.4g})" if number.is_open else f"{number.ours:.4g}"
 
 
-def _range(number: "Number") -> str:
+def _range(number: Number) -> str:
     return "-" if number.low is None or number.high is None else f"{number.low:.4g} to {number.high:.4g}"
 
 
-def _evidence(number: "Number") -> list[str]:
+def _evidence(number: Number) -> list[str]:
     reading = [f"    reading: {number.reading}"] if number.reading else []
     return [f"  {number.id}", *reading, f"    {number.reason}"]
 
 
-def _notes(found: "Reproduction", verbose: bool) -> list[str]:
+def _notes(found: Reproduction, verbose: bool) -> list[str]:
     numbers, counts = found.numbers, "; ".join(f"{count} {verdict}" for verdict, count in found.verdicts.items())
     notes = [f"{len(numbers)} numbers: {counts}"]
     if any(number.is_open and number.ours is not None for number in numbers):

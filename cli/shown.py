@@ -44,14 +44,14 @@ COMMAND_OF = {
 """Whose `result_tables` a result has, by its class or one that it extends."""
 
 
-def as_text(result: "Result") -> str:
+def as_text(result: Result) -> str:
     """What the command prints, with what it says on stderr; the plain table where there is no such command."""
     tables = _tables(result)
     text = str(result.to_table()) + "\n" if tables is None else render(tables, terminal_width())
     return "\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n")
 
 
-def as_html(result: "Result") -> str:
+def as_html(result: Result) -> str:
     """The same tables for a notebook, what should be known first."""
     tables = _tables(result)
     said = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
@@ -62,7 +62,7 @@ def as_html(result: "Result") -> str:
     return lines + "".join(map(_html_of, tables))
 
 
-def _tables(result: "Result") -> Sequence[TextTable] | None:
+def _tables(result: Result) -> Sequence[TextTable] | None:
     command = next((COMMAND_OF[kind.__name__] for kind in type(result).__mro__ if kind.__name__ in COMMAND_OF), None)
     if command is None:
         return None

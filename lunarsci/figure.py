@@ -177,7 +177,7 @@ DIRECTIONS = np.radians([30, -30, 150, -150, 90, -90, 0, 180, 60, -60, 120, -120
 
 
 def name_points(
-    figure: Any, named: "Mapping[Any, Sequence[tuple[str, float, float]]]", *, clear_pt: float = 0.0, **look: Any
+    figure: Any, named: Mapping[Any, Sequence[tuple[str, float, float]]], *, clear_pt: float = 0.0, **look: Any
 ) -> None:
     """Write names beside points of panels, each where it covers no other name and, if there is room, no other point.
 
@@ -204,7 +204,7 @@ def name_points(
                 _name(axes, text, (point, place, clear_pt), dots, taken, look)
 
 
-def _marked(axes: Any) -> "Iterator[Any]":
+def _marked(axes: Any) -> Iterator[Any]:
     """Places of all markers of a panel, and half their sizes. [px]"""
     for line in axes.lines:
         if line.get_marker() not in ("None", "", " ", None) and line.get_transform() == axes.transData:
@@ -247,7 +247,7 @@ def _name(axes: Any, text: str, where: Any, dots: Any, taken: list[Any], look: M
 
 
 @contextmanager
-def styled() -> "Iterator[None]":
+def styled() -> Iterator[None]:
     """Figures that are made and written in this block have the style of the house."""
     import matplotlib
 

@@ -156,3 +156,14 @@ def test_the_notebook_of_the_page_runs(cluster: Any) -> None:
     found: dict[str, Any] = {}
     exec(cell, found)
     assert len(found["drives"][1].prediction.paths) == 4
+
+
+def test_drives_that_are_compared_on_a_cluster_have_the_same_bytes(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    line = ("twin plan --target 2,0.3 --risk 0.3 --members 16 --candidates 4 --fixes 0.05,0.5 --seed 2 "
+            "--sweep friction_angle_deg=30:50:3 --json -o {folder}/made")  # fmt: skip
+    run(tmp_path / "here", line)
+    run(tmp_path / "there", line, "--scheduler", cluster.scheduler_address)
+    same_files(tmp_path / "here/made", tmp_path / "there/made")

@@ -71,7 +71,7 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     return Report.of(found, result_tables(found), formats={".toml": rig_file})
 
 
-def result_tables(found: "CalibratedCameras") -> list[TextTable]:
+def result_tables(found: CalibratedCameras) -> list[TextTable]:
     result = found.to_dict()
     cameras = list(result["cameras"].values())
     rows = [[name, *(number(name, own) for own in cameras)] for name in SHOWN]

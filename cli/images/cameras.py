@@ -53,7 +53,7 @@ def cameras(output: Output, request: CamerasRequest, sources: Sources = None) ->
     return Report.of(found, result_tables(found), formats={".toml": rig_file})
 
 
-def result_tables(found: "CameraSheet") -> list[TextTable]:
+def result_tables(found: CameraSheet) -> list[TextTable]:
     result, tables = found.to_dict(), []
     for rig in result["rigs"]:
         tables += [_intrinsics(rig), _ranges(rig)]

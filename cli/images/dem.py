@@ -57,12 +57,12 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
     return Report.of(found, result_tables(found), extras={} if terrain is None else {terrain: _content(found, terrain)})
 
 
-def _content(found: "StereoTerrain", path: Path) -> Callable[[], bytes]:
+def _content(found: StereoTerrain, path: Path) -> Callable[[], bytes]:
 
     return lambda: elevation_bytes(found.model) if path.suffix == ".npz" else elevation_geotiff(found.model)
 
 
-def result_tables(found: "StereoTerrain") -> list[TextTable]:
+def result_tables(found: StereoTerrain) -> list[TextTable]:
     result = found.to_dict()
     terrain, pixels = result["terrain"], result["pixels"]
     rows = [

@@ -58,7 +58,7 @@ def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
     return Report.of(found, result_tables(found), files=found.files())
 
 
-def result_tables(found: "LocatedStations") -> list[TextTable]:
+def result_tables(found: LocatedStations) -> list[TextTable]:
     result = found.to_dict()
     rows = [
         [

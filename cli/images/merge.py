@@ -51,7 +51,7 @@ def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:
     return lambda _: made()
 
 
-def result_tables(found: "MergedStations") -> list[TextTable]:
+def result_tables(found: MergedStations) -> list[TextTable]:
     result = found.to_dict()
     rows = [
         [

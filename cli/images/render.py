@@ -60,7 +60,7 @@ def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> R
     return Report.of(found, result_tables(found), files=found.files())
 
 
-def result_tables(found: "SyntheticPair") -> list[TextTable]:
+def result_tables(found: SyntheticPair) -> list[TextTable]:
     """What the pixels show."""
     result = found.to_dict()
     pixels = {name.replace("_", " "): share for name, share in result["pixels"].items()}

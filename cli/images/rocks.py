@@ -46,7 +46,7 @@ def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
     return Report.of(found, result_tables(found), formats={".geojson": keep_outs})
 
 
-def result_tables(found: "RockList") -> list[TextTable]:
+def result_tables(found: RockList) -> list[TextTable]:
     result = found.to_dict()
     rows = [
         [

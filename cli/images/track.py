@@ -54,7 +54,7 @@ def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
     return Report.of(found, result_tables(found))
 
 
-def result_tables(found: "TrackSinkage") -> list[TextTable]:
+def result_tables(found: TrackSinkage) -> list[TextTable]:
     result = found.to_dict()
     rut, sinkage = result["rut_m"], result["sinkage_m"]
     rows = [

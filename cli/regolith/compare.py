@@ -47,7 +47,7 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     return Report.of(found, tables=result_tables(found))
 
 
-def result_tables(result: "ComparedSoils") -> list[TextTable]:
+def result_tables(result: ComparedSoils) -> list[TextTable]:
     """The nearest soils in both aspects."""
 
     found, tables = result.soils, []
@@ -75,12 +75,12 @@ def result_tables(result: "ComparedSoils") -> list[TextTable]:
     return tables
 
 
-def _range(item: "SoilComparison", aspect: str) -> list[str]:
+def _range(item: SoilComparison, aspect: str) -> list[str]:
     ends = item.bearing_range if aspect == "bearing" else item.strength_range
     return [f"{ends[0]:.2f} to {ends[1]:.2f}"] if ends else []
 
 
-def _own(item: "SoilComparison", aspect: str) -> list[str]:
+def _own(item: SoilComparison, aspect: str) -> list[str]:
     soil = item.soil
     if aspect == "bearing":
         return ["-" if value is None else f"{value:g}" for value in (soil.sinkage_exponent, soil.k_c, soil.k_phi)]

@@ -72,7 +72,7 @@ def forces(request: WheelForcesRequest) -> Report:
     return Report.of(found, tables=result_tables(found))
 
 
-def result_tables(found: "ForcesOnWheel") -> list[TextTable]:
+def result_tables(found: ForcesOnWheel) -> list[TextTable]:
     """One state in full, or a curve over slip and what it is worth."""
     rows = found.rows()
     if len(rows) == 1:
@@ -117,7 +117,7 @@ def _curve(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     return TextTable([head for _, head, _, _ in shown], cells)
 
 
-def _figures(found: "Traction") -> TextTable:
+def _figures(found: Traction) -> TextTable:
     rows: list[tuple[str, float | None, str]] = [
         ("pull at 20 % slip", found.pull_at_20_n, "N"),
         ("pull per weight at 20 % slip", found.pull_per_weight_at_20, "-"),

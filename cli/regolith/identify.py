@@ -125,7 +125,7 @@ def _shares(found: IdentifiedSoil) -> list[TextTable]:
     return [] if found.shares is None else [_sensitivity_table(found.shares)]
 
 
-def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:
+def _sensitivity_table(shares: Sequence[Sensitivity]) -> TextTable:
     rows = [
         [SYMBOLS[share.parameter], QUANTITIES[share.quantity], _share(share.alone), _share(share.saved)]
         for share in shares
@@ -139,7 +139,7 @@ def _share(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
-def _observation_tables(found: "Identification", title: str) -> list[TextTable]:
+def _observation_tables(found: Identification, title: str) -> list[TextTable]:
 
     if len(found.observations) > MANY_STATES:
         return []
@@ -172,14 +172,14 @@ def _site_title(result: IdentifiedSoil) -> str:
     return f"The site from {wheel_text(result)}, {found.draws} draws each, sign convention '{found.reading}'"
 
 
-def _site_row(label: str, estimate: "Estimate", name: str) -> list[str]:
+def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:
 
     interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"
     remark = "assumed" if estimate.assumed else estimate.reason
     return [label, _text(estimate, name), interval, UNITS[name], remark]
 
 
-def _text(estimate: "Estimate", name: str) -> str:
+def _text(estimate: Estimate, name: str) -> str:
     if estimate.value is None:
         return UNKNOWN if estimate.reason else "-"
     if not estimate.sigma:

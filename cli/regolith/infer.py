@@ -119,7 +119,7 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
     return [table, *_laws(soil), *_predicted(soil)]
 
 
-def _fit(found: "SoilPosterior") -> list[str]:
+def _fit(found: SoilPosterior) -> list[str]:
     """How well the law explains the states, in words."""
     verdict = found.verdict
     reduced = "-" if verdict.reduced_chi_square is None else f"{verdict.reduced_chi_square:.2f}"
@@ -162,7 +162,7 @@ def _predicted(soil: InferredSoil) -> list[TextTable]:
     return [TextTable(["state", "F_DP [N], 90 %", "F_L [N], 90 %"], rows, title="Predicted", notes=found.notes())]
 
 
-def _combinations(found: "SoilPosterior") -> Sequence[str]:
+def _combinations(found: SoilPosterior) -> Sequence[str]:
     """The best known directions, in words."""
     lines = []
     for left, weights in found.combinations()[:MOST_SHOWN]:

@@ -52,13 +52,13 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     return Report.of(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
 
 
-def result_tables(result: "MeasuredBands") -> list[TextTable]:
+def result_tables(result: MeasuredBands) -> list[TextTable]:
     """Bands, what follows of compositions, and what both say."""
     records = result.content()["spectra"]
     return [_bands_table(result), *_chemistry_tables(result), *verdict_table(records, bands_verdict)]
 
 
-def _bands_table(result: "MeasuredBands") -> TextTable:
+def _bands_table(result: MeasuredBands) -> TextTable:
     headers = ["spectrum"]
     for name, band in (("1000", "1 µm"), ("2000", "2 µm")):
         headers += [f"BC{name} [nm]", f"spread at {band} [nm]", f"BD{name}", f"area{name} [nm]"]
@@ -90,7 +90,7 @@ def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
     return [f"{value} ± {noise}", *(method or ["-"])]
 
 
-def _band_notes(result: "MeasuredBands", records: Sequence[Mapping[str, Any]]) -> list[str]:
+def _band_notes(result: MeasuredBands, records: Sequence[Mapping[str, Any]]) -> list[str]:
     names = {"1000": "1 µm", "2000": "2 µm"}
     found = sorted((f"{names[key]} band: {text}", place, own) for place, own, key, text in result.remarks())
     lines, owners = [line for line, _, _ in found], [own for _, _, own in found]
@@ -107,7 +107,7 @@ def _shared_errors(record: Mapping[str, Any]) -> list[str]:
     return [f"calibration errors, which all channels share, add {'; '.join(parts)}"] if parts else []
 
 
-def _chemistry_tables(result: "MeasuredBands") -> list[TextTable]:
+def _chemistry_tables(result: MeasuredBands) -> list[TextTable]:
     records = result.content()["spectra"]
     if len(records) == 1:
         return [_one_chemistry(records[0])] if any(records[0]["chemistry"].values()) else []

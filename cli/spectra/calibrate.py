@@ -72,12 +72,12 @@ def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Rep
     return Report.of(result, result_tables(result), formats=formats)
 
 
-def result_tables(found: "Calibrations") -> list[TextTable]:
+def result_tables(found: Calibrations) -> list[TextTable]:
     """The observations, a line each."""
     return [_table(found.observations)]
 
 
-def _table(good: "Sequence[Calibration]") -> TextTable:
+def _table(good: Sequence[Calibration]) -> TextTable:
     headers = [
         "observation", "i [deg]", "e [deg]", "g [deg]", "Sun [AU]", "lit pixels", "step", "gain", "R at 750 nm",
         "shared [%]", "masked",
@@ -87,7 +87,7 @@ def _table(good: "Sequence[Calibration]") -> TextTable:
     return TextTable(headers, [_row(item) for item in good], notes=notes)
 
 
-def _row(item: "Calibration") -> list[str]:
+def _row(item: Calibration) -> list[str]:
     geometry, (level, sigma, shared) = item.vnir.geometry, item.at_nm(750.0)
     return [
         item.id,

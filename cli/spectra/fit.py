@@ -132,7 +132,7 @@ def _not_shown(found: MgmFits) -> list[str]:
     return notes + (["the assemblage was assumed; --assemblage auto compares all"] if assumed else [])
 
 
-def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
+def _notes(record: Mapping[str, Any], fit: MgmFit) -> list[str]:
     if fit.prior == "damping":
         error = "errors include the residuals"
     else:
@@ -164,7 +164,7 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
     return notes + ([f"other continua give ratios of OPX from {', '.join(ends)}"] if ends else [])
 
 
-def _composition_notes(fit: "MgmFit") -> list[str]:
+def _composition_notes(fit: MgmFit) -> list[str]:
 
     notes = []
     for item in compositions(fit):
@@ -193,7 +193,7 @@ def _overview_row(record: Mapping[str, Any]) -> list[str]:
     return [record["id"], record["assemblage"] + margin, plus_minus(rms, digits=2), *cells, record["status"]]
 
 
-def _bands_table(fit: "MgmFit") -> TextTable:
+def _bands_table(fit: MgmFit) -> TextTable:
     spread = any(band.center_continuum_nm is not None for band in fit.bands)
     headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
     headers += ["shrinkage of centre", "shrinkage of FWHM"]
@@ -208,7 +208,7 @@ def _bands_table(fit: "MgmFit") -> TextTable:
     return TextTable(headers, rows, notes=notes)
 
 
-def _band_row(band: "FittedBand", spread: bool) -> list[str]:
+def _band_row(band: FittedBand, spread: bool) -> list[str]:
     certain = band.strength_sigma > 0
     row = [
         band.name,
@@ -259,7 +259,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     return TextTable(headers, rows, title="assemblages, the most probable first", notes=notes)
 
 
-def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
+def _abundance_table(found: Sequence[Abundance]) -> TextTable:
     rows = [
         [
             modes.method,
@@ -275,7 +275,7 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)
 
 
-def not_weighed(found: "Sequence[Abundance]") -> list[str]:
+def not_weighed(found: Sequence[Abundance]) -> list[str]:
     """That shares are of the minerals named alone, by method, where any share is told."""
     told = [modes for modes in found if modes.determined and modes.not_weighed]
     beside = {modes.method: ", ".join(modes.not_weighed) for modes in told}

@@ -42,12 +42,12 @@ def indices(files: Files, request: IndicesRequest) -> Report:
     return Report.of(found, result_tables(found))
 
 
-def result_tables(found: "FoundIndices") -> list[TextTable]:
+def result_tables(found: FoundIndices) -> list[TextTable]:
     """One spectrum in full, of several a line each."""
     return [_one(found) if len(found.batch.spectra) == 1 else _many(found)]
 
 
-def _one(found: "FoundIndices") -> TextTable:
+def _one(found: FoundIndices) -> TextTable:
 
     record = found.records()[0]
     rows = [
@@ -56,7 +56,7 @@ def _one(found: "FoundIndices") -> TextTable:
     return TextTable(["index", "value", ""], rows, title=record["id"], notes=_notes())
 
 
-def _many(found: "FoundIndices") -> TextTable:
+def _many(found: FoundIndices) -> TextTable:
 
     records = found.records()
     shown = [name for name, column in found.columns.items() if (column.status != NO_CHANNELS).any()]

@@ -94,7 +94,7 @@ def _list(files: list[str]) -> Report:
     )
 
 
-def _picture(library: "Library", suffix: str, _: Mapping[str, Any]) -> bytes:
+def _picture(library: Library, suffix: str, _: Mapping[str, Any]) -> bytes:
 
     return picture_bytes(library.figures(), Path(f"library{suffix}"))
 
@@ -102,7 +102,7 @@ def _picture(library: "Library", suffix: str, _: Mapping[str, Any]) -> bytes:
 HEADERS = ("spectrum", "mineral", "Fo", "Fs", "En", "Wo", "An", "grains [µm]", "channels", "range [nm]", "source")
 
 
-def _listing(library: "Library") -> TextTable:
+def _listing(library: Library) -> TextTable:
     return TextTable(HEADERS, [_row(record) for record in library.rows()])
 
 
@@ -120,7 +120,7 @@ def _row(record: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _findings(checked: "CheckedLibrary") -> TextTable:
+def _findings(checked: CheckedLibrary) -> TextTable:
     rows = [[row["id"], "mend" if row["must_mend"] else "know", row["finding"]] for row in checked.rows()]
     total, rest = len(checked.findings), sum(not found for found in checked.findings)
     if not rows:

@@ -108,7 +108,7 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
     return Report.of(result, [_table(result)], written=[result.path])
 
 
-def _table(result: "CubeMap") -> TextTable:
+def _table(result: CubeMap) -> TextTable:
     record = result.to_dict()
     headers = ["layer", "what", "unit", "determined", "5 %", "median", "95 %"]
     rows = [_row(row) for row in record["layers"] if row["kind"] == "value"]
@@ -135,7 +135,7 @@ def _notes(record: Mapping[str, Any]) -> Sequence[str]:
     return [", ".join([f"{counts['pixels']} pixels", *flags]), *coded, *record["cube"]["remarks"]]
 
 
-def _pixel_table(found: "PixelSpectrum") -> TextTable:
+def _pixel_table(found: PixelSpectrum) -> TextTable:
     rows = [[f"{row['wavelength_nm']:.2f}", _shown(row[found.id])] for row in found.rows()]
     flags = [f"flags: {', '.join(found.flags)}"] if found.flags else []
     return TextTable(["wavelength [nm]", "reflectance"], rows, title=found.id, notes=flags)

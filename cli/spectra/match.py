@@ -110,7 +110,7 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
     return Report.of(result, lambda: result_tables(result))
 
 
-def result_tables(result: "Matches") -> list[TextTable]:
+def result_tables(result: Matches) -> list[TextTable]:
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
@@ -128,11 +128,11 @@ def result_tables(result: "Matches") -> list[TextTable]:
     ]
 
 
-def _best(match: "RockMatch") -> float:
+def _best(match: RockMatch) -> float:
     return max(match.other_posterior, *(item.posterior for item in match.craters))
 
 
-def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
+def _craters_table(match: RockMatch, notes: Sequence[str]) -> TextTable:
 
     headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]
     headers.append("compared")
@@ -142,7 +142,7 @@ def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
     return TextTable(headers, [*rows, other], title=match.rock.id, notes=notes)
 
 
-def _crater_row(item: "CraterMatch") -> list[str]:
+def _crater_row(item: CraterMatch) -> list[str]:
     below = item.prior.above_surface == 0
     basis = "older than the surface, counts nothing" if below else item.evidence.basis
     compared = "contains the site: no ejecta" if item.contains_site else basis

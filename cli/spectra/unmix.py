@@ -106,7 +106,7 @@ def share_tables(found: UnmixedSpectra) -> list[TextTable]:
     return [TextTable(headers, rows, title=title)] if rows else []
 
 
-def _percent(share: "MineralFraction") -> list[str]:
+def _percent(share: MineralFraction) -> list[str]:
     ends = ((share.low, share.high), (share.low95, share.high95))
     return [
         UNKNOWN if share.fraction != share.fraction else plus_minus(100 * share.fraction, digits=0),

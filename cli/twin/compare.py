@@ -138,7 +138,7 @@ def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Pat
     return Report.of(found, trial_tables(found))
 
 
-def result_tables(found: "ComparedDrive") -> list[TextTable]:
+def result_tables(found: ComparedDrive) -> list[TextTable]:
     """The verdict with what it rests on, and what a belief learned of it."""
 
     tables, before, after = _tables(found), found.before, found.belief
@@ -147,7 +147,7 @@ def result_tables(found: "ComparedDrive") -> list[TextTable]:
     return [*tables, discrepancy_table(after.discrepancy, before.discrepancy)]
 
 
-def _tables(compared: "ComparedDrive") -> list[TextTable]:
+def _tables(compared: ComparedDrive) -> list[TextTable]:
 
     matched, found, states = compared.matched, compared.found, compared.states
     forecast, pace = matched.forecast, compared.pace
@@ -175,7 +175,7 @@ def _tables(compared: "ComparedDrive") -> list[TextTable]:
     ]
 
 
-def _end_rows(end: "EndCheck | None") -> list[list[str]]:
+def _end_rows(end: EndCheck | None) -> list[list[str]]:
     if end is None:
         return []
     place = "end" if end.at_end else f"at {end.time_s:.0f} s"
@@ -192,7 +192,7 @@ def _end_rows(end: "EndCheck | None") -> list[list[str]]:
     return rows
 
 
-def _path_rows(path: "PathCheck | None") -> list[list[str]]:
+def _path_rows(path: PathCheck | None) -> list[list[str]]:
     if path is None:
         return []
     rows = [
@@ -204,7 +204,7 @@ def _path_rows(path: "PathCheck | None") -> list[list[str]]:
     return rows
 
 
-def _band_table(found: "DriveComparison") -> TextTable:
+def _band_table(found: DriveComparison) -> TextTable:
     headers = [
         "quantity",
         "wheel",
@@ -246,7 +246,7 @@ def _or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _whole(found: "DriveComparison") -> list[str]:
+def _whole(found: DriveComparison) -> list[str]:
     """The surprise of the whole drive and what was looked for along it."""
     lines = []
     if (whole := found.surprise) is not None:
@@ -261,7 +261,7 @@ def _whole(found: "DriveComparison") -> list[str]:
     return lines
 
 
-def _miss_rows(miss: "Miss | None") -> list[list[str]]:
+def _miss_rows(miss: Miss | None) -> list[list[str]]:
     """The last position beside the middle of the soils, for people."""
     if miss is None:
         return []

@@ -44,20 +44,20 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     return Report.of(found, wheel_tables(found.title, found.loads, _notes(found)))
 
 
-def _notes(found: "DriveForces") -> list[str]:
+def _notes(found: DriveForces) -> list[str]:
     known, prediction = found.soils.inputs, found.prediction
     notes = [*known.soil_notes(prediction.members, len(prediction.parameters)), *found.failed, *known.remarks]
     return [*notes, "the terrain is synthetic"] if known.terrain.synthetic else notes
 
 
-def wheel_tables(title: str, loads: "Sequence[WheelLoads]", notes: Sequence[str]) -> list[TextTable]:
+def wheel_tables(title: str, loads: Sequence[WheelLoads], notes: Sequence[str]) -> list[TextTable]:
     """Median and range of forces, sinkage and slips of each wheel."""
     names = list(COLUMNS)
     heading = f"{title}; medians along the drive"
     return [_table(heading, loads, names[:4], ()), _table("", loads, names[4:], notes)]
 
 
-def _table(title: str, loads: "Sequence[WheelLoads]", names: Sequence[str], notes: Sequence[str]) -> TextTable:
+def _table(title: str, loads: Sequence[WheelLoads], names: Sequence[str], notes: Sequence[str]) -> TextTable:
     headers = [head for name in names for head in spread_headers(COLUMNS[name][0])]
     rows = [
         [load.wheel, *(cell for name in names for cell in _spread(load.quantities[name], COLUMNS[name][1]))]
@@ -75,6 +75,6 @@ def spread_headers(header: str) -> list[str]:
     return [header, f"{bare(header)} from p05 to p95"]
 
 
-def _spread(spread: "Spread", factor: float) -> list[str]:
+def _spread(spread: Spread, factor: float) -> list[str]:
     low, middle, high = (factor * value for value in (spread.p05, spread.p50, spread.p95))
     return [f"{middle:.3g}", f"{low:.3g} to {high:.3g}"]

@@ -67,7 +67,7 @@ def history(
     return Report.of(found, _tables(found, save), extras=extras)
 
 
-def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
+def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
 
     now = parameter_table(parameter_rows(found.belief), "What is believed now")
     drives = found.drives
@@ -127,7 +127,7 @@ def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
     return TextTable(["drive", *SHORT.values()] if rows else [], rows, title=title, notes=notes)
 
 
-def _physics_table(belief: "SoilBelief") -> TextTable:
+def _physics_table(belief: SoilBelief) -> TextTable:
     """What the twin's physics is off by, and the drives that taught it."""
 
     found = discrepancy_table(belief.discrepancy)
@@ -135,7 +135,7 @@ def _physics_table(belief: "SoilBelief") -> TextTable:
     return TextTable(found.headers, found.rows, title=found.title, notes=[*found.notes, *lines])
 
 
-def _distance_table(names: tuple[str, str], distance: "BeliefDistance") -> TextTable:
+def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTable:
     rows = [
         [
             name,

@@ -7,12 +7,12 @@ from lunarsci.twin.mission.legs import MissionLeg
 from ..shared.table import TextTable
 
 
-def mission_tables(found: "PlannedMission") -> list[TextTable]:
+def mission_tables(found: PlannedMission) -> list[TextTable]:
     """What becomes of the targets, and the timetable of the legs."""
     return [_targets(found), _legs(found)]
 
 
-def _targets(found: "PlannedMission") -> TextTable:
+def _targets(found: PlannedMission) -> TextTable:
     driven, mission, chance = found.driven, found.driven.mission, found.chance
     rows = [
         [
@@ -39,7 +39,7 @@ def _targets(found: "PlannedMission") -> TextTable:
     return TextTable(headers, rows, title=f"{mission.name}: {verdict}", notes=notes)
 
 
-def _legs(found: "PlannedMission") -> TextTable:
+def _legs(found: PlannedMission) -> TextTable:
 
     rows = [_row(leg) for leg in found.driven.legs]
     headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]
@@ -51,7 +51,7 @@ def _legs(found: "PlannedMission") -> TextTable:
     return TextTable(headers, rows, title="legs", notes=notes)
 
 
-def _row(leg: "MissionLeg") -> list[str]:
+def _row(leg: MissionLeg) -> list[str]:
     return [
         str(leg.number),
         leg.target,

@@ -149,7 +149,7 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     return Report.of(found, result_tables(found), files=found.files(geotiff=geotiff))
 
 
-def result_tables(found: "TerrainSurvey") -> list[TextTable]:
+def result_tables(found: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
 
     if isinstance(found, PlannedMission):
@@ -158,7 +158,7 @@ def result_tables(found: "TerrainSurvey") -> list[TextTable]:
     return tables + ([] if found.path is None else [_path_table(found, found.path)])
 
 
-def _choice_table(found: "ChosenDrive") -> TextTable:
+def _choice_table(found: ChosenDrive) -> TextTable:
     """The best candidates, one line each, best first."""
     choice = found.choice
     best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
@@ -186,7 +186,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
 
 
-def _candidate_row(one: "DriveCandidate") -> list[str]:
+def _candidate_row(one: DriveCandidate) -> list[str]:
     weak, energy = one.weakest, "-" if one.energy_j != one.energy_j else f"{one.energy_j:.0f}"
     unsure = "" if one.promise is not None else "~"
     return [
@@ -205,7 +205,7 @@ def _percent(chance: float) -> str:
     return f"{100 * chance:.1f}" if chance < 0.02 else f"{100 * chance:.0f}"
 
 
-def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
+def _path_table(found: TerrainSurvey, path: PlannedPath) -> TextTable:
 
     limits = found.site.mobility
     rows = [
@@ -234,7 +234,7 @@ def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
     return TextTable(headers, rows, title=path.plan.name, notes=notes)
 
 
-def _driven(leg: "Leg") -> str:
+def _driven(leg: Leg) -> str:
     if leg.turn_deg:
         return f"turn {leg.turn_deg:+.1f}°"
     if leg.wheel_test is not None:
@@ -242,7 +242,7 @@ def _driven(leg: "Leg") -> str:
     return {0.0: "ahead", 180.0: "backwards"}.get(leg.crab_deg, f"crab {leg.crab_deg:+.1f}°")
 
 
-def _place_notes(path: "PlannedPath", light: Mapping[str, Any]) -> list[str]:
+def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())

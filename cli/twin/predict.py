@@ -144,7 +144,7 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
     return [TextTable(headers, rows, title=title, notes=notes)]
 
 
-def _limit_row(limit: "Judgement") -> list[str]:
+def _limit_row(limit: Judgement) -> list[str]:
     name, unit, factor = QUANTITIES.get(limit.quantity, (limit.quantity, limit.unit, 1.0))
     return [
         name,
@@ -188,7 +188,7 @@ def _power_notes(found: PredictedDrives) -> list[str]:
     ]
 
 
-def _worst_note(verdict: "Verdict") -> str:
+def _worst_note(verdict: Verdict) -> str:
     soil = ", ".join(f"{name} {value:.4g}" for name, value in verdict.worst.parameters.items())
     return f"worst drive: member {verdict.worst.member}{f' ({soil})' if soil else ''}, {verdict.worst.why}"
 
@@ -216,7 +216,7 @@ def _terrain_notes(found: PredictedDrives) -> list[str]:
     ]
 
 
-def _keep_out_notes(verdict: "Verdict") -> list[str]:
+def _keep_out_notes(verdict: Verdict) -> list[str]:
     """The circle that drives come nearest to, where none is entered."""
     near = next(iter(verdict.keep_outs), None)
     if near is None or near.margin_m < 0:
@@ -227,7 +227,7 @@ def _keep_out_notes(verdict: "Verdict") -> list[str]:
     ]
 
 
-def _endpoint_notes(verdict: "Verdict") -> list[str]:
+def _endpoint_notes(verdict: Verdict) -> list[str]:
     end = verdict.endpoint
     if end is None:
         return []

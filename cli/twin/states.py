@@ -94,12 +94,12 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     return Report.of(found, result_tables(found), files=found.files())
 
 
-def result_tables(found: "MeasuredStates") -> list[TextTable]:
+def result_tables(found: MeasuredStates) -> list[TextTable]:
     result = found.to_dict()
     return [_wheel_table(found, result), *_finding_tables(result["findings"])]
 
 
-def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
+def _wheel_table(found: MeasuredStates, result: dict[str, Any]) -> TextTable:
     rows = [
         [wheel, str(own["measured"]), *(cell for name, factor in FACTORS.items() for cell in _cells(own[name], factor))]
         for wheel, own in result["wheels"].items()
@@ -130,7 +130,7 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     return TextTable(["wheel", "states", *headers], rows, title=title, notes=notes)
 
 
-def _rolling_note(found: "MeasuredStates", result: dict[str, Any]) -> str:
+def _rolling_note(found: MeasuredStates, result: dict[str, Any]) -> str:
     """Which radius slip is of, and what it would be of the shell's."""
     wheel = found.drive.rover.wheel
     rolling, shell = 1e3 * wheel.shearing_radius_m, 1e3 * wheel.radius_m

@@ -9,7 +9,7 @@ from ..shared.table import TextTable
 UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
 
 
-def trial_tables(found: "ScoredTrials") -> list[TextTable]:
+def trial_tables(found: ScoredTrials) -> list[TextTable]:
     """One row a trial, then one for each quantity over all trials."""
     result = found.to_dict()
     notes = [

@@ -124,7 +124,7 @@ def update(
     return Report.of(found, result_tables(found), extras={path: make for path, make in made.items() if path})
 
 
-def result_tables(found: "LearnedSoil") -> list[TextTable]:
+def result_tables(found: LearnedSoil) -> list[TextTable]:
 
     known = found.known
     title = f"Soil after {found.states.name}: {known.plan.name}; {short_name(known.rover.name)} on {known.terrain.name}"
@@ -135,7 +135,7 @@ def result_tables(found: "LearnedSoil") -> list[TextTable]:
     return tables if len(found.segments or []) < 2 else [*tables, _segment_table(found.segments or [])]
 
 
-def _notes(learned: "LearnedSoil") -> list[str]:
+def _notes(learned: LearnedSoil) -> list[str]:
 
     found = learned.found
     notes = [
@@ -160,7 +160,7 @@ def _notes(learned: "LearnedSoil") -> list[str]:
     return [*notes, *_mass_notes(learned), EFFECTIVE]
 
 
-def _mass_notes(learned: "LearnedSoil") -> list[str]:
+def _mass_notes(learned: LearnedSoil) -> list[str]:
     """What the soil owes to the mass in the rover file, which no motion tells."""
     if learned.forces_told:
         return []
@@ -171,7 +171,7 @@ def _mass_notes(learned: "LearnedSoil") -> list[str]:
     ]
 
 
-def _slip_notes(learned: "LearnedSoil") -> list[str]:
+def _slip_notes(learned: LearnedSoil) -> list[str]:
     """Slip and rates of the wheels, as measured beside the drive that was simulated."""
     notes, pace = [], learned.pace
     if learned.slip is not None:
@@ -183,7 +183,7 @@ def _slip_notes(learned: "LearnedSoil") -> list[str]:
     return notes
 
 
-def _segment_table(segments: "list[Segment]") -> TextTable:
+def _segment_table(segments: list[Segment]) -> TextTable:
     """Stretches of the way side by side."""
     columns = []
     for segment in segments:

@@ -43,12 +43,12 @@ class Compiled:
 
     def dispatcher(self) -> Any:
         """What numba compiles and calls."""
-        from lunarsci.compiled import machine_code
+        from lunarsci.compiled.machine_code import dispatcher
 
         with _MAKING:
             if self._dispatcher is None:
                 function = self.__dict__["__wrapped__"]
-                self._dispatcher = machine_code.dispatcher(function, self._options)
+                self._dispatcher = dispatcher(function, self._options)
                 _make_callees(function)
                 self._ready = True
         return self._dispatcher

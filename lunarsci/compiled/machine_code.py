@@ -28,7 +28,7 @@ import numba
 from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import CPUCodeLibrary
 
-from lunarsci.compiled import instructions
+from lunarsci.compiled.instructions import offer_all
 from lunarsci.errors import LunarSciWarning
 
 PACKAGE = Path(__file__).parents[1]
@@ -42,7 +42,7 @@ ROOT = 0
 
 def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """What numba makes of a function: compiled at its first call, from the cache where that is safe."""
-    instructions.offer_all()
+    offer_all()
     keep_copies_apart()
     try:
         made = numba.njit(cache=True, **options)(function)

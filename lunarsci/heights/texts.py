@@ -331,7 +331,7 @@ def _unit_in(name: str) -> str:
     return next(iter(re.findall(r"(?:_|\(|\[|\s)(k?m|cm|mm|ft)\b", name.lower())), "")
 
 
-def _grid_of(path: Path, values: "dict[str, FloatArray]") -> HeightGrid:
+def _grid_of(path: Path, values: dict[str, FloatArray]) -> HeightGrid:
     """Nodes on their grid; those that are not there are holes."""
     import pandas as pd
 

@@ -218,7 +218,7 @@ LONG = 0.08
 """Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 
 
-def calibration_page(found: "CameraCalibration", name: str) -> "Figure":
+def calibration_page(found: CameraCalibration, name: str) -> "Figure":
     """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
     count = len(found.cameras)
     figure = page(6.0 if count > 1 else 3.6)
@@ -231,7 +231,7 @@ def calibration_page(found: "CameraCalibration", name: str) -> "Figure":
     return figure
 
 
-def _calibration_residuals(figure: "Figure", axis: "Axes", found: "CameraCalibration", index: int) -> None:
+def _calibration_residuals(figure: "Figure", axis: "Axes", found: CameraCalibration, index: int) -> None:
     camera, rows = found.cameras[index], found.residuals[index]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 25), np.linspace(0, camera.height_px - 1, 21))
     uncertain = found.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
@@ -247,7 +247,7 @@ def _calibration_residuals(figure: "Figure", axis: "Axes", found: "CameraCalibra
     axis.set_title(f"{camera.name}: {len(rows)} points", loc="left")
 
 
-def _by_moment(axis: "Axes", found: "CameraCalibration", index: int) -> None:
+def _by_moment(axis: "Axes", found: CameraCalibration, index: int) -> None:
     rows = found.residuals[index]
     moments = np.unique(rows[:, 0]).astype(int)
     rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]

@@ -222,7 +222,7 @@ def _components(content: str) -> dict[str, FloatArray]:
     return found
 
 
-def _floats(cells: "re.Match[str]", first: int = 1) -> FloatArray:
+def _floats(cells: re.Match[str], first: int = 1) -> FloatArray:
     return np.array([float(cells[place].replace("D", "e").replace("d", "e")) for place in range(first, first + 3)])
 
 
@@ -382,7 +382,7 @@ def _turned_onto(rays: FloatArray, directions: FloatArray) -> FloatArray:
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
-def _size(name: str, root: "Element") -> tuple[int, int]:
+def _size(name: str, root: Element) -> tuple[int, int]:
     axes = {
         str(axis.findtext("axis_name")).strip().lower(): axis.findtext("elements") for axis in root.iter("axis_array")
     }
@@ -391,14 +391,14 @@ def _size(name: str, root: "Element") -> tuple[int, int]:
     return count_of(name, axes["sample"], "samples"), count_of(name, axes["line"], "lines")
 
 
-def _number(name: str, root: "Element", tag: str, default: float | None = None) -> float:
+def _number(name: str, root: Element, tag: str, default: float | None = None) -> float:
     found = next((node.text for node in root.iter(tag) if node.text), None)
     if found is None and default is None:
         raise DataError(f"{name}: its label has no {tag}; labels of Chang'E's PCAM of level 2B have one")
     return finite(name, tag, str(default) if found is None else found)
 
 
-def _principal(name: str, root: "Element", axis: str) -> float:
+def _principal(name: str, root: Element, axis: str) -> float:
     """x0, y0 in mm; the Moon's labels write principle_point_coordinate, and x, y."""
     for place in ("principal_point_coordinate", "principle_point_coordinate"):
         for node in root.iter(place):
@@ -408,7 +408,7 @@ def _principal(name: str, root: "Element", axis: str) -> float:
     raise DataError(f"{name}: its label has no principal point")
 
 
-def _vector(name: str, root: "Element", tag: str) -> FloatArray | None:
+def _vector(name: str, root: Element, tag: str) -> FloatArray | None:
     node = next(root.iter(tag), None)
     cells = [] if node is None else [node.findtext(axis) for axis in "xyz"]
     values = np.array([finite(name, tag, cell) for cell in cells if cell])

@@ -286,7 +286,7 @@ def _of_yaml(file: InputFile, start: str) -> Any:
     return _plainer(tree) if isinstance(tree, Mapping) else tree
 
 
-def _of_element(node: "Element") -> Any:
+def _of_element(node: Element) -> Any:
     if len(node):
         return {child.tag: _of_element(child) for child in node}
     words = (node.text or "").split()

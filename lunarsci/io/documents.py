@@ -92,7 +92,7 @@ def yaml_document(content: str) -> Any:
         raise ValueError(TOO_DEEP) from error
 
 
-def xml_root(name: str, data: bytes) -> "Element":
+def xml_root(name: str, data: bytes) -> Element:
     """The root element of an XML text; tags in lower case, prefixes cut off.
 
     Whatever could expand or fetch something needs a document type declaration, and the label of a data product has no

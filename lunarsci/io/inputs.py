@@ -108,7 +108,7 @@ def read_input(source: Source) -> InputFile:
 class InputStream:
     """An input that is read in pieces: its name, its file, and the SHA-256 of what `pieces` gave so far."""
 
-    def __init__(self, name: str, file: "BinaryIO") -> None:
+    def __init__(self, name: str, file: BinaryIO) -> None:
         self.name, self.file, self._digest, self._empty = name, file, hashlib.sha256(), True
 
     @property
@@ -191,7 +191,7 @@ def _table_bytes(table: Any) -> bytes:
     return written.getvalue().encode()
 
 
-def _stdin() -> "BinaryIO":
+def _stdin() -> BinaryIO:
     # A detached process has no standard input at all, and then Python sets it to None.
     if sys.stdin is None:
         raise OSError("standard input is closed")

@@ -318,7 +318,7 @@ def blocks_in_order(
 
 def arrays_in_blocks(
     work: Callable[[Any], Arrays], total: int, rows: int, **how: Any
-) -> "dict[str, np.ndarray[Any, Any]]":
+) -> dict[str, np.ndarray[Any, Any]]:
     """Whole arrays of `total` rows, of what `blocks_in_order`, whose parameters these are, gives block by block."""
 
     whole: dict[str, np.ndarray[Any, Any]] = {}

@@ -60,7 +60,7 @@ class StatesAgreement:
         return f"{symbol}{how} {first:g} to {last:g}, chi-square {self.reduced_chi_square:.0f} a state"
 
 
-def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray") -> StatesAgreement | None:
+def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -> StatesAgreement | None:
     """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
     from scipy.special import gammaincc
 

@@ -456,7 +456,7 @@ class SpectrumBands:
         smoothed = self.smoothed[None]
         return {name: continuum(name, self.wavelength_nm, smoothed)[0] for name in used}
 
-    def curves(self) -> "dict[str, tuple[FloatArray, FloatArray]]":
+    def curves(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
         grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
         seen = [(band, own, at) for band in BANDS if (at := (own := self.bands[band.key]).center_nm) is not None]

@@ -411,3 +411,9 @@ def test_many_observations_run_through_with_a_bar(many: Path, tmp_path: Path, dr
     assert "_0007_B" in said[0]
     ids = {line.partition(",")[0] for line in target.read_text().splitlines()[1:]}
     assert ids == {f"SYNTHETIC-CE4-{number:04d}" for number in range(1, MANY + 1) if number != 7}
+
+
+def test_stdin_beside_a_label_does_not_stop_it(run: Run, label: Path) -> None:
+    done = run(*COMMAND, "-", label, "--json")
+    assert (done.code, len(done.err), len(result(done))) == (1, 2, 1)
+    assert done.err[1].startswith("1 spectrum with a result, 1 input without: ")

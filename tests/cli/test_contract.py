@@ -669,3 +669,19 @@ def test_a_batch_without_a_result_says_that_the_file_of_an_earlier_run_was_left(
     part = run(*command, rock)
     assert part.code == 1 and "earlier run" not in " ".join(part.err)
     assert out.read_bytes() != before
+
+
+def test_every_command_of_many_inputs_can_list_what_failed(run: Run, bad_spectra: dict[str, Path]) -> None:
+    missing = bad_spectra["missing.csv"]
+    commands = ["bands", "fit", "unmix", "indices", "match", "calibrate", "library check"]
+    for name in commands:
+        listed = missing.parent / f"{name}.failed"
+        done = run("spectra", *name.split(), missing, "--failed", listed)
+        assert (done.code, done.out) == (1, ""), name
+        assert listed.read_text("utf-8").split("\t")[0] == str(missing), name
+
+
+def test_coarse_steps_and_samples_are_refused(run: Run) -> None:
+    for option in ("--sample", "--time-step"):
+        done = run("twin", "predict", option, "5")
+        assert (done.code, done.out, len(done.err)) == (1, "", 1)

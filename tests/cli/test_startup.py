@@ -4,9 +4,15 @@ import json
 import resource
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
+from lunarsci.cli import COMMANDS, command_line
+
+Run = Callable[..., Any]
 
 HELP_MAY_IMPORT = {
     "lunarsci", "typer", "rich", "click", "shellingham", "annotated_doc", "annotated_types", "pydantic",
@@ -42,6 +48,21 @@ def test_help_imports_only_what_it_needs(arguments: list[str]) -> None:
     ours = {name for name in json.loads(done.stdout) if not name.startswith("_")}
     allowed = HELP_MAY_IMPORT | (ARRAYS if len(arguments) > 2 else set())
     assert ours <= allowed, ours - allowed
+
+
+@pytest.mark.parametrize("group", COMMANDS)
+def test_a_group_says_of_its_commands_what_they_say_of_themselves(group: str) -> None:
+    """It reads their sources; the commands themselves are imported when one is wanted."""
+    listed, whole = (
+        {name: (command.help or "").split("\n\n")[0] for name, command in groups.commands[group].commands.items()}
+        for groups in (typer.main.get_command(command_line([group])), typer.main.get_command(command_line()))
+    )
+    assert listed == whole and all(listed.values())
+
+
+def test_a_command_behind_two_dashes_is_run_and_not_its_stand_in(run: Run) -> None:
+    done = run("spectra", "--", "fit", "no-such-file")
+    assert done.code == 1 and "no such file" in done.err[0]
 
 
 def cpu_seconds(*arguments: str, times: int = 4) -> float:

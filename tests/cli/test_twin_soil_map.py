@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lunarsci.regolith.belief import first_belief
+
 Run = Callable[..., Any]
 
 
@@ -37,3 +39,20 @@ def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states
     assert predicted.code == 0 and predicted.out == "4\n"
     both = run("twin", "predict", short_plan, "--soil", soil_map, "--sweep", "cohesion_pa=100:500:3")
     assert both.code == 2 and "give one" in " ".join(both.err)
+
+
+def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, short_plan: Path, tmp_path: Path) -> None:
+    text = tmp_path / "states.csv"
+    text.write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
+    (tmp_path / "b.json").write_text(first_belief().to_json())
+    update = ("twin", "update", text, "--plan", short_plan)
+    done = run(*update, "--soil", tmp_path / "b.json", "--save-map", tmp_path / "m.json")
+    assert done.code == 2 and "--soil is of one soil everywhere" in " ".join(done.err)
+    done = run(*update, "--correlation", 3)
+    assert done.code == 2 and "--correlation is of a soil map" in " ".join(done.err)
+    done = run(*update, "--soil", short_plan)
+    assert done.code == 1 and "not valid JSON" in done.err[0]
+    done = run("twin", "update", text, "--plan", short_plan, "--save-map", tmp_path / "m.txt")
+    assert done.code == 2
+    done = run("twin", "predict", short_plan, "--soil", short_plan)
+    assert done.code == 1 and "plan.toml: " in done.err[0]

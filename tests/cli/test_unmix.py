@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.abundance.end_members import embedded_end_members
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction, share_pages
 
 Run = Callable[..., Any]
 NM = np.arange(450.0, 2451.0, 10.0)
@@ -223,3 +224,12 @@ def test_channels_of_any_instrument_are_enough(run: Run, tmp_path: Path) -> None
         assert share["high95"] > 0.9
         widths[name] = share["high95"] - share["low95"]
     assert widths["few"] < widths["half"]
+
+
+def test_the_page_of_shares_names_spectra_and_minerals() -> None:
+    share = [MineralFraction(name, 0.5, 0.4, 0.6, 0.3, 0.7) for name in ("olivine", "orthopyroxene")]
+    [page] = share_pages([Abundance(id, "unmix", tuple(share), id == "a", "", 0.01) for id in ("a", "b")])
+    assert [panel.get_title() for panel in page.axes] == ["olivine", "orthopyroxene"]
+    assert [label.get_text() for label in page.axes[0].get_yticklabels()] == ["a", "b"]
+    faces = [line.get_markerfacecolor() for line in page.axes[0].lines if line.get_marker() == "o"]
+    assert faces[1] == "white" != faces[0]

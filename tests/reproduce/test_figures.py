@@ -1,12 +1,15 @@
 """The figures: what must be in them is in them, and names can be read."""
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from matplotlib.text import Text
 
+from lunarsci.figure import name_points
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.drive import Drives
 from lunarsci.reproduce.figure_drive import drive_pages
@@ -90,3 +93,16 @@ def test_rocks_add_a_page() -> None:
     assert any("smoothed over 41 points" in axes.get_title() for axes in fit.axes)
     [only] = spectra_pages(None)
     assert "--boulders" in only.axes[0].get_title()
+
+
+def test_names_keep_off_each_other_and_within_the_panel() -> None:
+    figure = Figure(figsize=(8, 6), layout="constrained")
+    axes = figure.subplots()
+    points = {f"soil number {k}": (1.0 + 0.02 * k, 1.0 + 0.01 * (k % 3)) for k in range(4)} | {"at the edge": (1.99, 1)}
+    axes.set(xlim=(0, 2), ylim=(0, 2))
+    name_points(figure, {axes: [(name, *point) for name, point in points.items()]})
+    figure.draw_without_rendering()
+    boxes = [Text.get_window_extent(text) for text in axes.texts]
+    assert len(boxes) == len(points)
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert all(box.x1 <= axes.bbox.x1 for box in boxes)

@@ -96,7 +96,7 @@ class CalibrateCamerasRequest:
         if self.target == "charuco" and not 0 < self.marker < self.square:
             raise RequestError("`marker`: give the side of the markers in m, less than that of `square`")
 
-    def board_target(self) -> "BoardTarget":
+    def board_target(self) -> BoardTarget:
         """The board as a target. Raises ParameterError."""
 
         columns, rows = map(int, self.board.split("x"))
@@ -120,7 +120,7 @@ class CalibratedCameras(Result):
     """
 
     schema: ClassVar[str] = "images-calibrate/1"
-    found: "CameraCalibration"
+    found: CameraCalibration
     used: tuple[tuple[str, ...], ...]
     points: Mapping[str, int | None]
     request: CalibrateCamerasRequest
@@ -260,7 +260,7 @@ class CalibratedCameras(Result):
 
         yield calibration_page(self.found, self.request.name)
 
-    def rig(self) -> "StereoRig":
+    def rig(self) -> StereoRig:
         """The stereo rig. Raises ParameterError for a single camera."""
 
         if len(self.found.cameras) < 2:
@@ -288,7 +288,7 @@ class CalibratedCameras(Result):
         return f"calibrated with a {self.request.target}, {len(self.used)} {what}, {self.found.residual_px:.2f} px"
 
 
-def _with_scale(found: "CameraCalibration", square_error: float) -> "CameraCalibration":
+def _with_scale(found: CameraCalibration, square_error: float) -> CameraCalibration:
     """The calibration with the error of the target's size in its translation."""
 
     covariance = found.covariance.copy()
@@ -302,7 +302,7 @@ def _rms(rows: Any) -> float:
     return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
 
 
-def _seen_share(found: "CameraCalibration", index: int) -> float:
+def _seen_share(found: CameraCalibration, index: int) -> float:
     """Share of the cells of a picture, 8 x 8, in which a point of the board was seen."""
 
     size = np.array(found.cameras[index].size, dtype=float)
@@ -357,9 +357,7 @@ def calibrate_cameras(
     )  # fmt: skip
 
 
-def _sightings(
-    pictures: "Sequence[Picture]", target: "BoardTarget", step: Callable[[int], None]
-) -> "list[Sighting | None]":
+def _sightings(pictures: Sequence[Picture], target: BoardTarget, step: Callable[[int], None]) -> list[Sighting | None]:
     """Where each picture of a camera shows the board; where a short look finds it in some, others get a long one.
 
     Raises DataError where the board is another one.
@@ -383,7 +381,7 @@ def _check_names(names: Sequence[Sequence[str]]) -> None:
         raise DataError(f"{twice}: is given twice; each picture counts once")
 
 
-def _check_sizes(shown: "Sequence[Sequence[Picture]]") -> None:
+def _check_sizes(shown: Sequence[Sequence[Picture]]) -> None:
     for side in shown:
         if not side:
             raise RequestError("no pictures; give those of the board")

@@ -61,8 +61,8 @@ class CameraSheet(Result):
     """Rigs, or single cameras with what their labels' fits miss."""
 
     schema: ClassVar[str] = "images-cameras/1"
-    rigs: "tuple[StereoRig, ...]"
-    alone: "Mapping[str, LabelCamera | SingleCamera]"
+    rigs: tuple[StereoRig, ...]
+    alone: Mapping[str, LabelCamera | SingleCamera]
     request: CamerasRequest
     inputs: Mapping[str, str]
 
@@ -77,7 +77,7 @@ class CameraSheet(Result):
             "read_as": [f"{rig.name}: {said}" for rig in self.rigs for said in rig.read_as],
         }
 
-    def _rig(self, rig: "StereoRig") -> dict[str, Any]:
+    def _rig(self, rig: StereoRig) -> dict[str, Any]:
 
         sigmas = rig.sigmas if rig.covariance.any() else {}
         numbers = {side: _numbers(getattr(rig, side), sigmas, f"{side}_") for side in ("left", "right")}
@@ -100,7 +100,7 @@ class CameraSheet(Result):
             **numbers,
         }
 
-    def ranges(self, rig: "StereoRig", ranges_m: Sequence[float] = RANGES_M) -> list[dict[str, float]]:
+    def ranges(self, rig: StereoRig, ranges_m: Sequence[float] = RANGES_M) -> list[dict[str, float]]:
         """Of a point in the middle of the view: disparity, size of a pixel, and errors of its range, by range."""
 
         focal, found = rig.left.fx_px, []
@@ -148,7 +148,7 @@ class CameraSheet(Result):
         return rig_text(self.rigs[0]).encode()
 
 
-def _numbers(camera: "Camera", sigmas: Mapping[str, float], before: str = "") -> dict[str, Any]:
+def _numbers(camera: Camera, sigmas: Mapping[str, float], before: str = "") -> dict[str, Any]:
     """Size, intrinsics with errors, and field of view of a camera."""
 
     cells: dict[str, Any] = {"width_px": camera.width_px, "height_px": camera.height_px}
@@ -158,7 +158,7 @@ def _numbers(camera: "Camera", sigmas: Mapping[str, float], before: str = "") ->
     return cells | {"view_across_deg": across, "view_down_deg": down}
 
 
-def _alone(name: str, found: "LabelCamera | SingleCamera") -> dict[str, Any]:
+def _alone(name: str, found: LabelCamera | SingleCamera) -> dict[str, Any]:
 
     if isinstance(found, SingleCamera):
         sigmas = dict(zip(INTRINSICS, map(float, found.covariance.diagonal() ** 0.5), strict=True))
@@ -211,7 +211,7 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
 
 def _of_pair(
     files: list[InputFile], unit: LengthUnit | None
-) -> "tuple[list[StereoRig], dict[str, LabelCamera | SingleCamera]]":
+) -> tuple[list[StereoRig], dict[str, LabelCamera | SingleCamera]]:
     """The rig of two labels or files of ROS or OpenCV, and cameras of one, or of labels. Raises DataError."""
 
     if len(files) > 2:

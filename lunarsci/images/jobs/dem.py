@@ -72,10 +72,10 @@ class StereoTerrain(Result):
     """An elevation model, and the matches that it was made of."""
 
     schema: ClassVar[str] = "images-dem/1"
-    model: "ElevationModel"
-    matches: "StereoMatches"
-    rig: "StereoRig"
-    pose: "Pose"
+    model: ElevationModel
+    matches: StereoMatches
+    rig: StereoRig
+    pose: Pose
     levelled: bool
     inputs: Mapping[str, str]
 
@@ -177,7 +177,7 @@ def dem(
     return StereoTerrain(model=model, matches=found, rig=rig, pose=place, levelled=pose is None, inputs=inputs)
 
 
-def nearest_ground_m(rig: "StereoRig", pose: "Pose | None", mast_m: float) -> float:
+def nearest_ground_m(rig: StereoRig, pose: Pose | None, mast_m: float) -> float:
     """Depth of what may be nearest in a picture of level ground, with a quarter to spare for what stands on it. [m]"""
 
     if pose is None:
@@ -189,6 +189,6 @@ def nearest_ground_m(rig: "StereoRig", pose: "Pose | None", mast_m: float) -> fl
     return max(0.7 * slant / float(np.linalg.norm(rays, axis=1).max()), 0.3 * mast_m)
 
 
-def farthest_ground_m(rig: "StereoRig", spacing_m: float) -> float:
+def farthest_ground_m(rig: StereoRig, spacing_m: float) -> float:
     """Range at which its error, at 0.2 px, is three cells. [m]"""
     return math.sqrt(HONEST * spacing_m * rig.left.fx_px * rig.baseline_m / TYPICAL_SIGMA_PX)

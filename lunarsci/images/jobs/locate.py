@@ -69,7 +69,7 @@ class LocateRequest:
                 raise RequestError(f"`{name}` is {getattr(self, name):g}; give a number above 0, at most {top:g}")
         self.mast_m()
 
-    def mast_m(self) -> "tuple[float, ...] | None":
+    def mast_m(self) -> tuple[float, ...] | None:
         """`mast` as numbers."""
         if self.mast is None:
             return None
@@ -87,8 +87,8 @@ class LocatedStations(Result):
     """Where the rover, or its left camera, was, in the frame of the first pose."""
 
     schema: ClassVar[str] = "images-locate/1"
-    found: "Localised"
-    rig: "StereoRig"
+    found: Localised
+    rig: StereoRig
     inputs: Mapping[str, str]
     synthetic: bool
 
@@ -266,15 +266,15 @@ def _names(folders: Sequence[Path]) -> list[str]:
 class _Read(NamedTuple):
     """What a station's folder holds; `rover` is the rover's frame in that of the left camera."""
 
-    left: "Picture"
-    right: "Picture"
-    pose: "Pose"
+    left: Picture
+    right: Picture
+    pose: Pose
     time_s: float | None
-    rover: "Pose | None"
+    rover: Pose | None
     synthetic: bool
 
 
-def _read(folder: Path, rig: "StereoRig", asked: LocateRequest, inputs: dict[str, str]) -> _Read:
+def _read(folder: Path, rig: StereoRig, asked: LocateRequest, inputs: dict[str, str]) -> _Read:
     """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
 
     pose_file = read_input(folder / "pose.toml")
@@ -297,7 +297,7 @@ def _read(folder: Path, rig: "StereoRig", asked: LocateRequest, inputs: dict[str
     return _Read(pictures[0], pictures[1], pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
 
 
-def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, before: "Station | None") -> "Station":
+def _station(name: str, own: _Read, rig: StereoRig, asked: LocateRequest, before: Station | None) -> Station:
     """A station with its pair matched. Raises DataError where it does not match."""
 
     nearest = nearest_ground_m(rig, own.pose, rig.height_m)
@@ -311,7 +311,7 @@ def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, befo
     )
 
 
-def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | None]":
+def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | None]:
     """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
 
     table = toml_document(text(file))
@@ -323,7 +323,7 @@ def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | N
     return time_s, tuple(float(table[name]) for name in ATTITUDE) if set(ATTITUDE) <= set(known) else None
 
 
-def _rover(rig: "StereoRig", pose: "Pose", attitude: Sequence[float], mast_m: Sequence[float]) -> "Pose":
+def _rover(rig: StereoRig, pose: Pose, attitude: Sequence[float], mast_m: Sequence[float]) -> Pose:
     """The rover's frame in that of the left camera: the middle between both cameras is `mast_m` in the rover's."""
     from scipy.spatial.transform import Rotation
 
@@ -340,7 +340,7 @@ def _picture(folder: Path, side: str) -> Path:
     raise DataError(f"{folder}: no {side}.png; a station is a folder with left.png, right.png and pose.toml")
 
 
-def _covariance(pose: "Pose", before: "Station | None", asked: LocateRequest) -> "FloatArray":
+def _covariance(pose: Pose, before: Station | None, asked: LocateRequest) -> FloatArray:
     """Of dead reckoning: of direction, and of the step from the station before. (6, 6)"""
 
     way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))

@@ -59,8 +59,8 @@ class MergedStations(Result):
 
     schema: ClassVar[str] = "images-merge/1"
     names: tuple[str, ...]
-    models: "tuple[ElevationModel, ...]"
-    merged: "MergedMap"
+    models: tuple[ElevationModel, ...]
+    merged: MergedMap
     inputs: Mapping[str, str]
 
     @property
@@ -138,7 +138,7 @@ def merge(
     return MergedStations(names=tuple(names), models=models, merged=merged, inputs=inputs)
 
 
-def read_positions(source: InputFile, count: int) -> "list[StationPosition]":
+def read_positions(source: InputFile, count: int) -> list[StationPosition]:
     """Positions of stations from CSV, a row for each. Raises DataError."""
 
     table = read_csv_table(source)

@@ -95,9 +95,9 @@ class SyntheticPair(Result):
     """Two pictures of a landscape, and the truth of the left one."""
 
     schema: ClassVar[str] = "images-render/1"
-    landscape: "Landscape"
-    told: "StereoRig"
-    pair: "RenderedPair"
+    landscape: Landscape
+    told: StereoRig
+    pair: RenderedPair
     inputs: Mapping[str, str]
     seed: int
 
@@ -181,7 +181,7 @@ class SyntheticPair(Result):
         return content.getvalue()
 
 
-def _rounded(places_m: "FloatArray") -> Any:
+def _rounded(places_m: FloatArray) -> Any:
     """Places to `TRUTH_STEP_M`, in single precision. [m]"""
     return ((places_m / TRUTH_STEP_M).round() * TRUTH_STEP_M).astype("float32")
 
@@ -232,7 +232,7 @@ def render(
     return SyntheticPair(landscape=ground, told=rig, pair=pair, inputs=inputs, seed=asked.seed)
 
 
-def _heights(terrain: str) -> "tuple[float, float, float, FloatArray]":
+def _heights(terrain: str) -> tuple[float, float, float, FloatArray]:
     """x0, y0, spacing and heights (ny, nx) of a terrain file. [m]"""
 
     found = read_elevation(terrain)

@@ -66,8 +66,8 @@ class RockList(Result):
     """Rocks of an elevation model, the surest first."""
 
     schema: ClassVar[str] = "images-rocks/1"
-    model: "ElevationModel"
-    survey: "RockSurvey"
+    model: ElevationModel
+    survey: RockSurvey
     request: RocksRequest
     inputs: Mapping[str, str]
 

@@ -73,10 +73,10 @@ class TrackSinkage(Result):
     """Depths along a track, and the sinkage of the wheel that left it."""
 
     schema: ClassVar[str] = "images-track/1"
-    model: "ElevationModel"
-    line: "FloatArray"
+    model: ElevationModel
+    line: FloatArray
     width_m: float
-    depths: "TrackDepths"
+    depths: TrackDepths
     rebound: float
     inputs: Mapping[str, str]
     tables: Mapping[str, str]

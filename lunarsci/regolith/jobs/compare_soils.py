@@ -44,11 +44,11 @@ class _GivenSite:
     left_open : what the result does not tell of the site; None where it does not say.
     """
 
-    site: "Site"
+    site: Site
     curves: Mapping[str, Any] | None = None
     inputs: Mapping[str, str] = field(default_factory=dict)
     wheel: Mapping[str, Any] | None = None
-    left_open: "OpenSite | None" = None
+    left_open: OpenSite | None = None
 
     @classmethod
     def of(cls, found: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> "_GivenSite":
@@ -97,11 +97,11 @@ class ComparedSoils(Result):
     """
 
     schema: ClassVar[str] = "regolith-compare/1"
-    site: "Site"
+    site: Site
     rover: str
     called: str
     width_m: float
-    soils: "Sequence[SoilComparison]"
+    soils: Sequence[SoilComparison]
     curves: Mapping[str, Any] | None
     undetermined: Mapping[str, Mapping[str, float]]
     remarks: Sequence[str]

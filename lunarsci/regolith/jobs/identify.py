@@ -75,7 +75,7 @@ class IdentifyRequest:
     units: str = ""
 
     @property
-    def assumptions(self) -> "Assumptions":
+    def assumptions(self) -> Assumptions:
         """As `lunarsci.regolith.identify.identify` takes them. Raises RequestError for a modulus that is no number."""
 
         given = self.lateral_modulus
@@ -95,7 +95,7 @@ class IdentifyRequest:
         )
 
     @property
-    def errors(self) -> "MeasurementErrors":
+    def errors(self) -> MeasurementErrors:
         """Of states whose table gives none."""
 
         return MeasurementErrors(
@@ -124,13 +124,13 @@ class StatesOfWheel:
     `called` is the name in its file.
     """
 
-    states: "WheelStates"
+    states: WheelStates
     rover: str
-    wheel: "Wheel"
+    wheel: Wheel
     origin: MadeFrom
     assumed: Sequence[str]
     called: str
-    named_by: "NamedBy"
+    named_by: NamedBy
 
 
 def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest) -> StatesOfWheel:
@@ -152,7 +152,7 @@ def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest)
     return found
 
 
-def _warn_of_default(file: str, given: StatesOfWheel, rover: "RoverDescription") -> None:
+def _warn_of_default(file: str, given: StatesOfWheel, rover: RoverDescription) -> None:
     """Say that nobody named a rover, and which wheel is taken; names and loads like its own do not tell its size."""
 
     mass = rover.table("mass")
@@ -184,17 +184,17 @@ class IdentifiedSoil(Result):
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
-    found: "Identification"
+    found: Identification
     rover: str
-    wheel: "Wheel"
-    slip: "FloatArray"
-    shares: "Sequence[Sensitivity] | None"
+    wheel: Wheel
+    slip: FloatArray
+    shares: Sequence[Sensitivity] | None
     assumed: Sequence[str]
     called: str
-    named_by: "NamedBy"
+    named_by: NamedBy
     origin: MadeFrom
     read_as: tuple[str, ...] = ()
-    questions: "tuple[Question, ...]" = ()
+    questions: tuple[Question, ...] = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -207,7 +207,7 @@ class IdentifiedSoil(Result):
         return called(self.rover, self.called)
 
     @property
-    def agreements(self) -> "Sequence[StatesAgreement]":
+    def agreements(self) -> Sequence[StatesAgreement]:
         """Of each parameter that was solved for in several states."""
         names = [name for name in LABELS if name in self.found.observations[0]]
         listed = ((name, [row[name] for row in self.found.observations]) for name in names)
@@ -310,7 +310,7 @@ def identify(
 def identified(
     given: StatesOfWheel,
     asked: IdentifyRequest,
-    known: "Assumptions",
+    known: Assumptions,
     progress: Callable[[int, int], None] | None,
 ) -> IdentifiedSoil:
     """The same of states that are read."""

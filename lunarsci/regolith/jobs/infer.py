@@ -84,7 +84,7 @@ class InferRequest(IdentifyRequest):
         return self.shear != "separate" or self.bulldozing != "none" or self.contact
 
     @property
-    def wheel_law(self) -> "WheelLaw":
+    def wheel_law(self) -> WheelLaw:
         """The law that the options name."""
 
         model = ContactModel(
@@ -104,9 +104,9 @@ class InferredSoil(IdentifiedSoil):
     predicted : forces of other states, None where they were not asked for.
     """
 
-    posterior: "SoilPosterior"
-    scores: "Sequence[WheelLawScore]"
-    predicted: "PredictedStates | None"
+    posterior: SoilPosterior
+    scores: Sequence[WheelLawScore]
+    predicted: PredictedStates | None
 
     @property
     def held(self) -> Mapping[str, float]:
@@ -200,7 +200,7 @@ def infer(
 
 def _posterior(
     asked: InferRequest, given: StatesOfWheel, progress: Callable[[int, int], None] | None
-) -> "tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]":
+) -> tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]:
     """The posterior, scores of the laws where one was chosen, and the file of priors."""
 
     chooses = asked.chooses(given.states.alike)

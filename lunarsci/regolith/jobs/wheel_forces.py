@@ -135,7 +135,7 @@ class WheelForcesRequest:
         return [first * (1.0 - share) + last * share for share in shares]
 
     @property
-    def law(self) -> "SlipSinkageLaw | None":
+    def law(self) -> SlipSinkageLaw | None:
         """How slip deepens the sinkage; None for not at all."""
         return None if self.slip_sinkage == "none" else self.slip_sinkage
 
@@ -153,7 +153,7 @@ class WheelForcesRequest:
         )
         return model if self.exact or model != plain else None
 
-    def changed(self, soil: "Soil", width_m: float) -> "Soil":
+    def changed(self, soil: Soil, width_m: float) -> Soil:
         """The soil with what was asked for in its place; with Reece's moduli its stiffness under this gravity."""
         changes = {name: getattr(self, option) for option, name in SOIL.items() if getattr(self, option) is not None}
         soil = soil.replace(**changes)
@@ -190,12 +190,12 @@ class ForcesOnWheel(Result):
 
     schema: ClassVar[str] = "regolith-forces/1"
     request: WheelForcesRequest
-    wheel: "Wheel"
-    soil: "Soil"
-    states: "Sequence[LoadedState]"
+    wheel: Wheel
+    soil: Soil
+    states: Sequence[LoadedState]
     model: ContactModel | None
     cohesion_share: float
-    traction: "Traction | None"
+    traction: Traction | None
     assumed: Sequence[str]
     called: str
     origin: MadeFrom
@@ -206,7 +206,7 @@ class ForcesOnWheel(Result):
         return self.states[0].sinkage_m
 
     @property
-    def forces(self) -> "WheelForces | ContactForces":
+    def forces(self) -> WheelForces | ContactForces:
         """F_N, F_DP, F_L, M_R at the first slip, by integration also two moments. [N, N m]"""
         return self.states[0].forces
 
@@ -241,7 +241,7 @@ class ForcesOnWheel(Result):
 
         return [self._row(state) | {"rover": written_for(self.called, self.wheel)} for state in self.states]
 
-    def _row(self, state: "LoadedState") -> dict[str, Any]:
+    def _row(self, state: LoadedState) -> dict[str, Any]:
         there = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
         own: dict[str, Any] = {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
         if self.traction is not None and self.request.load is not None:
@@ -305,8 +305,8 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
 
 
 def _states(
-    asked: WheelForcesRequest, wheel: "Wheel", soil: "Soil", slips: Sequence[float]
-) -> "tuple[list[LoadedState], LoadedWheel | None]":
+    asked: WheelForcesRequest, wheel: Wheel, soil: Soil, slips: Sequence[float]
+) -> tuple[list[LoadedState], LoadedWheel | None]:
     """The wheel at each slip, under its load or at its sinkage; and the loaded wheel."""
 
     model = asked.model

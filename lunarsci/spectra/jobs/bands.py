@@ -104,13 +104,13 @@ class BandsRequest:
 class MeasuredBands(Result):
     """The bands of each spectrum, one at least, and why those without have none."""
 
-    batch: "SpectraBatch"
-    measured: "BandsOfSpectra"
+    batch: SpectraBatch
+    measured: BandsOfSpectra
     failures: Sequence[Failure] = ()
     schema = "spectra-bands/1"
 
     @cached_property
-    def chemistry(self) -> "Mapping[str, Estimates]":
+    def chemistry(self) -> Mapping[str, Estimates]:
         """What each regression makes of the bands."""
 
         return chemistries(self.measured.arrays.bands)
@@ -130,7 +130,7 @@ class MeasuredBands(Result):
         return [text for source, text in REGRESSIONS.items() if source in used]
 
     @property
-    def good(self) -> "list[SpectrumBands]":
+    def good(self) -> list[SpectrumBands]:
         """Those with a result."""
 
         return [item for item in self.measured if isinstance(item, SpectrumBands)]
@@ -149,7 +149,7 @@ class MeasuredBands(Result):
 
         return {**self.batch.said, "spectra": in_blocks(len(self.measured), self._records)}
 
-    def rows(self) -> "Records | RecordsInBlocks":
+    def rows(self) -> Records | RecordsInBlocks:
         """One a spectrum; value, error and range of each regression in columns of their own."""
 
         return in_blocks(len(self.measured), self._rows)
@@ -162,14 +162,14 @@ class MeasuredBands(Result):
         batch = replace(self.batch, spectra=self.batch.spectra[own], origins=self.batch.origins[own])
         return MeasuredBands(batch, self.measured.part(block), self.failures)
 
-    def _records(self, block: range) -> "Records":
+    def _records(self, block: range) -> Records:
 
         own = self._part(block)
         found = own.chemistry
         shown = {key: Where(found[key].present, found[key].columns()) if key in found else None for key in KEYS}
         return Records(own.measured.columns() | {"chemistry": shown, "source": own.batch.origins})
 
-    def _rows(self, block: range) -> "Records":
+    def _rows(self, block: range) -> Records:
 
         own = self._part(block)
         columns = own.measured.columns() | {"source": own.batch.origins}

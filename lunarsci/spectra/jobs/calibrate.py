@@ -52,7 +52,7 @@ class CalibrateRequest:
     vnir_steps: Literal["keep", "remove"] = "keep"
     calibration: str | Any | None = None
 
-    def settings(self) -> "Settings":
+    def settings(self) -> Settings:
         """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
 
         inputs: dict[str, str] = {}
@@ -81,13 +81,13 @@ class CalibrateRequest:
 class Calibrations(Result):
     """Calibrated observations, one at least, and those that gave no spectrum, with what was used for all."""
 
-    observations: "Sequence[Calibration]"
-    failed: "Sequence[CalibrationFailure]"
-    settings: "Settings"
+    observations: Sequence[Calibration]
+    failed: Sequence[CalibrationFailure]
+    settings: Settings
     schema = "spectra-calibrate/1"
 
     @property
-    def spectra(self) -> "list[Spectrum]":
+    def spectra(self) -> list[Spectrum]:
         """The spectra for the other jobs."""
         return [item.to_spectrum() for item in self.observations]
 

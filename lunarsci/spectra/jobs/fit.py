@@ -103,13 +103,13 @@ class ModelRequest:
             )),
         )  # fmt: skip
 
-    def model(self, assemblage: str, continuum: MgmContinuum) -> "MgmModel":
+    def model(self, assemblage: str, continuum: MgmContinuum) -> MgmModel:
         """The model of an assemblage under a continuum, with composition and constraints."""
 
         stated = parse_compositions(self.composition) if self.composition else None
         return self.held(mgm_model(assemblage, continuum, stated_for(assemblage, stated) if self.automatic else stated))
 
-    def held(self, model: "MgmModel") -> "MgmModel":
+    def held(self, model: MgmModel) -> MgmModel:
         """A model with the constraints."""
 
         return constrained(model, fixed=self.fix, bounds=self.bound, ties=self.tie)
@@ -160,17 +160,17 @@ class MgmFits(Result):
     """
 
     schema: ClassVar[str] = "spectra-fit/1"
-    batch: "SpectraBatch"
+    batch: SpectraBatch
     request: ModelRequest
-    fits: "Sequence[MgmFit | MgmFailure]"
-    choices: "Mapping[int, Choice]" = field(default_factory=dict)
-    intervals: "Mapping[int, Intervals]" = field(default_factory=dict)
-    abundances: "Mapping[int, Sequence[Abundance]]" = field(default_factory=dict)
+    fits: Sequence[MgmFit | MgmFailure]
+    choices: Mapping[int, Choice] = field(default_factory=dict)
+    intervals: Mapping[int, Intervals] = field(default_factory=dict)
+    abundances: Mapping[int, Sequence[Abundance]] = field(default_factory=dict)
     failures: Sequence[Failure] = ()
-    files: "Sequence[InputFile]" = ()
+    files: Sequence[InputFile] = ()
 
     @property
-    def good(self) -> "list[MgmFit]":
+    def good(self) -> list[MgmFit]:
         """The fits without the failures."""
 
         return [item for item in self.fits if isinstance(item, MgmFit)]
@@ -206,11 +206,11 @@ class MgmFits(Result):
         return isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
 
     @cached_property
-    def _columns(self) -> "Callable[[range], tuple[FitColumns, PyroxeneAbundances]]":
+    def _columns(self) -> Callable[[range], tuple[FitColumns, PyroxeneAbundances]]:
         """Columns of some of the fits and their shares of pyroxenes; the last are kept."""
         return lru_cache(maxsize=1)(self._columns_of)
 
-    def _columns_of(self, block: range) -> "tuple[FitColumns, PyroxeneAbundances]":
+    def _columns_of(self, block: range) -> tuple[FitColumns, PyroxeneAbundances]:
 
         fits: SpectraFits = self.fits.part(block)  # type: ignore[attr-defined]
         return FitColumns(fits, self.batch.origins[block.start : block.stop]), PyroxeneAbundances(fits)
@@ -306,7 +306,7 @@ def fit(
     return MgmFits(batch=batch, request=asked, **(found | more))
 
 
-def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
+def fit_batch_of(batch: SpectraBatch, request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
 
     found: dict[str, Any]
@@ -329,8 +329,8 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
 
 
 def _by_prior(
-    spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **start: Any
-) -> "Sequence[MgmFit | MgmFailure]":
+    spectra: Sequence[Spectrum], model: MgmModel, request: ModelRequest, progress: Progress | None, **start: Any
+) -> Sequence[MgmFit | MgmFailure]:
 
     if request.prior == "damping":
         error = DEFAULT_MODEL_ERROR if request.model_error is None else request.model_error
@@ -338,7 +338,7 @@ def _by_prior(
     return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=progress)
 
 
-def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
+def _from_file(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
 
     source = read_input(str(request.start))
     model, file = read_start(source, request.band_minerals)
@@ -346,7 +346,7 @@ def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: P
     return {"fits": _by_prior(spectra, request.held(model), request, progress, **start), "files": [source]}
 
 
-def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
+def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
 
     stated = parse_compositions(request.composition) if request.composition else None

@@ -42,8 +42,8 @@ class IndicesRequest:
 class FoundIndices(Result):
     """Indices by name, and the spectra that they are of."""
 
-    batch: "SpectraBatch"
-    columns: "Mapping[str, IndexColumn]"
+    batch: SpectraBatch
+    columns: Mapping[str, IndexColumn]
     schema = "spectra-indices/1"
 
     @property
@@ -61,7 +61,7 @@ class FoundIndices(Result):
         about = {name: _about(INDICES[name]) for name in self.columns}
         return {**self.batch.said, "indices": about, "spectra": self.records()}
 
-    def records(self) -> "Records":
+    def records(self) -> Records:
         """Each spectrum with a nested object for each index."""
 
         found: dict[str, Any] = {
@@ -77,7 +77,7 @@ class FoundIndices(Result):
         }
         return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **found})
 
-    def rows(self) -> "Records":
+    def rows(self) -> Records:
         """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
 
         cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}
@@ -139,8 +139,8 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
 
 
 def _measured(
-    spectra: "Sequence[Spectrum]", names: Sequence[str], smooth_nm: float
-) -> "Iterator[tuple[list[int], dict[str, IndexColumn]]]":
+    spectra: Sequence[Spectrum], names: Sequence[str], smooth_nm: float
+) -> Iterator[tuple[list[int], dict[str, IndexColumn]]]:
     """Numbers of spectra on the same channels, and their indices."""
 
     groups: dict[Any, list[int]] = {}

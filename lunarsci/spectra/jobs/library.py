@@ -41,7 +41,7 @@ class ImportRequest:
 class Library(Result):
     """End members of all files with the file of each, what could not be read, and what an import left out."""
 
-    members: "Sequence[EndMember]"
+    members: Sequence[EndMember]
     origins: Sequence[str]
     inputs: Mapping[str, str] = field(default_factory=dict)
     failures: Sequence[Failure] = ()
@@ -94,7 +94,7 @@ class CheckedLibrary(Result):
     """A library with what was found in each end member."""
 
     library: Library
-    findings: "Sequence[Sequence[LibraryFinding]]"
+    findings: Sequence[Sequence[LibraryFinding]]
     schema = "spectra-library-check/1"
 
     @property
@@ -193,7 +193,7 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
     return library
 
 
-def _described(member: "EndMember", told: Mapping[str, Any], asked: ImportRequest, table: str) -> "EndMember":
+def _described(member: EndMember, told: Mapping[str, Any], asked: ImportRequest, table: str) -> EndMember:
 
     try:
         member = with_description(member, told)

@@ -48,9 +48,9 @@ class CubeMap(Result):
 
     schema = "spectra-map/1"
     path: Path
-    made: "MapFile"
+    made: MapFile
     request: MapRequest
-    products: "Sequence[Product]"
+    products: Sequence[Product]
     counts: Mapping[str, int]
     codes: Mapping[str, Mapping[str, int]]
     sampled: Mapping[str, Any] = field(repr=False)
@@ -85,7 +85,7 @@ class CubeMap(Result):
         """One a layer: of values the share of pixels that has one, and quantiles of a sample."""
         return [self._row(layer) for layer in self.made.layers]
 
-    def _row(self, layer: "Layer") -> dict[str, Any]:
+    def _row(self, layer: Layer) -> dict[str, Any]:
 
         kind = "value" if not layer.meanings else "bits" if layer.bits else "code"
         row: dict[str, Any] = {"name": layer.name, "long_name": layer.long_name, "units": layer.units, "kind": kind}
@@ -108,7 +108,7 @@ class PixelSpectrum(Result):
     """The spectrum of one pixel, as a table that every other job reads."""
 
     schema = "spectra-pixel/1"
-    cube: "Cube"
+    cube: Cube
     line: int
     sample: int
     reflectance: Any = field(repr=False)
@@ -143,7 +143,7 @@ class PixelSpectrum(Result):
 
 
 def map(
-    cube: str, path: "str | Path | None", request: MapRequest | None = None, *, force: bool = False, time: bool = True,
+    cube: str, path: str | Path | None, request: MapRequest | None = None, *, force: bool = False, time: bool = True,
     progress: Progress | None = None, **options: Any,
 ) -> CubeMap:  # fmt: skip
     """Measure every wanted pixel of a cube and write the maps.
@@ -227,7 +227,7 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
     return PixelSpectrum(cube=image, line=line, sample=sample, reflectance=reflectance[0, 0], flags=told, places=places)
 
 
-def made_from(cube: "Cube", products: "Sequence[Product]") -> MadeFrom:
+def made_from(cube: Cube, products: Sequence[Product]) -> MadeFrom:
     """Inputs, tables and sources of a map."""
 
     tables = table_hashes(*dict.fromkeys(table for product in products for table in product.tables))
@@ -241,7 +241,7 @@ def unmix_record(request: MapRequest) -> dict[str, Any] | None:
     return {"method": "learned", "both": request.both, "minerals": request.minerals}
 
 
-def cube_record(cube: "Cube") -> dict[str, Any]:
+def cube_record(cube: Cube) -> dict[str, Any]:
     """What is known of a cube, for `--json`."""
     return {
         "file": cube.name,

@@ -48,7 +48,7 @@ from lunarsci.spectra.origin.prior import CHANG_E_4
 from lunarsci.spectra.spectrum import Smoothing, Spectrum
 
 
-def products_of(request: "MapRequest") -> "list[Product]":
+def products_of(request: MapRequest) -> list[Product]:
     """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
 
     makers: dict[str, Callable[[MapRequest], Product]] = {
@@ -86,7 +86,7 @@ class BandsProduct:
     smooth_nm: float
 
     @classmethod
-    def of(cls, request: "MapRequest") -> "BandsProduct":
+    def of(cls, request: MapRequest) -> "BandsProduct":
 
         Smoothing(window_nm=request.smooth_nm)
         return cls(request.band_continuum, request.smooth_nm)
@@ -114,7 +114,7 @@ class BandsProduct:
 
         return (PAPER, SMOOTHING)
 
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
 
         smoothing = Smoothing(window_nm=self.smooth_nm)
@@ -135,7 +135,7 @@ class IndicesProduct:
     slow: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, request: "MapRequest") -> "IndicesProduct":
+    def of(cls, request: MapRequest) -> "IndicesProduct":
         return cls()
 
     @property
@@ -159,7 +159,7 @@ class IndicesProduct:
 
         return tuple(dict.fromkeys(index.source for index in INDICES.values()))
 
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
 
         values: dict[str, Any] = {}
@@ -193,7 +193,7 @@ class FitProduct:
     contest_every: int = 0
 
     @classmethod
-    def of(cls, request: "MapRequest") -> "FitProduct":
+    def of(cls, request: MapRequest) -> "FitProduct":
         assemblage = request.assemblage or DEFAULT_ASSEMBLAGE
         model_of(assemblage, request.continuum)
         every = request.contest_every if request.neighbours else 0
@@ -230,7 +230,7 @@ class FitProduct:
 
         return (MGM, NBSR)
 
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
 
         model = model_of(self.assemblage, self.continuum)
@@ -250,7 +250,7 @@ class FitProduct:
         flags = sum(((one & ~missing) * np.uint8(2 << k) for k, one in enumerate(told)), missing.astype(np.uint8))
         return values | {"fit_flags": flags, "fit_origin": origin}
 
-    def _fitted(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> tuple[Any, Any, Any]:
+    def _fitted(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> tuple[Any, Any, Any]:
         """Fits, where their minima were found, and whether neighbours still disagree."""
 
         how: dict[str, Any] = {"model_error": self.model_error, "starts": self.starts}
@@ -275,7 +275,7 @@ def slug(name: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def model_of(assemblage: str, continuum: Any) -> "MgmModel":
+def model_of(assemblage: str, continuum: Any) -> MgmModel:
     """The model of an assemblage under a continuum. Raises ParameterError for one that is unknown."""
 
     return mgm_model(assemblage, continuum)
@@ -294,7 +294,7 @@ class UnmixProduct:
     both: bool = False
 
     @classmethod
-    def of(cls, request: "MapRequest") -> "UnmixProduct":
+    def of(cls, request: MapRequest) -> "UnmixProduct":
         return cls(request.kind, tuple(request.minerals), request.both)
 
     @property
@@ -332,7 +332,7 @@ class UnmixProduct:
 
         return (LEARNED, *(LAWS["both"] if self.both else ()))
 
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra; those with the same channels together."""
 
         count = len(reflectance)
@@ -358,7 +358,7 @@ class UnmixProduct:
         return values
 
     def _shares(
-        self, wavelength_nm: "FloatArray", reflectance: "FloatArray", dark: "FloatArray", weathered: "BoolArray"
+        self, wavelength_nm: FloatArray, reflectance: FloatArray, dark: FloatArray, weathered: BoolArray
     ) -> Mapping[str, Any]:
         """Layers of spectra of the same channels."""
 
@@ -391,7 +391,7 @@ class MatchProduct:
     craters: str | None
 
     @classmethod
-    def of(cls, request: "MapRequest") -> "MatchProduct":
+    def of(cls, request: MapRequest) -> "MatchProduct":
         made = cls(BandsProduct.of(request), FitProduct.of(request), request.craters)
         if not made.names:
             raise ParameterError(
@@ -424,7 +424,7 @@ class MatchProduct:
     def sources(self) -> Sequence[str]:
         return ()
 
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
 
         spectra, names = _spectra(wavelength_nm, reflectance), list(self.names)
@@ -449,7 +449,7 @@ class MatchProduct:
         return values | {"nearest_crater": np.where(known, best, NO_CODE)}
 
 
-def _spectra(wavelength_nm: "FloatArray", reflectance: "FloatArray") -> "list[Spectrum]":
+def _spectra(wavelength_nm: FloatArray, reflectance: FloatArray) -> list[Spectrum]:
     """Rows as spectra that are called by their number."""
 
     return [Spectrum(str(row), wavelength_nm, values) for row, values in enumerate(reflectance)]

@@ -80,7 +80,7 @@ class MapRequest:
         """Products, each once."""
         return list(dict.fromkeys(name for part in self.products.split(",") if (name := part.strip().lower())))
 
-    def stated(self) -> "Stated":
+    def stated(self) -> Stated:
         """What is said of the cube."""
 
         return Stated(

@@ -98,7 +98,7 @@ class MatchRequest:
     gardening: str = "0.001:0.1"
     seed: int = 0
 
-    def settings(self) -> "MatchSettings":
+    def settings(self) -> MatchSettings:
         """As the formulas take them. Raises ParameterError for a value out of range, RequestError for a text."""
 
         return MatchSettings(
@@ -128,12 +128,12 @@ class MatchRequest:
 class Matches(Result):
     """Every rock with every crater, and what was assumed; `inputs` and `tables` are hashes by name."""
 
-    matches: "RockMatches"
-    site: "Point"
+    matches: RockMatches
+    site: Point
     site_assumed: bool
-    settings: "MatchSettings"
+    settings: MatchSettings
     assumptions: Sequence[str]
-    maps: "Sequence[MapReport]"
+    maps: Sequence[MapReport]
     inputs: Mapping[str, str]
     tables: Mapping[str, str]
     unread: Sequence[Failure]
@@ -174,7 +174,7 @@ class Matches(Result):
             ],
         }
 
-    def rows(self) -> "Records | RecordsInBlocks":
+    def rows(self) -> Records | RecordsInBlocks:
         """One a crater, and one for other sources, of each rock."""
 
         count, each = len(self.matches), len(self.matches[0].craters) + 1
@@ -185,7 +185,7 @@ class Matches(Result):
         places = {match.rock.id: place for place, match in enumerate(self.matches)}
         return sorted(self.rows(), key=lambda row: (places[row["rock"]], -row["posterior"]))
 
-    def _of_some(self, make: "Callable[[Sequence[RockMatch]], Records]") -> "Callable[[range], Records]":
+    def _of_some(self, make: Callable[[Sequence[RockMatch]], Records]) -> Callable[[range], Records]:
         return lambda block: make(self.matches[block.start : block.stop])
 
     def figures(self) -> "Iterator[Figure]":
@@ -197,7 +197,7 @@ class Matches(Result):
 
 @job
 def match(
-    rocks: Any = (), request: MatchRequest | None = None, *, progress: "Progress | None" = None, **options: Any
+    rocks: Any = (), request: MatchRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> Matches:
     """Match rocks with candidate craters.
 
@@ -228,7 +228,7 @@ def match(
     )
 
 
-def _check_near(text: str | tuple[float, ...] | None, site: "Point | None") -> None:
+def _check_near(text: str | tuple[float, ...] | None, site: Point | None) -> None:
     """Raises RequestError for a site that the embedded craters do not lie round."""
 
     if site is not None and (far := distance_km(CHANG_E_4, site)) > EMBEDDED_KM:
@@ -238,7 +238,7 @@ def _check_near(text: str | tuple[float, ...] | None, site: "Point | None") -> N
         )
 
 
-def _assumed_site(asked: MatchRequest, found: "Candidates") -> "Point":
+def _assumed_site(asked: MatchRequest, found: "Candidates") -> Point:
     """Chang'E-4's, round which the embedded craters lie. Raises RequestError for craters of one's own."""
 
     if asked.craters is None:
@@ -255,7 +255,7 @@ def _assumed_site(asked: MatchRequest, found: "Candidates") -> "Point":
 class MatchInputs:
     """The rocks, the inputs' hashes, and what could not be read."""
 
-    rocks: "list[Rock]"
+    rocks: list[Rock]
     inputs: dict[str, str] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
 
@@ -264,14 +264,14 @@ class MatchInputs:
 class Candidates:
     """The craters, the hashes of what they were read from, and what maps gave."""
 
-    craters: "Sequence[Crater]"
+    craters: Sequence[Crater]
     source: str
     inputs: dict[str, str] = field(default_factory=dict)
     tables: dict[str, str] = field(default_factory=dict)
-    map_reports: "Sequence[MapReport]" = ()
+    map_reports: Sequence[MapReport] = ()
 
 
-def _site(site: str | tuple[float, ...]) -> "Point":
+def _site(site: str | tuple[float, ...]) -> Point:
     """Two numbers, or the text `LAT,LON`, in degrees."""
 
     text = site if isinstance(site, str) else ",".join(map(str, site))
@@ -285,7 +285,7 @@ def _site(site: str | tuple[float, ...]) -> "Point":
         raise RequestError(f"`site` {text}: {error}") from error
 
 
-def _span(text: str, option: str) -> "Range":
+def _span(text: str, option: str) -> Range:
     """`LOW:HIGH`, or one number for both."""
 
     numbers = [stated_number(part, f"`{option}` {text}") for part in text.split(":")]

@@ -43,7 +43,7 @@ def other_cause(record: Mapping[str, Any]) -> str:
     return ""
 
 
-def with_causes(spectra: "Sequence[Spectrum]", choices: "Mapping[int, Choice]") -> "dict[int, Choice]":
+def with_causes(spectra: Sequence[Spectrum], choices: Mapping[int, Choice]) -> dict[int, Choice]:
     """Choices, by position, with what else the 2 um bands may be of; not strong where the fit has a pyroxene then."""
 
     measured = measure_batch([spectra[index] for index in choices])

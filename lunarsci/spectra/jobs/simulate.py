@@ -54,7 +54,7 @@ class SimulateVnisRequest:
     sequence: int = 1
     seed: int = 0
 
-    def scene(self) -> "Scene":
+    def scene(self) -> Scene:
         """What is looked at. Raises ParameterError for what there cannot be."""
 
         rock = self.rock and SceneRock(replace(ROCK, composition=_composition(self.rock)), radius_px=self.rock_radius)
@@ -74,7 +74,7 @@ class SimulateVnisRequest:
 class SimulatedVnis(Result):
     """A synthetic observation and its files, name to content."""
 
-    simulation: "Simulation"
+    simulation: Simulation
     files: dict[str, bytes]
     schema = "spectra-simulate/1"
 
@@ -120,7 +120,7 @@ def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> Simu
     return SimulatedVnis(simulation, product_files(simulation))
 
 
-def _composition(text: str) -> "SceneComposition":
+def _composition(text: str) -> SceneComposition:
     """A composition from `ol=0.1,opx=0.3,cpx=0.2,plg=0.4`. Raises ParameterError for anything else."""
 
     keys = {**{key.lower(): name for key, name in MINERALS.items()}, "plg": "plagioclase"}

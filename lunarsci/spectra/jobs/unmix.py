@@ -135,14 +135,14 @@ class UnmixedSpectra(Result):
     """
 
     schema: ClassVar[str] = "spectra-unmix/1"
-    batch: "SpectraBatch"
+    batch: SpectraBatch
     request: UnmixRequest
-    shares: "Sequence[Abundance]"
-    kinds: "Sequence[KindVerdict]"
-    normatives: "Mapping[int, Normative]" = field(default_factory=dict)
+    shares: Sequence[Abundance]
+    kinds: Sequence[KindVerdict]
+    normatives: Mapping[int, Normative] = field(default_factory=dict)
     chondrites: Mapping[int, dict[str, Any] | None] = field(default_factory=dict)
     failures: Sequence[Failure] = ()
-    files: "Sequence[InputFile]" = ()
+    files: Sequence[InputFile] = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -261,7 +261,7 @@ def unmix(
     )
 
 
-def _chondrites(spectra: "Sequence[Spectrum]", kinds: "Sequence[KindVerdict]") -> dict[int, dict[str, Any] | None]:
+def _chondrites(spectra: Sequence[Spectrum], kinds: Sequence[KindVerdict]) -> dict[int, dict[str, Any] | None]:
 
     dark = [index for index, kind in enumerate(kinds) if kind.kind == "dark-rock-powder"]
     if not dark:
@@ -272,14 +272,14 @@ def _chondrites(spectra: "Sequence[Spectrum]", kinds: "Sequence[KindVerdict]") -
 
 
 def _shares(
-    spectra: "Sequence[Spectrum]",
-    kinds: "Sequence[KindVerdict]",
+    spectra: Sequence[Spectrum],
+    kinds: Sequence[KindVerdict],
     named: Sequence[str],
-    modes: "KnownModes",
-    end_members: "Sequence[EndMember] | None",
+    modes: KnownModes,
+    end_members: Sequence[EndMember] | None,
     request: UnmixRequest,
     progress: Progress | None,
-) -> "list[Abundance]":
+) -> list[Abundance]:
 
     if not spectra:
         return []
@@ -295,7 +295,7 @@ def _shares(
     return [_as_stated(one, modes.known[one.id]) if one.id in modes.known else one for one in found]
 
 
-def _as_stated(found: "Abundance", known: Mapping[str, float]) -> "Abundance":
+def _as_stated(found: Abundance, known: Mapping[str, float]) -> Abundance:
     """A mixture whose shares are known."""
 
     total = sum(known.values())
@@ -307,14 +307,14 @@ def _as_stated(found: "Abundance", known: Mapping[str, float]) -> "Abundance":
 
 
 def mixed_estimate(
-    spectra: "Sequence[Spectrum]",
-    foretold: "Foretold",
-    allowed: "FloatArray",
-    modes: "KnownModes",
-    end_members: "Sequence[EndMember] | None",
+    spectra: Sequence[Spectrum],
+    foretold: Foretold,
+    allowed: FloatArray,
+    modes: KnownModes,
+    end_members: Sequence[EndMember] | None,
     request: UnmixRequest,
     progress: Progress | None,
-) -> "Mixed":
+) -> Mixed:
     """What mixtures of end members say; the networks stand in where they say nothing.
 
     That is where a spectrum is too short, or has one mineral only. Raises DataError where no spectrum can be mixed.
@@ -349,7 +349,7 @@ def mixed_estimate(
     return found
 
 
-def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes":
+def _known_modes(names: Sequence[str], file: InputFile | None) -> KnownModes:
     """Modes stated of the spectra."""
 
     if file is None:

@@ -86,7 +86,7 @@ class FitColumns:
     def _count(self) -> int:
         return len(self.model.assemblage.bands)
 
-    def _bands(self) -> dict[str, "list[str] | FloatArray | IntArray | dict[str, FloatArray] | None"]:
+    def _bands(self) -> dict[str, list[str] | FloatArray | IntArray | dict[str, FloatArray] | None]:
         """By key: a text of each band, numbers (n, bands), or numbers by the kind of parameter."""
         m, bands = self.model.degrees, self.model.assemblage.bands
         names = ("values", "sigma", "calibration")

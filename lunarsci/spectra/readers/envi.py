@@ -110,7 +110,7 @@ def _names(header: EnviHeader, spectra: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _values(data: InputFile, header: EnviHeader, shape: tuple[int, int]) -> "np.ndarray[Any, Any]":
+def _values(data: InputFile, header: EnviHeader, shape: tuple[int, int]) -> np.ndarray[Any, Any]:
     """Numbers of every record as they are stored, (spectra, channels)."""
     dtype = header.dtype(NUMBERS, "a library holds real numbers: 1 to 5 or 12 to 15")
     offset = header.whole("header offset", "0")
@@ -123,7 +123,7 @@ def _values(data: InputFile, header: EnviHeader, shape: tuple[int, int]) -> "np.
     return np.frombuffer(data.data, dtype, offset=offset).reshape(shape)
 
 
-def _reflectances(stored: "np.ndarray[Any, Any]", header: EnviHeader, channels: int) -> FloatArray:
+def _reflectances(stored: np.ndarray[Any, Any], header: EnviHeader, channels: int) -> FloatArray:
     """The numbers, scaled, NaN where the header says that there is none."""
     values = stored.astype(float)
     if (ignored := header.number("data ignore value")) is not None:

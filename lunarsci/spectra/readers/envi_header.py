@@ -81,7 +81,7 @@ class EnviHeader:
             why = " (a comma in a name?)" if what == "spectra names" else ""
             raise DataError(f"{self.file}: {len(found)} '{what}' for {of} = {wanted}{why}; correct the header")
 
-    def dtype(self, types: Mapping[str, str], remedy: str) -> "np.dtype[np.generic]":
+    def dtype(self, types: Mapping[str, str], remedy: str) -> np.dtype[np.generic]:
         """Type and byte order of the numbers, one of `types`. Raises DataError for another."""
         kind, order = self.fields.get("data type", ""), self.fields.get("byte order", "0")
         if kind not in types:

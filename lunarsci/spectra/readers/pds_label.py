@@ -222,7 +222,7 @@ def _pds3_image(part: _Object, root: _Object, file: str, offset: int) -> ImageOb
     )  # fmt: skip
 
 
-def _of_pds4(root: "Element", file: str) -> tuple[list[TableObject], list[ImageObject]]:
+def _of_pds4(root: Element, file: str) -> tuple[list[TableObject], list[ImageObject]]:
     tables, images = list[TableObject](), list[ImageObject]()
     centres = [one for one in root.iter() if one.tag in ("center_wavelength", "center_value")]
     for area in root.iter("file_area_observational"):
@@ -235,7 +235,7 @@ def _of_pds4(root: "Element", file: str) -> tuple[list[TableObject], list[ImageO
     return tables, images
 
 
-def _pds4_table(part: "Element", name: str) -> TableObject:
+def _pds4_table(part: Element, name: str) -> TableObject:
     fields = [one for one in part.iter() if one.tag in ("field_character", "field_delimited", "field_binary")]
     marks = ("missing_constant", "invalid_constant", "error_constant", "not_applicable_constant")
     return TableObject(
@@ -250,7 +250,7 @@ def _pds4_table(part: "Element", name: str) -> TableObject:
     )  # fmt: skip
 
 
-def _pds4_image(part: "Element", name: str, centres: "Sequence[Element]") -> ImageObject:
+def _pds4_image(part: Element, name: str, centres: Sequence[Element]) -> ImageObject:
     axes = sorted((_whole(_text(one, "sequence_number")), _text(one, "axis_name").lower(),
                    _whole(_text(one, "elements"))) for one in part.iter("axis_array"))  # fmt: skip
     sizes = {axis: size for _, axis, size in axes}
@@ -275,7 +275,7 @@ def _dtype(kind: str) -> str:
     return ""
 
 
-def _text(parent: "Element", path: str) -> str:
+def _text(parent: Element, path: str) -> str:
     found = parent.find(path)
     return "" if found is None else (found.text or "").strip()
 

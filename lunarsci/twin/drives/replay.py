@@ -56,7 +56,7 @@ class WheelTurns:
     steered_rad: FloatArray
 
     @classmethod
-    def of(cls, telemetry: "Telemetry", rover: Rover, begin_s: float) -> "WheelTurns":
+    def of(cls, telemetry: Telemetry, rover: Rover, begin_s: float) -> "WheelTurns":
         """Those of telemetry from a time on: measured angles, else rates, else commanded speeds."""
         time = telemetry.time_s - begin_s
         columns = [_rolled_m(telemetry, rover, k) for k in range(len(rover.wheels))]
@@ -81,7 +81,7 @@ def _filled(time_s: FloatArray, values: FloatArray) -> FloatArray:
     return np.interp(time_s, time_s[known], values[known]) if known.any() else 0.0 * time_s
 
 
-def _rolled_m(telemetry: "Telemetry", rover: Rover, wheel: int) -> FloatArray:
+def _rolled_m(telemetry: Telemetry, rover: Rover, wheel: int) -> FloatArray:
     """Way of a rim since the first row. (n,) [m]"""
     time, radius = telemetry.time_s, rover.wheel.shearing_radius_m
     angle, rate = np.radians(telemetry.angle_deg[:, wheel]), np.radians(telemetry.rate_deg_s[:, wheel])
@@ -290,7 +290,7 @@ class TrialScore:
 
 
 def score_trial(
-    name: str, rover: Rover, terrain: Terrain, motion: "Motion", turns: WheelTurns, record: DriveRecord,
+    name: str, rover: Rover, terrain: Terrain, motion: Motion, turns: WheelTurns, record: DriveRecord,
     soils: TrialSoils, seed: int = 0,
 ) -> TrialScore:  # fmt: skip
     """Predict a drive from its first pose by its wheels alone, and hold it against what was measured.

@@ -217,7 +217,7 @@ def _short(name: str) -> str:
     return LABELS[name][0].partition(" [")[0]
 
 
-def trials_figure(trials: "Sequence[TrialScore]", title: str, *, synthetic: bool = False) -> "Figure":
+def trials_figure(trials: Sequence[TrialScore], title: str, *, synthetic: bool = False) -> "Figure":
     """Median slip of each trial as measured and predicted, and errors of the ends from the smallest on."""
     figure = page(3.2)
     slips, ends = figure.subplots(1, 2)

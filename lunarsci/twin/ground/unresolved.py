@@ -121,7 +121,7 @@ def with_unresolved(
 
 def unresolved_grain(
     factor: int, spacing_m: float, seed: int, rougher: tuple[float, float], footprint_m: float = 0.0
-) -> "np.ndarray[tuple[int, ...], np.dtype[np.float32]]":
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     """Fractal ground less the cubic spline through every so many nodes of it, on a torus. (512, 512) [m]
 
     It is as much `rougher` than the law, in the logarithm, as that mean and standard deviation say, alike over 10 m.

@@ -87,17 +87,17 @@ class ComparedDrive(Result):
     """
 
     schema = "twin-compare/1"
-    matched: "MatchedObservations"
-    found: "DriveComparison"
+    matched: MatchedObservations
+    found: DriveComparison
     states: str
     rover: str
-    pace: "WheelPace | None"
-    before: "SoilBelief | None"
-    belief: "SoilBelief | None"
+    pace: WheelPace | None
+    before: SoilBelief | None
+    belief: SoilBelief | None
     inputs: dict[str, str]
     tables: dict[str, str]
     seed: int
-    questions: "tuple[Question, ...]" = ()
+    questions: tuple[Question, ...] = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -224,7 +224,7 @@ def compare(
     )
 
 
-def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
+def _check_plan(file: InputFile, forecast: Forecast) -> dict[str, str]:
     """Hash of the plan. Legs, start, speed and fixes must be as predicted; limits, sweeps and circles do not count."""
 
     driven, predicted = (
@@ -238,9 +238,7 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     return {file.name: file.sha256}
 
 
-def whole_record(
-    states: "StateTable", positions: InputFile | None, rover: "Rover"
-) -> "tuple[DriveRecord, BoolArray | None]":
+def whole_record(states: StateTable, positions: InputFile | None, rover: Rover) -> tuple[DriveRecord, BoolArray | None]:
     """The record, and which of its values are no second reading of the positions.
 
     With positions the reader leaves out values that were derived from them. Here these are compared all the same, as
@@ -260,7 +258,7 @@ def whole_record(
     return record, np.isfinite(once.values)
 
 
-def _taught(matched: "MatchedObservations", belief: InputFile, states: InputFile) -> "tuple[SoilBelief, SoilBelief]":
+def _taught(matched: MatchedObservations, belief: InputFile, states: InputFile) -> tuple[SoilBelief, SoilBelief]:
     """The belief of a file before and after it learned from the miss."""
 
     before, forecast = read_belief(belief), matched.forecast
@@ -274,7 +272,7 @@ def _taught(matched: "MatchedObservations", belief: InputFile, states: InputFile
     return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_score(**line))
 
 
-def _standing(found: "Standing | None") -> dict[str, Any]:
+def _standing(found: Standing | None) -> dict[str, Any]:
     if found is None:
         return {"mahalanobis": None, "dimensions": None, "p": None, "ln_density": None}
     return {
@@ -285,13 +283,13 @@ def _standing(found: "Standing | None") -> dict[str, Any]:
     }
 
 
-def _end(end: "EndCheck") -> dict[str, Any]:
+def _end(end: EndCheck) -> dict[str, Any]:
     rows = asdict(end)
     rows.pop("standing")
     return rows | _standing(end.standing)
 
 
-def _band_row(check: "BandCheck", found: "DriveComparison") -> dict[str, Any]:
+def _band_row(check: BandCheck, found: DriveComparison) -> dict[str, Any]:
     """The probabilities are of all wheels together."""
 
     together = check.wheel == ALL

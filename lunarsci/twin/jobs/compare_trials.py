@@ -78,7 +78,7 @@ class ScoredTrials(Result):
     """
 
     schema = "twin-trials/1"
-    trials: "tuple[TrialScore, ...]"
+    trials: tuple[TrialScore, ...]
     soils: tuple[str, str]
     failed: tuple[Failure, ...]
     inputs: dict[str, str]
@@ -171,7 +171,7 @@ def compare_trials(
     )
 
 
-def _soils(given: "GivenSoil", asked: TrialsRequest) -> "TrialSoils":
+def _soils(given: GivenSoil, asked: TrialsRequest) -> TrialSoils:
 
     if given.soil_map is not None:
         raise RequestError(f"{given.name} as `soil` is a map of one site; give a belief, samples or a soil")
@@ -185,7 +185,7 @@ def _soils(given: "GivenSoil", asked: TrialsRequest) -> "TrialSoils":
     return TrialSoils(kind="one")
 
 
-def _measured(name: str, asked: TrialsRequest) -> "MeasuredStates":
+def _measured(name: str, asked: TrialsRequest) -> MeasuredStates:
     """Wheel states of a trial; what is found wrong stays with it, as there may be many."""
 
     own = {key: getattr(asked, key) for key in ("rover", "terrain", "height_unit", "gravity", "interpolation")}
@@ -194,7 +194,7 @@ def _measured(name: str, asked: TrialsRequest) -> "MeasuredStates":
         return states(name, None, StatesRequest(**own))
 
 
-def _scored(name: str, measured: "MeasuredStates", given: "GivenSoil", soils: "TrialSoils", seed: int) -> "TrialScore":
+def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialSoils, seed: int) -> TrialScore:
 
     known, drive, tables = measured.known, measured.drive, measured.tables
     known.check.belief(given.name, given.belief)
@@ -210,7 +210,7 @@ def _scored(name: str, measured: "MeasuredStates", given: "GivenSoil", soils: "T
     return replace(score, doubt=measured.untrusted, synthetic=drive.telemetry.synthetic)
 
 
-def _on_soil(terrain: "Terrain", named: str | None) -> "Terrain":
+def _on_soil(terrain: Terrain, named: str | None) -> Terrain:
 
     return terrain if named is None else replace(terrain, soil=np.array(read_soil(named).vector()).reshape(1, 1, 8))
 

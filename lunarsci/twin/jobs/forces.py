@@ -41,9 +41,9 @@ class DriveForces(Result):
     """
 
     schema = "twin-forces/1"
-    soils: "Soils"
-    prediction: "Prediction"
-    loads: "Sequence[WheelLoads]"
+    soils: Soils
+    prediction: Prediction
+    loads: Sequence[WheelLoads]
 
     @property
     def failed(self) -> list[str]:
@@ -112,13 +112,13 @@ def forces(
     return DriveForces(soils=soils, prediction=prediction, loads=loads)
 
 
-def _reached(prediction: "Prediction") -> Any:
+def _reached(prediction: Prediction) -> Any:
     """States as far as was driven, NaN beyond."""
 
     return np.where(prediction.reached[..., None, None], prediction.states, np.nan)
 
 
-def load_record(known: "DriveInputs", loads: "Sequence[WheelLoads]") -> dict[str, Any]:
+def load_record(known: DriveInputs, loads: Sequence[WheelLoads]) -> dict[str, Any]:
     """Rover, terrain and wheels, for a result."""
     return known.about() | {
         "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,

@@ -70,13 +70,13 @@ class BeliefHistory(Result):
 
     schema = "twin-history/1"
     source: InputFile
-    belief: "SoilBelief"
+    belief: SoilBelief
     drives: list[dict[str, Any]]
     other_source: InputFile | None
-    other: "SoilBelief | None"
-    distance: "BeliefDistance | None"
+    other: SoilBelief | None
+    distance: BeliefDistance | None
     rollback: int | None
-    rolled_back: "SoilBelief | None"
+    rolled_back: SoilBelief | None
 
     @property
     def made_from(self) -> MadeFrom:
@@ -157,7 +157,7 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
         raise DataError(f"{source.name}: {error}") from error
 
 
-def _drives(belief: "SoilBelief") -> list[dict[str, Any]]:
+def _drives(belief: SoilBelief) -> list[dict[str, Any]]:
 
     steps = zip(belief.history, moved_sd(belief), past_beliefs(belief)[1:], strict=True)
     return [

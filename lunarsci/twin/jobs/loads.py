@@ -104,10 +104,10 @@ class MotionLoads(Result):
     """
 
     schema = "twin-forces/1"
-    known: "DriveInputs"
+    known: DriveInputs
     motion: InputFile
-    found: "PrescribedLoads"
-    wheels: "Sequence[WheelLoads]"
+    found: PrescribedLoads
+    wheels: Sequence[WheelLoads]
 
     @property
     def made_from(self) -> MadeFrom:
@@ -149,7 +149,7 @@ class MotionLoads(Result):
         yield force_figure(*drawn, synthetic=self.known.terrain.synthetic)
 
 
-def _missing(found: "PrescribedLoads") -> dict[str, float]:
+def _missing(found: PrescribedLoads) -> dict[str, float]:
 
     known = found.outcome == FINISHED
     ahead, left = found.residual_n[known].mean(axis=0)
@@ -175,11 +175,11 @@ class UncertainLoads(Result):
     """
 
     schema = "twin-forces/1"
-    known: "DriveInputs"
+    known: DriveInputs
     given: dict[str, InputFile]
-    states: "PoseStates | None"
-    found: "LoadEnsemble"
-    turned: "AlternatingEstimate | None"
+    states: PoseStates | None
+    found: LoadEnsemble
+    turned: AlternatingEstimate | None
     draws: int
     correlation_m: float
     basis: str
@@ -207,7 +207,7 @@ class UncertainLoads(Result):
         return f"Wheel forces along {self.given['motion'].name}, {poses}, on {self.known.terrain.name}"
 
     @property
-    def belief(self) -> "SoilBelief | None":
+    def belief(self) -> SoilBelief | None:
         """The soil after the last round, with the drive in its history; None without rounds."""
         if self.turned is None:
             return None
@@ -291,9 +291,9 @@ def loads(
 
 
 def _uncertain(
-    known: "DriveInputs",
+    known: DriveInputs,
     files: dict[str, InputFile],
-    motion: "Motion",
+    motion: Motion,
     asked: LoadsRequest,
     progress: Callable[[int, int], None] | None,
 ) -> UncertainLoads:
@@ -328,7 +328,7 @@ def _uncertain(
     )
 
 
-def _shares(found: "LoadEnsemble") -> dict[str, Any]:
+def _shares(found: LoadEnsemble) -> dict[str, Any]:
     """Where the variance of each force comes from, before and after the balance."""
 
     both = {"before": False, "after": True}
@@ -338,7 +338,7 @@ def _shares(found: "LoadEnsemble") -> dict[str, Any]:
     }
 
 
-def _wheels(found: "LoadEnsemble") -> list[dict[str, Any]]:
+def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
 
     known = found.known
     if not known.any():
@@ -358,7 +358,7 @@ def _wheels(found: "LoadEnsemble") -> list[dict[str, Any]]:
     ]
 
 
-def _totals(found: "LoadEnsemble") -> dict[str, dict[str, float]]:
+def _totals(found: LoadEnsemble) -> dict[str, dict[str, float]]:
 
     known = found.known
     return {
@@ -372,7 +372,7 @@ def _totals(found: "LoadEnsemble") -> dict[str, dict[str, float]]:
     }
 
 
-def _iteration(turned: "AlternatingEstimate") -> dict[str, Any]:
+def _iteration(turned: AlternatingEstimate) -> dict[str, Any]:
     belief = turned.posterior.belief
     left = belief.sd_ratio
     return {

@@ -41,7 +41,7 @@ class LocalGround:
 
     @classmethod
     def of(
-        cls, asked: "PlanRequest", site: SurveyedSite, surface: Traversability, progress: Progress | None
+        cls, asked: PlanRequest, site: SurveyedSite, surface: Traversability, progress: Progress | None
     ) -> "LocalGround":
         """Raises DataError, and RequestError where heights have errors that drives on several terrains cannot have."""
         alone = GroundRequest(rover=asked.rover, keep_out=asked.keep_out)
@@ -65,19 +65,19 @@ class LocalGround:
             likely=(likely_ground_of(site), *(ground for _, ground in found)) if driven and found else (),
         )
 
-    def searched(self, points_m: "FloatArray") -> Traversability:
+    def searched(self, points_m: FloatArray) -> Traversability:
         """The maps on which ways between places (n, 2) are looked for; those of the site without finer ones near."""
         if not self.finer:
             return self.surface
         return patch(self.surface, self.finer, points_m, self._margin_m(points_m) + self.surface.terrain.spacing_m)
 
-    def driven(self, points_m: "FloatArray") -> Terrain | None:
+    def driven(self, points_m: FloatArray) -> Terrain | None:
         """What is driven on about places (n, 2); None without local terrains."""
         if not self.likely:
             return None
         return driven_ground(self.likely[0], self.likely[1:], points_m, self._margin_m(points_m) + DRIFT_M)
 
-    def _margin_m(self, points_m: "FloatArray") -> float:
+    def _margin_m(self, points_m: FloatArray) -> float:
         return search_margin_m(rover_footprint(self.site.rover), float(np.hypot(*np.ptp(points_m, axis=0))))
 
     def on_site(self, path: PlannedPath) -> PlannedPath:
@@ -100,7 +100,7 @@ class LocalGround:
         ]
 
 
-def _names(asked: "PlanRequest") -> Sequence[str]:
+def _names(asked: PlanRequest) -> Sequence[str]:
     """The soil of a path on the maps, which alone may be laid over a local terrain's own."""
     return asked.soil if asked.risk is None and asked.mission is None else ()
 

@@ -53,9 +53,9 @@ def plan(
 
 
 def _path(
-    asked: PlanRequest, site: SurveyedSite, surface: "Traversability", finer: tuple["Traversability", ...],
+    asked: PlanRequest, site: SurveyedSite, surface: Traversability, finer: tuple[Traversability, ...],
     progress: Progress | None,
-) -> "PlannedPath":  # fmt: skip
+) -> PlannedPath:  # fmt: skip
 
     (x0, y0, heading), (x, y, *_) = asked.places
     found = way_to(

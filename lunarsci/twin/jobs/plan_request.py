@@ -162,7 +162,7 @@ class PlanRequest(GroundRequest):
         start = last_pose(self.start_files[0]) if self.start_files else _numbers("start", self.start, (3,))
         return start, _numbers("target", self.target, (2, 3))
 
-    def on(self, terrain: "Terrain") -> "PlanRequest":
+    def on(self, terrain: Terrain) -> "PlanRequest":
         """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
         if not self.lonlat:
             return self
@@ -172,7 +172,7 @@ class PlanRequest(GroundRequest):
             moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
         return replace(self, start=moved[0], target=moved[1], lonlat=False)
 
-    def power(self) -> "PowerState | None":
+    def power(self) -> PowerState | None:
         """Battery and light; None where no charge is given. Raises RequestError."""
 
         sun = self.light()[0]
@@ -190,7 +190,7 @@ class PlanRequest(GroundRequest):
         return GroundRequest.limits_of_ground(self) | of_a_path
 
 
-def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple["Limit", ...]:
+def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple[Limit, ...]:
     """The limits of the embedded plan, with those of the rover in place, and those of the file that was asked for.
 
     Raises DataError for a file without limits, RequestError where two places say how far from the target is there.
@@ -205,7 +205,7 @@ def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple["Limit", ...]:
     return tuple(({limit.quantity: limit for limit in assumed} | given).values())
 
 
-def made_for_on(site: SurveyedSite, ground: "Terrain | None" = None) -> "MadeFor":
+def made_for_on(site: SurveyedSite, ground: Terrain | None = None) -> MadeFor:
     """The rover, the limits and the ground of a site, for a plan; another `ground` where that is driven on."""
     return replace(site.made_for, ground=(site.terrain if ground is None else ground).written)
 

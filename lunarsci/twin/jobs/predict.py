@@ -82,7 +82,7 @@ class PoweredRequest(DriveRequest):
         if self.charge is not None and not 0 <= self.charge <= 1:
             raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
 
-    def power(self) -> "PowerState | None":
+    def power(self) -> PowerState | None:
         """Battery and light; None where neither is given. Raises RequestError."""
 
         if self.sun is None and self.charge is None:
@@ -141,18 +141,18 @@ class PredictedDrives(Result):
     """
 
     schema: ClassVar[str] = "twin-predict/1"
-    soils: "Soils"
-    prediction: "Prediction"
-    verdict: "Verdict"
-    sensitivity: "list[EndpointSensitivity] | None" = None
+    soils: Soils
+    prediction: Prediction
+    verdict: Verdict
+    sensitivity: list[EndpointSensitivity] | None = None
     step_error_m: float | None = None
-    terrain_shares: "TerrainShares | None" = None
-    power: "PowerUse | None" = None
-    unresolved: "Unresolved | None" = None
-    questions: "tuple[Question, ...]" = ()
+    terrain_shares: TerrainShares | None = None
+    power: PowerUse | None = None
+    unresolved: Unresolved | None = None
+    questions: tuple[Question, ...] = ()
 
     @property
-    def inputs(self) -> "DriveInputs":
+    def inputs(self) -> DriveInputs:
         """What drove where."""
         return self.soils.inputs
 
@@ -281,7 +281,7 @@ def predict(
     return _asked_about(_judged(soils, prediction, asked, unresolved), questions)
 
 
-def _asked_about(found: PredictedDrives, questions: "tuple[Question, ...]") -> PredictedDrives:
+def _asked_about(found: PredictedDrives, questions: tuple[Question, ...]) -> PredictedDrives:
     """A verdict is not determined while questions are open."""
     if not questions:
         return found
@@ -290,7 +290,7 @@ def _asked_about(found: PredictedDrives, questions: "tuple[Question, ...]") -> P
     return replace(found, questions=questions, verdict=verdict)
 
 
-def _rough(inputs: "DriveInputs", seed: int) -> "tuple[DriveInputs, Unresolved | None]":
+def _rough(inputs: DriveInputs, seed: int) -> tuple[DriveInputs, Unresolved | None]:
     """With ground drawn between the nodes of a terrain that is too coarse for the rover's wheels."""
 
     if inputs.terrain.errors is not None:
@@ -301,7 +301,7 @@ def _rough(inputs: "DriveInputs", seed: int) -> "tuple[DriveInputs, Unresolved |
     return replace(inputs, terrain=terrain, rough=unresolved is not None), unresolved
 
 
-def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress: Progress | None) -> "Prediction":
+def predict_drives(soils: Soils, time_step_s: float, sample_m: float, progress: Progress | None) -> Prediction:
     """All drives on these soils, without what the twin's physics is off by."""
     from lunarsci.twin.simulation.ensemble import predict
 
@@ -309,11 +309,11 @@ def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress
 
 
 def _judged(
-    soils: "Soils", prediction: "Prediction", asked: PredictRequest, unresolved: "Unresolved | None"
+    soils: Soils, prediction: Prediction, asked: PredictRequest, unresolved: Unresolved | None
 ) -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
 
-    def whole(drives: "Prediction") -> "Prediction":
+    def whole(drives: Prediction) -> Prediction:
         law = soils.discrepancy
         drives = drives if law is None else with_discrepancy(drives, law, soils.seed)
         return replace(drives, power=asked.power())

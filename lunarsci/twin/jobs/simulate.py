@@ -59,8 +59,8 @@ class MadeUpDrive(Result):
     """A simulated drive on a known soil: what drove where, and the telemetry with the truth behind it."""
 
     schema: ClassVar[str] = "twin-simulate/1"
-    inputs: "DriveInputs"
-    drive: "SyntheticDrive"
+    inputs: DriveInputs
+    drive: SyntheticDrive
 
     @property
     def made_from(self) -> MadeFrom:

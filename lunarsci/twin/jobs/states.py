@@ -82,10 +82,10 @@ class MeasuredStates(Result):
     """
 
     schema = "twin-states/1"
-    known: "DriveInputs"
+    known: DriveInputs
     name: str
     planned: bool
-    drive: "DriveStates"
+    drive: DriveStates
     put_back_s: float = 0.0
 
     @property
@@ -188,7 +188,7 @@ def states(
     return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
 
 
-def _read_track(known: "DriveInputs", track: Any) -> "RutPoints | Terrain":
+def _read_track(known: DriveInputs, track: Any) -> RutPoints | Terrain:
 
     source = read_input(track)
     known.inputs[source.name] = source.sha256
@@ -198,7 +198,7 @@ def _read_track(known: "DriveInputs", track: Any) -> "RutPoints | Terrain":
     return replace(track_ground, interpolation=known.terrain.interpolation)
 
 
-def _changes(drive: "DriveStates") -> dict[str, Any]:
+def _changes(drive: DriveStates) -> dict[str, Any]:
     """How fast the deviations change that slopes do not explain; no information where the data tell nothing of it."""
 
     change = drive.smoothed.change
@@ -211,7 +211,7 @@ def _changes(drive: "DriveStates") -> dict[str, Any]:
     }
 
 
-def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
+def _slope_effects(drive: DriveStates) -> dict[str, Any]:
     """Slip and side slip, as a tangent, for slopes of 45 degrees along and across, were they proportional."""
 
     state, covariance = drive.smoothed.state[-1], drive.smoothed.covariance[-1]
@@ -221,7 +221,7 @@ def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
     }
 
 
-def _of_wheel(drive: "DriveStates", k: int) -> dict[str, Any]:
+def _of_wheel(drive: DriveStates, k: int) -> dict[str, Any]:
     """Medians over the measured states of a wheel, of the values and of their errors."""
 
     found: dict[str, Any] = {name: int(getattr(drive.rows, name)[:, k].sum()) for name in ("measured", "valid")}

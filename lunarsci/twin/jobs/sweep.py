@@ -67,14 +67,14 @@ class DesignTrade(Result):
     """
 
     schema: ClassVar[str] = "twin-sweep/1"
-    soils: "tuple[Soils, ...]"
-    variations: "tuple[Variation, ...]"
-    designs: "tuple[Design, ...]"
+    soils: tuple[Soils, ...]
+    variations: tuple[Variation, ...]
+    designs: tuple[Design, ...]
     front: tuple[int, ...]
     unused: tuple[str, ...]
 
     @property
-    def inputs(self) -> "DriveInputs":
+    def inputs(self) -> DriveInputs:
         """What drives where, on the first plan."""
         return self.soils[0].inputs
 
@@ -158,11 +158,11 @@ def sweep(
     )
 
 
-def _driver(soils: "Sequence[Soils]", asked: SweepRequest) -> "Callable[[int, dict[str, Any]], Prediction]":
+def _driver(soils: Sequence[Soils], asked: SweepRequest) -> Callable[[int, dict[str, Any]], Prediction]:
 
     members, power = [one.of_members() for one in soils], asked.power()
 
-    def drive(number: int, changes: dict[str, Any]) -> "Prediction":
+    def drive(number: int, changes: dict[str, Any]) -> Prediction:
         found = predict(**members[number] | changes, time_step_s=asked.time_step, sample_m=asked.sample)
         law = soils[number].discrepancy
         found = found if law is None else with_discrepancy(found, law, soils[number].seed)
@@ -171,7 +171,7 @@ def _driver(soils: "Sequence[Soils]", asked: SweepRequest) -> "Callable[[int, di
     return drive
 
 
-def _mission(plans: Any, asked: SweepRequest) -> "tuple[Soils, ...]":
+def _mission(plans: Any, asked: SweepRequest) -> tuple[Soils, ...]:
     """The soils of each plan, as many and the same on all of them. Raises RequestError where plans have others."""
 
     several = list(plans) if isinstance(plans, list | tuple) else [plans]

@@ -157,29 +157,29 @@ class TerrainRequest(GroundRequest):
 class SurveyedSite:
     """A terrain, and the rover in mind: what is looked at, with the hashes of the inputs."""
 
-    terrain: "Terrain"
-    rover: "Rover"
-    description: "RoverDescription"
-    mobility: "Mobility"
+    terrain: Terrain
+    rover: Rover
+    description: RoverDescription
+    mobility: Mobility
     inputs: dict[str, str]
     tables: dict[str, str]
     made: Mapping[str, Any]
-    driven: "DrivenSoil"
-    check: "MadeForCheck"
-    file: "TerrainFile"
+    driven: DrivenSoil
+    check: MadeForCheck
+    file: TerrainFile
     origin: str
-    keep_outs: "Zones" = ()
-    layers: "tuple[CostLayer, ...]" = ()
+    keep_outs: Zones = ()
+    layers: tuple[CostLayer, ...] = ()
     sun_deg: tuple[float, float] | None = None
     shadow_cost: float | None = None
 
     @property
-    def made_for(self) -> "MadeFor":
+    def made_for(self) -> MadeFor:
         """The rover and the limits, for what is written."""
 
         return made_for(self.description, {name: getattr(self.mobility, name) for name in LIMITS})
 
-    def surface(self, baseline_m: float | None, progress: Progress | None) -> "Traversability":
+    def surface(self, baseline_m: float | None, progress: Progress | None) -> Traversability:
         """The maps, compared with the limits."""
 
         own, wheel = map_scales(self.rover)
@@ -216,8 +216,8 @@ class TerrainSurvey(Result):
 
     schema: ClassVar[str] = "twin-terrain/1"
     site: SurveyedSite
-    surface: "Traversability"
-    path: "PlannedPath | None" = None
+    surface: Traversability
+    path: PlannedPath | None = None
     checked: Sequence[Mapping[str, Any]] = ()
 
     @property
@@ -247,7 +247,7 @@ class TerrainSurvey(Result):
             "notes": self.notes(),
         }
 
-    def _path_record(self, path: "PlannedPath") -> dict[str, Any]:
+    def _path_record(self, path: PlannedPath) -> dict[str, Any]:
         """The path, its ends also by longitude and latitude where the terrain has a coordinate system."""
 
         record = path.to_dict() | ({"checked": list(self.checked)} if self.checked else {})

@@ -80,14 +80,14 @@ class Before:
     `believed` whether it is a belief that was not all forgotten.
     """
 
-    belief: "SoilBelief"
-    soil_map: "SoilMap | None"
+    belief: SoilBelief
+    soil_map: SoilMap | None
     file: InputFile | None
     doubt: str = ""
     believed: bool = False
 
     @classmethod
-    def read(cls, asked: UpdateRequest, known: "DriveInputs") -> "Before":
+    def read(cls, asked: UpdateRequest, known: DriveInputs) -> "Before":
         """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
 
         file = None if asked.soil in (None, PRIORS) else read_input(asked.soil)
@@ -108,7 +108,7 @@ class Before:
         believed = file is not None and soil_map is None and asked.forget < 1.0
         return cls(belief=belief, soil_map=soil_map, file=file, doubt=doubt, believed=believed)
 
-    def cautions(self, found: "SoilUpdate") -> list[str]:
+    def cautions(self, found: SoilUpdate) -> list[str]:
         """What to know of a drive's soil and is no doubt; a map keeps other ground apart by itself."""
         return [text for text in (found.caution, found.other_ground if self.believed else "") if text]
 
@@ -138,20 +138,20 @@ class LearnedSoil(Result):
     """
 
     schema = "twin-update/1"
-    known: "DriveInputs"
-    record: "DriveRecord"
+    known: DriveInputs
+    record: DriveRecord
     states: InputFile
     before: Before
-    found: "SoilUpdate"
-    changes: "list[SoilChange]"
-    segments: "list[Segment] | None"
-    soil_map: "SoilMap | None"
+    found: SoilUpdate
+    changes: list[SoilChange]
+    segments: list[Segment] | None
+    soil_map: SoilMap | None
     seed: int
-    pace: "WheelPace | None" = None
-    slip: "SlipLean | None" = None
+    pace: WheelPace | None = None
+    slip: SlipLean | None = None
 
     @property
-    def belief(self) -> "SoilBelief":
+    def belief(self) -> SoilBelief:
         """After the drive."""
         return self.found.belief
 
@@ -256,7 +256,7 @@ class LearnedSoil(Result):
         layers = soil_layers(self._map(), self.known.terrain)
         return terrain_bytes(layers.terrain, sd_ratio=layers.sd_ratio)
 
-    def _map(self) -> "SoilMap":
+    def _map(self) -> SoilMap:
         if self.soil_map is None:
             raise RequestError("the soil is not kept by place; give a map as `soil`, or `by_place`")
         return self.soil_map
@@ -320,12 +320,12 @@ class _DrivenLine:
     """What a line of history says of a drive, whatever was found: its inputs, its states, why they are doubtful, and
     what was believed before."""
 
-    known: "DriveInputs"
+    known: DriveInputs
     states: InputFile
     doubts: tuple[str, ...]
     before: Before
 
-    def of(self, found: "SoilUpdate") -> Mapping[str, Any]:
+    def of(self, found: SoilUpdate) -> Mapping[str, Any]:
         """The line of history of what was found."""
         doubts = () if found.refused else (*self.doubts, found.doubt)
         caution = "; ".join(self.before.cautions(found))
@@ -351,9 +351,7 @@ class _DrivenLine:
         )
 
 
-def _with_history(
-    found: "SoilUpdate", before: Before, drive: _DrivenLine, forget: float, *, scored: bool
-) -> "SoilUpdate":
+def _with_history(found: SoilUpdate, before: Before, drive: _DrivenLine, forget: float, *, scored: bool) -> SoilUpdate:
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
 
     belief, law, states = found.belief, found.belief.discrepancy, drive.states
@@ -371,7 +369,7 @@ def _with_history(
     return replace(found, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forget))
 
 
-def _zone(segment: "Segment", drive: _DrivenLine) -> "Zone":
+def _zone(segment: Segment, drive: _DrivenLine) -> Zone:
 
     lean = (segment.slip.doubt,) if segment.slip else ()
     line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.found)) if segment.found else {}

@@ -73,7 +73,7 @@ def validity(prediction: Prediction) -> Validity:
     slipping = loaded & (np.abs(slip) > VALID_SLIP)
     deep = sinkage > DEEPEST * prediction.rover.wheel.radius_m
 
-    def share(where: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]") -> float:
+    def share(where: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> float:
         return float(where.mean()) if where.size else 0.0
 
     return Validity(
