@@ -12,10 +12,8 @@ from .shared.report import Report
 from .shared.table import TextTable
 
 OPTIONS = {
-    "title": option("Title of the page."),
+    "title": option(),
     "terrain": option(
-        "Ground to turn in the page: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes); if "
-        "left out that of a result's folder or of its --terrain.",
         metavar="FILE",
     ),
 }

@@ -12,14 +12,12 @@ from .shared.report import Report
 from .shared.table import TextTable
 
 OPTIONS = {
-    "part": option("Which of the numbers, and of the pages of --plot; rock is another name of spectra."),
+    "part": option(),
     "rocks": option(
-        "Measured spectra of boulders of Chang'E-4, in any form that `spectra fit` reads; of files with other "
-        "targets too, those with 'rock' in their name. May be repeated.",
         "--boulders",
         metavar="FILE",
     ),
-    "rover": option("Rover that drives, and whose wheel is taken: a name or a TOML file.", show_default="yutu2"),
+    "rover": option(show_default="yutu2"),
 }
 TITLES = {"spectra": "The rock", "soil": "The soil", "drive": "The drive"}
 

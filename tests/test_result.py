@@ -28,8 +28,9 @@ from typer.testing import CliRunner
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.inputs import read_input
+from lunarsci.options import TYPED, request_of
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
-from lunarsci.result import TYPED, MadeFrom, Result, _column, request_of
+from lunarsci.result import MadeFrom, Result, _column
 
 ROOT = Path(__file__).parents[1]
 NO_FIELDS = {"output", "save_terrain"}

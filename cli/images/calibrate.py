@@ -17,19 +17,15 @@ from .cameras import SHOWN, number
 
 BOARD = "Board"
 OPTIONS = {
-    "target": option("What the pictures show.", "--pattern", panel=BOARD),
-    "board": option(
-        "Columns x rows: inner corners of a chessboard, circles, or squares of a charuco.", metavar="CxR", panel=BOARD
-    ),
-    "square": option(
-        "Side of a square, or distance of circles (asymmetric: half of that in a row), in m.", panel=BOARD
-    ),
-    "marker": option("Side of a charuco's markers, in m.", panel=BOARD),
-    "circle": option("Diameter of the circles, in m, which corrects their middles; 0 does not.", panel=BOARD),
-    "dictionary": option("Of a charuco's markers, as OpenCV calls it.", panel=BOARD),
-    "square_error": option("Error of the board's size, as a share; the baseline has it.", panel=BOARD),
-    "distortion": option("Terms to find: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).", kind=int),
-    "name": option("Of the camera or rig."),
+    "target": option("--pattern", panel=BOARD),
+    "board": option(metavar="CxR", panel=BOARD),
+    "square": option(panel=BOARD),
+    "marker": option(panel=BOARD),
+    "circle": option(panel=BOARD),
+    "dictionary": option(panel=BOARD),
+    "square_error": option(panel=BOARD),
+    "distortion": option(kind=int),
+    "name": option(),
 }
 Pictures = Annotated[
     list[str],

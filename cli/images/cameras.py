@@ -14,10 +14,8 @@ from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 
 OPTIONS = {
-    "disparity_error": option("Random error of a disparity, in px, for the ranges' errors."),
-    "translation_unit": option(
-        "Of T in a file of OpenCV, which does not say it.", show_default="m or mm, by its length"
-    ),
+    "disparity_error": option(),
+    "translation_unit": option(show_default="m or mm, by its length"),
 }
 Sources = Annotated[
     list[str] | None,

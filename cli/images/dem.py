@@ -17,17 +17,15 @@ from ..shared.table import TextTable
 
 OPTIONS = {
     "rig": option(
-        "The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.",
         metavar="RIG",
     ),
     "pose": option(
-        "Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.",
         metavar="FILE",
         show_default="ground near the rover taken as level",
     ),
-    "spacing": option("Distance of the nodes, in m."),
-    "nearest": option("Smallest distance along the axis that is matched, in m.", show_default="from rig and pose"),
-    "farthest": option("Largest range that is gridded, in m.", show_default="where its error is three cells"),
+    "spacing": option(),
+    "nearest": option(show_default="from rig and pose"),
+    "farthest": option(show_default="where its error is three cells"),
 }
 Left = Annotated[str, typer.Argument(metavar="LEFT", help="Left picture: PNG, TIFF, JPEG, or a PDS4 label.")]
 Right = Annotated[str, typer.Argument(metavar="RIGHT", help="Right picture, of the same moment.")]

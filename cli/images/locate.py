@@ -14,17 +14,14 @@ from ..shared.table import TextTable, plus_minus
 
 ERRORS = "Errors before the pictures (assumed)"
 OPTIONS = {
-    "rig": option(
-        "The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.", metavar="RIG"
-    ),
+    "rig": option(metavar="RIG"),
     "mast": option(
-        "Middle between both cameras in the rover's frame, in m ahead, left and up: positions are then the rover's.",
         kind=str | None,
         metavar="X,Y,Z",
     ),
-    "drift": option("Error of dead reckoning as a share of the way between stations (assumed).", panel=ERRORS),
-    "heading_error": option("Error of the headings in pose.toml, in deg (assumed).", panel=ERRORS),
-    "tilt_error": option("Error of down_deg and roll_deg in pose.toml, in deg (assumed).", panel=ERRORS),
+    "drift": option(panel=ERRORS),
+    "heading_error": option(panel=ERRORS),
+    "tilt_error": option(panel=ERRORS),
 }
 Folders = Annotated[
     list[str],

@@ -15,12 +15,10 @@ from ..shared.table import TextTable, plus_minus
 
 OPTIONS = {
     "positions": option(
-        "Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or sigma_m. "
-        "Without it they share a frame.",
         kind=str | None,
         metavar="FILE",
     ),
-    "spacing": option("Distance of the map's nodes, in m; that of the finest model by default."),
+    "spacing": option(),
 }
 Elevations = Annotated[
     list[str],

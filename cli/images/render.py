@@ -14,30 +14,27 @@ from ..shared.table import TextTable
 
 CAMERA, GROUND, LIGHT = "Camera", "Ground", "Light"
 OPTIONS = {
-    "rig": option("The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, or a TOML file.", panel=CAMERA),
-    "x": option("Where the left camera is, along x, in m.", panel=CAMERA),
-    "y": option("Where the left camera is, along y, in m.", panel=CAMERA),
-    "heading": option("Where it looks, from x towards y, in deg.", panel=CAMERA),
-    "down": option("How far below the horizon, in deg.", panel=CAMERA),
-    "roll": option("Turned clockwise about its axis, in deg.", panel=CAMERA),
-    "height": option("Over the ground, in m.", panel=CAMERA, show_default="the rig's mast"),
-    "samples": option("Rays along each side of a pixel.", "--rays", panel=CAMERA),
-    "exact": option("Take the rig as it is, not a draw from its covariance.", "--exact-rig", panel=CAMERA),
-    "spacing": option("Side of the ground's triangles, in m.", panel=GROUND),
-    "rocks": option("Rocks of 4 cm and more on a square metre.", "--rock-density", panel=GROUND),
+    "rig": option(panel=CAMERA),
+    "x": option(panel=CAMERA),
+    "y": option(panel=CAMERA),
+    "heading": option(panel=CAMERA),
+    "down": option(panel=CAMERA),
+    "roll": option(panel=CAMERA),
+    "height": option(panel=CAMERA, show_default="the rig's mast"),
+    "samples": option("--rays", panel=CAMERA),
+    "exact": option("--exact-rig", panel=CAMERA),
+    "spacing": option(panel=GROUND),
+    "rocks": option("--rock-density", panel=GROUND),
     "roughness": option(
-        "Factor on the roughness assumed of regolith; 0 leaves the terrain as it is.",
         "--roughness-factor",
         panel=GROUND,
     ),
-    "track": option(
-        "What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.", panel=GROUND
-    ),
-    "track_width": option("Width of the wheels, in m.", panel=GROUND),
-    "seed": option("Seed of ground, noise and the rig's draw.", panel=GROUND),
-    "sun_azimuth": option("Where the Sun is, from x towards y, in deg.", panel=LIGHT),
-    "sun_elevation": option("Over the horizon, in deg.", panel=LIGHT),
-    "law": option("How the ground scatters light.", "--scattering", panel=LIGHT),
+    "track": option(panel=GROUND),
+    "track_width": option(panel=GROUND),
+    "seed": option(panel=GROUND),
+    "sun_azimuth": option(panel=LIGHT),
+    "sun_elevation": option(panel=LIGHT),
+    "law": option("--scattering", panel=LIGHT),
 }
 Terrain = Annotated[str | None, typer.Argument(metavar="[TERRAIN]", help="Ground; level where it is left out.")]
 

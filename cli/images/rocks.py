@@ -15,11 +15,11 @@ from ..shared.table import TextTable, plus_minus
 from .track import Elevation
 
 OPTIONS = {
-    "largest": option("Diameter of the largest rock, in m; what is wider is ground."),
-    "false_share": option("Share of the finds that may be no rocks."),
-    "sizes": option("Diameters in m for which it is said how many are found: numbers with commas."),
-    "margin": option("Further distance to keep from a rock, in m."),
-    "seed": option("Seed of the rocks put in for trial."),
+    "largest": option(),
+    "false_share": option(),
+    "sizes": option(),
+    "margin": option(),
+    "seed": option(),
 }
 SHOWN = 20
 

@@ -14,18 +14,14 @@ from ..shared.table import TextTable
 
 TRACK, ERRORS = "Track and wheel", "Errors (assumed)"
 OPTIONS = {
-    "line": option(
-        "Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.", metavar="LINE", panel=TRACK
-    ),
-    "rover": option("Whose wheel it was: a name (yutu2, small-four) or a TOML file.", panel=TRACK),
-    "width": option("Width of the wheel in m, in place of the rover's.", panel=TRACK),
-    "window": option("Length of track in m that gives one depth.", panel=TRACK),
-    "step": option("Distance of the depths, in m.", panel=TRACK),
-    "search": option("How far from the line the middle of the track may lie, in m; 0 keeps to the line.", panel=TRACK),
-    "disparity_bias": option(
-        "Bias of the disparity between the floor and the ground beside it, in px; assumed.", panel=ERRORS
-    ),
-    "rebound": option("Share of the sinkage by which the ground rose again after the wheel; assumed.", panel=ERRORS),
+    "line": option(metavar="LINE", panel=TRACK),
+    "rover": option(panel=TRACK),
+    "width": option(panel=TRACK),
+    "window": option(panel=TRACK),
+    "step": option(panel=TRACK),
+    "search": option(panel=TRACK),
+    "disparity_bias": option(panel=ERRORS),
+    "rebound": option(panel=ERRORS),
 }
 Elevation = Annotated[
     str,

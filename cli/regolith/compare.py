@@ -16,11 +16,11 @@ from ..shared.table import TextTable
 SHOWN = 8
 GIVEN = "The site, instead of a result"
 OPTIONS = {
-    "rover": option("Rover whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2."),
-    "stiffness": option("K_s in kPa m^-N.", panel=GIVEN),
-    "exponent": option("Sinkage exponent N.", panel=GIVEN),
-    "cohesion": option("Cohesion c in Pa.", panel=GIVEN),
-    "friction_angle": option("φ in deg.", panel=GIVEN),
+    "rover": option(),
+    "stiffness": option(panel=GIVEN),
+    "exponent": option(panel=GIVEN),
+    "cohesion": option(panel=GIVEN),
+    "friction_angle": option(panel=GIVEN),
 }
 Found = Annotated[
     str | None,

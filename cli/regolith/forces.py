@@ -14,41 +14,37 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 
 SOIL, EXACT = "Soil", "Exact integrals"
-ROVER = "Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file."
-READING = "Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers."
-SHEAR = "Strength along and across: each its own, or one shared along the velocity or the displacement."
 WHEEL = "State of the wheel"
 OPTIONS = {
-    "sinkage": option("Sinkage in m, above 0, below the wheel radius.", panel=WHEEL),
-    "load": option("Wheel load in N; the sinkage under it is solved for.", panel=WHEEL),
+    "sinkage": option(panel=WHEEL),
+    "load": option(panel=WHEEL),
     "slip": option(
-        "Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N.",
         kind=str,
         metavar="S|A:B:N",
         panel=WHEEL,
     ),
-    "side_slip": option("Side slip angle in deg, within ±90.", panel=WHEEL),
-    "rover": option(ROVER),
-    "soil": option("Soil: a name or a TOML file.", panel=SOIL),
-    "stiffness": option("K_s in kPa m^-N.", panel=SOIL),
-    "exponent": option("Sinkage exponent N.", panel=SOIL),
-    "cohesion": option("Cohesion c in Pa.", panel=SOIL),
-    "friction_angle": option("φ in deg.", panel=SOIL),
-    "shear_modulus": option("K_x in mm.", panel=SOIL),
-    "external_friction_angle": option("φ_y in deg.", panel=SOIL),
-    "lateral_modulus": option("K_y in mm.", panel=SOIL),
-    "reading": option(READING),
-    "exact": option("Integrate the stresses (Eqs 1-17) instead of Eqs 21-24.", panel=EXACT),
-    "shear": option(SHEAR, panel=EXACT),
-    "bulldozing": option("Soil against the side face, by Hegedus or by passive pressure.", panel=EXACT),
-    "density": option("Soil density in kg/m³, for --bulldozing and Reece's moduli.", panel=EXACT),
-    "gravity": option("Gravity in m/s², for --bulldozing and Reece's moduli.", panel=EXACT),
-    "rebound": option("Share of the sinkage that springs back behind the wheel, 0-1.", panel=EXACT),
-    "rut": option("Depth in m to which a wheel before has pressed the soil; needs --reload.", panel=EXACT),
-    "reload": option("Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.", panel=EXACT),
-    "slip_sinkage": option("With --load: how slip deepens the sinkage of a wheel that does not slip.", panel=WHEEL),
-    "reece_cohesive": option("Reece's k_c'; K_s then follows density and gravity.", panel=SOIL),
-    "reece_frictional": option("Reece's k_φ', with k_c'.", panel=SOIL),
+    "side_slip": option(panel=WHEEL),
+    "rover": option(),
+    "soil": option(panel=SOIL),
+    "stiffness": option(panel=SOIL),
+    "exponent": option(panel=SOIL),
+    "cohesion": option(panel=SOIL),
+    "friction_angle": option(panel=SOIL),
+    "shear_modulus": option(panel=SOIL),
+    "external_friction_angle": option(panel=SOIL),
+    "lateral_modulus": option(panel=SOIL),
+    "reading": option(),
+    "exact": option(panel=EXACT),
+    "shear": option(panel=EXACT),
+    "bulldozing": option(panel=EXACT),
+    "density": option(panel=EXACT),
+    "gravity": option(panel=EXACT),
+    "rebound": option(panel=EXACT),
+    "rut": option(panel=EXACT),
+    "reload": option(panel=EXACT),
+    "slip_sinkage": option(panel=WHEEL),
+    "reece_cohesive": option(panel=SOIL),
+    "reece_frictional": option(panel=SOIL),
 }
 
 

@@ -16,7 +16,6 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, plus_minus
-from .forces import READING, ROVER
 
 ERRORS = "Errors (where the file gives none)"
 SYMBOLS = {
@@ -49,31 +48,25 @@ States = Annotated[
 ]
 ASSUMED = "What is assumed, and so what is solved for"
 OPTIONS = {
-    "rover": option(f"{ROVER.rstrip('.')}; left out, the one that the states name, else yutu2."),
-    "exponent": option("Assume N and solve K_s; 1.0 if neither is given.", panel=ASSUMED),
-    "stiffness": option("Assume K_s in kPa m^-N and solve N.", panel=ASSUMED),
-    "cohesion": option("Assume c in Pa and solve φ; 520 if neither is given.", panel=ASSUMED),
-    "friction_angle": option("Assume φ in deg and solve c.", panel=ASSUMED),
-    "shear_modulus": option("Assumed K_x in mm.", panel=ASSUMED),
-    "lateral_modulus": option(
-        "Assume K_y in mm, one or several by commas, and solve φ_y; 13,40 if not given.", kind=str | None, panel=ASSUMED
-    ),
-    "external_friction_angle": option("Assume φ_y in deg and solve K_y.", panel=ASSUMED),
-    "reading": option(READING),
+    "rover": option(),
+    "exponent": option(panel=ASSUMED),
+    "stiffness": option(panel=ASSUMED),
+    "cohesion": option(panel=ASSUMED),
+    "friction_angle": option(panel=ASSUMED),
+    "shear_modulus": option(panel=ASSUMED),
+    "lateral_modulus": option(kind=str | None, panel=ASSUMED),
+    "external_friction_angle": option(panel=ASSUMED),
+    "reading": option(),
     "units": option(
-        "Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the load); "
-        "m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim (1 - v/rw), travel (rw/v - 1) or %.",
         metavar="COLUMN=UNIT,…",
     ),
-    "draws": option("Monte Carlo draws per state.", min=2, max=1_000_000),
-    "seed": option("Seed of the random numbers.", min=0),
-    "sinkage_error": option("1σ of the sinkage, in m.", panel=ERRORS),
-    "force_error": option("1σ of the forces, relative.", panel=ERRORS, show_default="1/30"),
-    "travel_error": option(
-        "1σ of the travelled distance, relative; slip errs by it times 1 - |s|.", panel=ERRORS, show_default="4/300"
-    ),
-    "side_slip_error": option("1σ of the side slip, relative.", panel=ERRORS, show_default="4/300"),
-    "sensitivity": option("How much of each variance comes from each measured quantity.", panel=ERRORS),
+    "draws": option(min=2, max=1_000_000),
+    "seed": option(min=0),
+    "sinkage_error": option(panel=ERRORS),
+    "force_error": option(panel=ERRORS, show_default="1/30"),
+    "travel_error": option(panel=ERRORS, show_default="4/300"),
+    "side_slip_error": option(panel=ERRORS, show_default="4/300"),
+    "sensitivity": option(panel=ERRORS),
 }
 
 

@@ -37,32 +37,24 @@ LABELS = {
 HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
 SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
 OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
-    "prior": option("Priors in place of the lunar ones.", "--prior-file", metavar="FILE.toml"),
-    "model_error": option(
-        "Share of the load by which the model misses a force; found from the residuals if not given.", panel=LAW
-    ),
+    "prior": option("--prior-file", metavar="FILE.toml"),
+    "model_error": option(panel=LAW),
     "law": option(
-        "Wheel-soil law: as the options say (given), or the one that predicts states left out best, with its scores "
-        "(auto); auto if none of --exact, --shear, --bulldozing and --contact is given.",
         panel=LAW,
     ),
-    "exact": option("Integrate the stresses instead of Eqs 21-24.", panel=LAW),
-    "shear": option("As in `regolith forces`.", panel=LAW),
-    "bulldozing": option("As in `regolith forces`.", panel=LAW),
-    "density": option("Soil density in kg/m³, for --bulldozing and --law auto.", panel=LAW),
-    "gravity": option("Gravity in m/s², for --bulldozing and --law auto.", panel=LAW),
-    "contact": option(
-        "Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.", panel=LAW
-    ),
-    "sample": option("Draw from the posterior itself, not a normal law.", "--draw-posterior", panel=INTERVALS),
-    "profile": option("Intervals by profile: the best of all else at each value.", panel=INTERVALS),
+    "exact": option(panel=LAW),
+    "shear": option(panel=LAW),
+    "bulldozing": option(panel=LAW),
+    "density": option(panel=LAW),
+    "gravity": option(panel=LAW),
+    "contact": option(panel=LAW),
+    "sample": option("--draw-posterior", panel=INTERVALS),
+    "profile": option(panel=INTERVALS),
     "predict": option(
-        "Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known "
-        "sinkage_m.",
         metavar="FILE.csv",
         panel=OTHER,
     ),
-    "predict_rover": option("Wheel of --predict; that of the states if not given.", panel=OTHER),
+    "predict_rover": option(panel=OTHER),
 }
 Posterior = Annotated[
     Path | None,

@@ -2,17 +2,19 @@
 
 import dataclasses
 import inspect
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
 from lunarsci.io.atomic import check_folder, check_target
 from lunarsci.io.documents import toml_document
 from lunarsci.names import meant, one_of
+from lunarsci.options import choices_of, meanings
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
@@ -257,23 +259,47 @@ CONFIG = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class RequestOption:
-    """What the command line says of a field of a request: its typer option, and its type where that is another."""
+    """What the command line adds to a field of a request: flags, settings of `typer.Option`, a type of its own."""
 
-    told: Any
+    flags: tuple[str, ...]
+    settings: Mapping[str, Any]
     kind: Any = None
 
+    @property
+    def flag(self) -> str:
+        """The longest name that is typed; '' where it is the field's."""
+        return max((flag.split("/")[0] for flag in self.flags), key=len, default="")
 
-def option(text: str, *flags: str, panel: str | None = None, kind: Any = None, **settings: Any) -> RequestOption:
-    """Help text, flags other than the field's name, panel of the help, and further settings of `typer.Option`."""
-    return RequestOption(typer.Option(*flags, help=text, rich_help_panel=panel, **settings), kind)
+
+def option(*flags: str, panel: str | None = None, kind: Any = None, **settings: Any) -> RequestOption:
+    """Flags other than the field's name, panel of the help, type, and settings of `typer.Option`.
+
+    The help is the field's entry in the docstring of its request.
+    """
+    return RequestOption(flags, {"rich_help_panel": panel} | settings, kind)
 
 
-def _name_choices(kind: Any, told: Any) -> None:
-    """Many choices go from the narrow column of types into the help text, once."""
-    choices = [one for part in (kind, *get_args(kind)) if get_origin(part) is Literal for one in get_args(part)]
-    if told.metavar is None and len("|".join(map(str, choices))) > WIDEST:
-        told.metavar = "NAME"
-        told.help = f"{told.help.rstrip('.')}. Choices: {', '.join(map(str, choices))}."
+def _typer_option(name: str, kind: Any, given: RequestOption, text: str) -> Any:
+    """Many choices stand in the help text, since the column of types is narrow."""
+    choices = choices_of(kind)
+    settings, flags = dict(given.settings), given.flags
+    if settings.get("metavar") is None and len("|".join(map(str, choices))) > WIDEST:
+        settings["metavar"] = "NAME"
+        text = f"{text.rstrip('.')}. Choices: {', '.join(map(str, choices))}."
+    if name in NAMES and not flags:
+        settings["autocompletion"] = _completed(NAMES[name])
+    if kind is bool and not flags:
+        flags = (flag_of(name),)
+    return typer.Option(*flags, help=text, **settings)
+
+
+def flag_of(name: str) -> str:
+    """The flag of a field that has no other.
+
+    >>> flag_of("model_error")
+    '--model-error'
+    """
+    return f"--{name.replace('_', '-')}"
 
 
 def _rovers() -> list[str]:
@@ -309,23 +335,21 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
 
     A tuple is an option that may be repeated; a bool without flags of its own is a flag without --no-….
     """
-    hints = get_type_hints(request)
-    fields = {field.name: field for field in dataclasses.fields(request)}
-    found: list[inspect.Parameter] = []
-    for name, said in options.items():
-        kind: Any = said.kind or hints[name]
-        default = fields[name].default
+    hints, texts = get_type_hints(request), meanings(request)
+    defaults = {field.name: field.default for field in dataclasses.fields(request)}
+    flags = {name: given.flag or flag_of(name) for name, given in options.items()}
+    parameters: list[inspect.Parameter] = []
+    for name, given in options.items():
+        kind, default = given.kind or hints[name], defaults[name]
         if default is dataclasses.MISSING:
             raise TypeError(
                 f"{request.__name__}.{name} needs a default: None, refused in __post_init__ if it must be given"
             )
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)
-        _name_choices(kind, said.told)
-        if name in NAMES and not said.told.param_decls:
-            said.told.autocompletion = _completed(NAMES[name])
-        if kind is bool and not said.told.param_decls and said.told.default is ...:
-            said.told.param_decls = (f"--{name.replace('_', '-')}",)
-        annotation = Annotated[kind, said.told]
-        found.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default))
-    return found
+        text = re.sub(r"`(\w+)`", lambda word: flags.get(word[1], word[0]), texts[name])
+        annotation = Annotated[kind, _typer_option(name, kind, given, text)]
+        parameters.append(
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+        )
+    return parameters

@@ -18,12 +18,10 @@ from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_
 from .options import ONLY, UNITS, Files
 
 OPTIONS = {
-    "continuum": option(
-        "conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
-    ),
-    "smooth_nm": option("Savitzky-Golay window in nm, at most 300 (half of a band); 0 for none.", min=0),
-    "smooth": option("Window as an odd number of channels, of the median spacing, in place of --smooth-nm.", min=0),
-    "smooth_order": option("Order of the smoothing polynomial.", min=0),
+    "continuum": option(),
+    "smooth_nm": option(min=0),
+    "smooth": option(min=0),
+    "smooth_order": option(min=0),
     **UNITS,
     **ONLY,
 }

@@ -23,28 +23,20 @@ Products = Annotated[
 ]
 CORRECTION, DETECTOR = "Reflectance", "Detectors"
 OPTIONS = {
-    "photometry": option(
-        "Disk function of the correction to i 30, e 0, g 30 deg; none keeps the measured angles.", panel=CORRECTION
-    ),
+    "photometry": option(panel=CORRECTION),
     "phase": option(
-        "Phase function: sp-low, sp-mid, sp-high, flat, or a CSV table.",
         kind=str,
         metavar="NAME|FILE",
         panel=CORRECTION,
     ),
     "solar": option(
-        "Solar irradiance: e490, g173, or a table of nm and W m-2 nm-1.",
         kind=str,
         metavar="NAME|FILE",
         panel=CORRECTION,
     ),
-    "shadow": option("Pixels with less reflectance at 465 nm are shadows; 0 to below 1.", panel=DETECTOR),
-    "vnir_steps": option(
-        "Steps at 632.5 and 757.5 nm between sub-bands of the imager: keep or remove.", panel=DETECTOR
-    ),
+    "shadow": option(panel=DETECTOR),
+    "vnir_steps": option(panel=DETECTOR),
     "calibration": option(
-        "Channel factors for radiance from before the in-flight calibration (label version 1): CSV with "
-        "detector (vnir, swir), wavelength_nm, factor.",
         kind=str | None,
         metavar="FILE",
         panel=DETECTOR,

@@ -24,60 +24,42 @@ from .options import ONLY, UNITS, Files
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
     "assemblage": option(
-        "Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the most "
-        "probable and names those that cannot be told apart (with its own model error, not --model-error).",
         panel=MODEL,
     ),
-    "continuum": option(
-        "Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.", panel=MODEL
-    ),
+    "continuum": option(panel=MODEL),
     "composition": option(
-        "What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.",
         panel=MODEL,
         metavar="KEY=MEAN:ERROR,…",
     ),
     "start": option(
-        "Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of "
-        "--assemblage and --continuum; all channels are fitted.",
         "--start-file",
         panel=MODEL,
         metavar="FILE.fit",
     ),
     "band_minerals": option(
-        "Minerals of the bands of --start-file, by their number, for the ratios of strengths; a comment behind the "
-        "values of a band names one, too.",
         panel=MODEL,
         metavar="NUMBER=OPX,…",
     ),
     "prior": option(
-        "map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.",
         panel=MODEL,
     ),
     "model_error": option(
-        "Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default 0.003 and "
-        "4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.",
         panel=MODEL,
     ),
-    "starts": option("Starting points, beside a search around the lowest minimum.", panel=MODEL, min=1, max=100),
+    "starts": option(panel=MODEL, min=1, max=100),
     "fix": option(
-        "Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum, "
-        "whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.",
         panel=LIMITS,
         metavar="NAME[=VALUE]",
     ),
-    "bound": option("Keep a parameter within a range. May be repeated.", panel=LIMITS, metavar="NAME=LOW:HIGH"),
-    "tie": option("Make a parameter follow another. May be repeated.", panel=LIMITS, metavar="NAME=K*OTHER+C"),
+    "bound": option(panel=LIMITS, metavar="NAME=LOW:HIGH"),
+    "tie": option(panel=LIMITS, metavar="NAME=K*OTHER+C"),
 }
 OPTIONS = MODEL_OPTIONS | {
     "errors": option(
-        "laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by refitting "
-        "or by drawing from the posterior; seconds per spectrum.",
         panel=ANSWER,
     ),
-    "continuum_spread": option(
-        "Fit under all continua but none, and report how far every value goes at most.", panel=ANSWER
-    ),
-    "seed": option("Seed of --errors sample.", panel=ANSWER, min=0),
+    "continuum_spread": option(panel=ANSWER),
+    "seed": option(panel=ANSWER, min=0),
     **UNITS,
     **ONLY,
 }

@@ -14,8 +14,8 @@ from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import ONLY, UNITS, Files
 
 OPTIONS = {
-    "index": option("Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.", metavar="NAME"),
-    "smooth_nm": option("Savitzky-Golay window in nm, of second order, before computing; 0 for none.", min=0),
+    "index": option(metavar="NAME"),
+    "smooth_nm": option(min=0),
     **UNITS,
     **ONLY,
 }

@@ -34,14 +34,12 @@ Libraries = Annotated[
     list[str], typer.Argument(help="Libraries (.ecsv of `library import`), or other files of spectra; - is stdin.")
 ]
 OPTIONS = {
-    "mineral": option("Mineral of all spectra that --metadata does not name."),
+    "mineral": option(),
     "metadata": option(
-        "Table by id: mineral, fo, fs, en, wo, an (0 to 1), min_um, max_um, source; or, instead of the "
-        "mineral, modes vol_ol, vol_opx, vol_cpx, vol_plg and opx_fs, cpx_fs and the like. Mixtures are left out.",
         kind=str | None,
         metavar="FILE.csv",
     ),
-    "source": option("Where spectra come from whose source is unknown.", metavar="TEXT"),
+    "source": option(metavar="TEXT"),
     **UNITS,
 }
 

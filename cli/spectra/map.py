@@ -33,59 +33,43 @@ Spectrum = Annotated[
     ),
 ]
 OPTIONS = {
-    "products": option(
-        "What to measure, joined by commas: bands, indices, fit, unmix, match.", panel=SETTINGS, metavar="NAMES"
-    ),
+    "products": option(panel=SETTINGS, metavar="NAMES"),
     "roi": option(
-        "Samples and lines x0:x1,y0:y1 from 0, ends left out; or a GeoJSON file of polygons in degrees.",
         panel=PIXELS,
         metavar="BOX|FILE",
     ),
-    "mask": option("Image of the cube's size: pixels with 0 or no value are left out.", panel=PIXELS, metavar="FILE"),
-    "every": option("Every n-th line and sample only.", panel=PIXELS, min=1, metavar="N"),
-    "band_continuum": option("Continuum of the bands, as --continuum of `spectra bands`.", panel=SETTINGS),
-    "smooth_nm": option("Smoothing window of the bands in nm.", panel=SETTINGS, min=0),
+    "mask": option(panel=PIXELS, metavar="FILE"),
+    "every": option(panel=PIXELS, min=1, metavar="N"),
+    "band_continuum": option(panel=SETTINGS),
+    "smooth_nm": option(panel=SETTINGS, min=0),
     "assemblage": option(
-        "The minerals that there are, joined by hyphens: OL, OPX, CPX, PLG. unmix weighs these and no others, without "
-        "it all four; fit has their bands, without it those of OL-OPX-CPX.",
         panel=SETTINGS,
         metavar="NAMES",
     ),
-    "continuum": option("Continuum of the fit, as --continuum of `spectra fit`.", panel=SETTINGS),
-    "model_error": option("Model error of ln R; left out: that expected of each spectrum.", panel=SETTINGS),
-    "starts": option("Starting points of a fit.", panel=SETTINGS, min=1),
+    "continuum": option(panel=SETTINGS),
+    "model_error": option(panel=SETTINGS),
+    "starts": option(panel=SETTINGS, min=1),
     "neighbours": option(
-        "Fits start from those of their neighbours, and take theirs where they are lower; without, each pixel is "
-        "fitted alone, as `spectra fit` does it.",
         "--neighbours/--no-neighbours",
         panel=SETTINGS,
     ),
     "contest_every": option(
-        "Every Nth line and sample is fitted from all starting points, the others from their neighbours.",
         panel=SETTINGS,
         min=1,
         max=32,
     ),
-    "kind": option("Kind of target of unmix; auto: found in each pixel.", panel=SETTINGS),
+    "kind": option(panel=SETTINGS),
     "both": option(
-        "Of unmix: mix end members too in every pixel, and write shares by both methods beside those that networks "
-        "learned (share_olivine_both and so on), as `spectra unmix --assemblage` gives them. Name the "
-        "minerals: where nothing is known of them networks alone are better. Slow: some 20 pixels a "
-        "second and core.",
         panel=SETTINGS,
     ),
-    "craters": option("Table of craters of match, as --craters of `spectra match`.", panel=SETTINGS, metavar="FILE"),
-    "single_precision": option("Write values with 24 bits instead of 53: half the size.", panel=SETTINGS),
-    "wavelengths": option(
-        "Table of wavelengths, one a band; columns fwhm and good beside it.", panel=FILE, metavar="FILE"
-    ),
-    "wavelength_unit": option("Unit of the wavelengths.", panel=FILE),
-    "scale": option("What reflectances were multiplied by, such as 10000; 100 for percent.", panel=FILE),
-    "ignore": option("Number that stands for no value.", panel=FILE),
-    "saturated": option("Number in the file from which on a channel is saturated.", panel=FILE),
-    "locations": option(
-        "ENVI file of longitude and latitude of each pixel (M3: found beside it).", panel=FILE, metavar="FILE"
-    ),
+    "craters": option(panel=SETTINGS, metavar="FILE"),
+    "single_precision": option(panel=SETTINGS),
+    "wavelengths": option(panel=FILE, metavar="FILE"),
+    "wavelength_unit": option(panel=FILE),
+    "scale": option(panel=FILE),
+    "ignore": option(panel=FILE),
+    "saturated": option(panel=FILE),
+    "locations": option(panel=FILE, metavar="FILE"),
 }
 
 

@@ -27,69 +27,53 @@ Rocks = Annotated[
 ]
 OPTIONS = {
     "modes": option(
-        "Modes of a rock without a file: olivine, orthopyroxene, clinopyroxene, plagioclase (or ol, opx, cpx, "
-        "plg); two or more, compared as shares of those given.",
         panel=ROCK,
         metavar="MINERAL=FRACTION:ERROR,…",
     ),
-    "bands": option("Its band centres, bc1000 and bc2000, in nm.", panel=ROCK, metavar="bc1000=NM:ERROR,…"),
+    "bands": option(panel=ROCK, metavar="bc1000=NM:ERROR,…"),
     "kind": option(
-        "Kind of target of --modes; errors are raised to those known for this kind. Left out: errors as given.",
         panel=ROCK,
     ),
-    "name": option("Name of that rock.", panel=ROCK),
+    "name": option(panel=ROCK),
     "site": option(
-        "Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; --craters need it.",
         panel=ROCK,
         kind=str | None,
         metavar="LAT,LON",
     ),
-    "use": option("Which kind of composition is compared, where a crater has it.", panel=ROCK),
-    "systematic": option("What two methods disagree by in the share of a mineral, one standard deviation.", panel=ROCK),
-    "band_systematic": option("The same for band centres, in nm.", panel=ROCK),
+    "use": option(panel=ROCK),
+    "systematic": option(panel=ROCK),
+    "band_systematic": option(panel=ROCK),
     "craters": option(
-        "Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, "
-        "olivine, olivine_sigma, …, bc1000_nm, bc1000_sigma_nm, …, source. Left out: the craters around Chang'E-4.",
         panel=CRATERS,
         kind=str | None,
         metavar="FILE",
     ),
     "mineral_map": option(
-        "GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated. Or a "
-        "file of `spectra map --products unmix`.",
         panel=CRATERS,
         metavar="MINERAL=FILE.tif|MAP",
     ),
-    "annulus": option("That ring, in rim radii.", panel=CRATERS, metavar="IN:OUT"),
+    "annulus": option(panel=CRATERS, metavar="IN:OUT"),
     "prior": option(
-        "Prior of the craters. ejecta: by what each left at the site; uniform: all alike.",
         "--crater-prior",
         panel=PRIOR,
     ),
-    "ejecta_law": option("Law of the ejecta's thickness, from the transient crater.", panel=PRIOR),
-    "thickness_factor": option(
-        "Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.", panel=PRIOR
-    ),
+    "ejecta_law": option(panel=PRIOR),
+    "thickness_factor": option(panel=PRIOR),
     "surface_age": option(
-        "Age of the site's surface in Ma: ejecta of older craters lie below it. Left out: 3600 at Chang'E-4, none "
-        "elsewhere.",
         panel=PRIOR,
     ),
-    "other": option("Prior probability that the rock is from none of the craters.", panel=PRIOR),
-    "exposure": option("Rocks are destroyed at the surface.", "--exposure/--no-exposure", panel=EXPOSURE),
-    "rock_life": option("Median life of a 2 m boulder, in Ma.", panel=EXPOSURE, metavar="LOW:HIGH"),
-    "rock_size": option("Size of the rock, in m.", panel=EXPOSURE),
-    "life_exponent": option("Its life goes with this power of its size; assumed.", panel=EXPOSURE),
-    "re_excavation": option(
-        "Buried ejecta are brought up again.", "--re-excavation/--no-re-excavation", panel=EXPOSURE
-    ),
-    "stirring": option("Factor on the local ground that falling ejecta stir up (Oberbeck).", panel=EXPOSURE),
+    "other": option(panel=PRIOR),
+    "exposure": option("--exposure/--no-exposure", panel=EXPOSURE),
+    "rock_life": option(panel=EXPOSURE, metavar="LOW:HIGH"),
+    "rock_size": option(panel=EXPOSURE),
+    "life_exponent": option(panel=EXPOSURE),
+    "re_excavation": option("--re-excavation/--no-re-excavation", panel=EXPOSURE),
+    "stirring": option(panel=EXPOSURE),
     "gardening": option(
-        "Buried rock that small local craters keep at the surface, as a thickness in m; assumed.",
         panel=EXPOSURE,
         metavar="LOW:HIGH",
     ),
-    "seed": option("Seed of the draws for the prior.", panel=PRIOR, min=0),
+    "seed": option(panel=PRIOR, min=0),
 }
 
 

@@ -18,7 +18,7 @@ Files = Annotated[
 ]
 FILE = "What the file does not say"
 UNITS = {
-    "wavelength_unit": option("Unit of the wavelengths.", panel=FILE),
-    "reflectance_unit": option("Unit of the reflectance.", panel=FILE),
+    "wavelength_unit": option(panel=FILE),
+    "reflectance_unit": option(panel=FILE),
 }
-ONLY = {"id": option("Take only this spectrum of the files, by its name. May be repeated.", panel=FILE, metavar="NAME")}
+ONLY = {"id": option(panel=FILE, metavar="NAME")}

@@ -15,21 +15,19 @@ from ..shared.table import TextTable
 
 SCENE, VIEW, OBSERVATION = "Scene", "Light and view", "Observation"
 OPTIONS = {
-    "soil": option("Fractions of ol, opx, cpx, plg that add up to 1.", "--minerals", metavar="MINERALS", panel=SCENE),
-    "rock": option("The same for a rock in the image; none if left out.", metavar="MINERALS", panel=SCENE),
-    "rock_radius": option("Radius of the rock in px; the SWIR detector sees 53.8.", panel=SCENE),
-    "shadow": option("Share of the image in shadow, 0 to below 1.", "--shadow-share", panel=SCENE),
-    "incidence": option("Angle of the Sun from the normal in deg.", panel=VIEW),
-    "emission": option("Angle of the view from the normal in deg.", panel=VIEW),
-    "phase_angle": option("Angle between Sun and view in deg.", panel=VIEW),
-    "photometry": option(
-        "Disk function that the ground obeys; none for the same reflectance at all angles.", panel=VIEW
-    ),
-    "phase": option("Phase function that the ground obeys.", panel=VIEW),
-    "noise": option("Factor on the instrument's noise; 0 for none.", panel=OBSERVATION),
-    "time": option("UTC time of the short-wave scan, ISO 8601.", panel=OBSERVATION),
-    "sequence": option("Number of the observation.", min=1, max=9999, panel=OBSERVATION),
-    "seed": option("Seed of texture, shadows and noise.", min=0, panel=OBSERVATION),
+    "soil": option("--minerals", metavar="MINERALS", panel=SCENE),
+    "rock": option(metavar="MINERALS", panel=SCENE),
+    "rock_radius": option(panel=SCENE),
+    "shadow": option("--shadow-share", panel=SCENE),
+    "incidence": option(panel=VIEW),
+    "emission": option(panel=VIEW),
+    "phase_angle": option(panel=VIEW),
+    "photometry": option(panel=VIEW),
+    "phase": option(panel=VIEW),
+    "noise": option(panel=OBSERVATION),
+    "time": option(panel=OBSERVATION),
+    "sequence": option(min=1, max=9999, panel=OBSERVATION),
+    "seed": option(min=0, panel=OBSERVATION),
 }
 
 

@@ -19,44 +19,29 @@ KNOWN, MIXTURE = "What is known", "End members"
 NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
 OPTIONS = {
     "assemblage": option(
-        "The minerals that there are, and no others, joined by hyphens: OL, OPX, CPX, PLG. Shares are then better by a "
-        "fifth, since mixtures of end members take part. Without it all four are weighed.",
         panel=KNOWN,
         metavar="NAMES",
     ),
     "kind": option(
-        "What is looked at: powder-mixture, minerals ground and mixed; dark-rock-powder, a rock with opaques, ground, "
-        "such as a chondrite; "
-        "weathered-soil, which is not unmixed; solid-rock, which must be stated, since a rock looks like the soil "
-        "beside it. auto weighs each kind by its probability.",
         panel=KNOWN,
         metavar="KIND",
     ),
     "prior": option(
-        "What is expected before the spectrum is seen: powders, mixtures as the networks learned from; lunar-rocks, "
-        "rocks as were returned from the Moon, of which a solid rock (--kind solid-rock) is likely one.",
         panel=KNOWN,
     ),
     "together": option(
-        "With --assemblage or --library: take all spectra as mixtures of the same powders of minerals, which are then "
-        "found far better than one by one. Of rocks it changes nothing.",
         panel=KNOWN,
     ),
     "known": option(
-        "Table of id and one column per mineral, in shares of 1, of mixtures whose shares are known; an empty cell is "
-        "solved for, 0 means that the mineral is absent. Implies --together.",
         panel=KNOWN,
         metavar="FILE",
     ),
-    "library": option(
-        "End members instead of the embedded ones; see `spectra library`.", panel=MIXTURE, metavar="FILE"
-    ),
+    "library": option(panel=MIXTURE, metavar="FILE"),
     "method": option(
-        "How end members mix: hapke, in the albedo of single scattering; absorbance, in -ln R; both, by evidence.",
         panel=MIXTURE,
     ),
-    "opaque": option("There may be an opaque phase beside the end members, such as ilmenite.", panel=MIXTURE),
-    "iron": option("There may be nanophase iron on all grains: space weathering.", panel=MIXTURE),
+    "opaque": option(panel=MIXTURE),
+    "iron": option(panel=MIXTURE),
     **UNITS,
     **ONLY,
 }

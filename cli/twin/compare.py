@@ -26,31 +26,24 @@ FORECAST = "prediction.json"
 """By which a folder of `twin predict -o` is known."""
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {
-    "positions": option("Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2.", **FILE),
-    "plan": option("Plan that was driven (TOML): refused if another was predicted.", **FILE),
-    "belief": option("Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.", **FILE),
-    "rover": option(
-        "Rover: a name (yutu2, husky, rosey) or a TOML file.", show_default="that of the prediction or the trial"
-    ),
-    "seed": option("Seed of everything random.", min=0),
+    "positions": option(**FILE),
+    "plan": option(**FILE),
+    "belief": option(**FILE),
+    "rover": option(show_default="that of the prediction or the trial"),
+    "seed": option(min=0),
     "terrain": option(
-        "Terrain of the trials: a file, as of `twin states`.",
         show_default="the plane that a public trial tells of",
         panel=GROUND,
     ),
     "height_unit": HEIGHT_UNIT,
-    "gravity": option(
-        "Gravity: moon, mars, earth, or a number in m/s².", show_default="that of a public trial, or moon", panel=GROUND
-    ),
+    "gravity": option(show_default="that of a public trial, or moon", panel=GROUND),
     "interpolation": INTERPOLATION,
     "as_written": AS_WRITTEN,
     "soil": option(
-        "Soil that trials are predicted on: a name or a TOML file; or a belief (JSON) or samples (CSV), from which "
-        "every drive has its own. Repeatable.",
         show_default="priors",
         panel=SOIL,
     ),
-    "members": option("Number of drives for each trial.", min=1, show_default="64 of a belief", panel=SOIL),
+    "members": option(min=1, show_default="64 of a belief", panel=SOIL),
 }
 Inputs = Annotated[
     list[str],

@@ -18,10 +18,8 @@ from ..shared.table import TextTable
 from .belief_tables import discrepancy_table, parameter_table
 
 OPTIONS = {
-    "against": option(
-        "Another belief (JSON) to set beside it, parameter by parameter.", kind=str | None, metavar="FILE"
-    ),
-    "rollback": option("Go back to what was believed after N drives; 0: the priors.", min=0, metavar="N"),
+    "against": option(kind=str | None, metavar="FILE"),
+    "rollback": option(min=0, metavar="N"),
 }
 SavedBelief = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Takes the belief of --rollback (JSON), for `twin update`.")

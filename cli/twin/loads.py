@@ -21,37 +21,29 @@ from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TER
 
 PANEL: dict[str, Any] = {"panel": "Uncertain motion and soil"}
 OPTIONS = {
-    "member": option("Which member of the motion's file, where it has several.", min=0),
+    "member": option(min=0),
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "as_written": AS_WRITTEN,
-    "soil": option(
-        "One soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"
-    ),
+    "soil": option(show_default="the terrain's, or longji"),
     "states": option(
-        "Measured wheel states (CSV: time_s, wheel, sinkage_m, slip_ratio, ...) that get the forces.",
         kind=str | None,
         metavar="FILE",
         **PANEL,
     ),
     "belief": option(
-        "What is believed of the soil (JSON of `twin update`); the priors if left out.",
         kind=str | None,
         metavar="FILE",
         **PANEL,
     ),
-    "draws": option("Soils and motions to draw; 64 if left out.", min=16, max=4096, **PANEL),
-    "correlation": option(
-        "Distance in m over which the motion's errors stay alike; from the slips' errors, or 0.5, if left out.", **PANEL
-    ),
-    "balance_error": option("Error of the balance of forces as a share of the weight; 0.005 if left out.", **PANEL),
-    "iterate": option(
-        "Rounds, at most, of forces and soil in turn: needs --states with sinkages.", min=1, max=50, **PANEL
-    ),
-    "seed": option("Seed of everything random; 0 if left out.", min=0),
+    "draws": option(min=16, max=4096, **PANEL),
+    "correlation": option(**PANEL),
+    "balance_error": option(**PANEL),
+    "iterate": option(min=1, max=50, **PANEL),
+    "seed": option(min=0),
 }
 MotionFile = Annotated[
     str, typer.Option(metavar="FILE", help="The motion that was measured: CSV with time_s, x_m, y_m, yaw_deg.")

@@ -29,81 +29,60 @@ from .terrain import OPTIONS as OF_TERRAIN
 PATH, CHOICE = "Path", "Drives compared by their risk"
 OPTIONS = {
     "target": option(
-        "Where to plan a path to, in m; with the heading there, in deg.",
         panel=PATH,
         metavar="X,Y[,HEADING]",
         kind=str,
         show_default=False,
     ),
     "start": option(
-        "Pose of the rover, in m and deg; or where a drive ended: the folder of `twin states` or `twin predict`, or a "
-        "motion.csv.",
         panel=PATH,
         metavar="X,Y,HEADING|DRIVE",
         kind=str,
     ),
     "lonlat": option(
-        "Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.",
         panel=PATH,
     ),
     "local": option(
-        "Finer terrain in the same coordinates, looked at in place of the first one where it is known; repeatable.",
         panel=PATH,
         metavar="FILE",
     ),
-    "speed": option("Speed in m/s; the rover's highest if left out.", panel=PATH),
+    "speed": option(panel=PATH),
     "turning_radius": option(
-        "Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.",
         panel=LIMITS,
     ),
     "limits": option(
-        "TOML file with the mission's limits, such as a plan; risk is counted against them, and they go into the "
-        "plan. What it leaves out is as assumed of the rover.",
         panel=LIMITS,
         metavar="FILE",
         show_default="assumed of the rover",
     ),
-    "hazard_distance": option("Distance to keep from hazards and holes, in m.", panel=LIMITS),
+    "hazard_distance": option(panel=LIMITS),
     "risk": option(
-        "Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at "
-        "most this, such as 0.05.",
         panel=CHOICE,
     ),
     "prefer": option(
-        "Of drives that keep the risk the one with the least of this.",
         panel=CHOICE,
     ),
     "soil": option(
-        "Soil, in place of the terrain's: a name or a TOML file. With --risk a file from which each drive has its own, "
-        "as of `twin predict`: a belief of `twin update` or its map (JSON), or CSV.",
         show_default="the terrain's, or longji",
     ),
     "sweep": option(
-        "Uncertain soil parameter, repeatable; those of the embedded plan where no soil is given.",
         panel=CHOICE,
         metavar="NAME=LOW:HIGH:N",
     ),
-    "members": option(
-        "Soils on which all are driven; the best again on twice as many.", panel=CHOICE, show_default="64"
-    ),
-    "tolerance": option(
-        "Distance in m of the end from the target that counts as there.", panel=CHOICE, show_default="1"
-    ),
-    "candidates": option("Drives to compare, at most.", panel=CHOICE, show_default="50"),
+    "members": option(panel=CHOICE, show_default="64"),
+    "tolerance": option(panel=CHOICE, show_default="1"),
+    "candidates": option(panel=CHOICE, show_default="50"),
     "fixes": option(
-        "Let drives halt for localisation updates, with these standard errors and the standstill in s that each takes.",
         panel=CHOICE,
         metavar="M,DEG[,S]",
     ),
     "mission": option(
-        "Reach several targets by legs: TOML file with tables target, fixes, keep_out and window, and time_budget_s.",
         panel=PATH,
         metavar="FILE",
         show_default=False,
     ),
-    "exact_terrain": option("Drive on the likely ground, not on one that is drawn for each drive.", panel=CHOICE),
+    "exact_terrain": option(panel=CHOICE),
     "charge": option(
-        "Charge of the battery at the start, 0 to 1; the battery is a limit then, and --sun also lights the panels.",
         panel=CHOICE,
         show_default="the battery does not count",
     ),

@@ -21,10 +21,7 @@ from ..shared.table import TextTable
 from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
 
 OPTIONS = DRIVE | {
-    "risk": option(
-        "Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both "
-        "95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.",
-    ),
+    "risk": option(),
     "as_written": AS_WRITTEN,
     "ruts": RUTS,
     "before": BEFORE,

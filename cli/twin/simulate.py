@@ -18,20 +18,16 @@ OPTIONS = {
     "height_unit": HEIGHT_UNIT,
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
-    "soil": option(
-        "The true soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"
-    ),
+    "soil": option(show_default="the terrain's, or longji"),
     "ruts": RUTS,
     "before": BEFORE,
-    "fix_distance": option("Way between localised positions in m.", panel=TELEMETRY),
-    "fix_sigma": option(
-        "Their standard error in m, in x and in y; a third of 4 % of the way between them by default.", panel=TELEMETRY
-    ),
-    "yaw_sigma": option("Standard error of the heading in degrees; assumed.", panel=TELEMETRY),
-    "track_sigma": option("Standard error of the track's depth in m.", panel=TELEMETRY),
+    "fix_distance": option(panel=TELEMETRY),
+    "fix_sigma": option(panel=TELEMETRY),
+    "yaw_sigma": option(panel=TELEMETRY),
+    "track_sigma": option(panel=TELEMETRY),
     "seed": SEED,
     "time_step": TIME_STEP,
-    "sample": option("Way between rows of telemetry in m.", panel=TELEMETRY),
+    "sample": option(panel=TELEMETRY),
 }
 
 

@@ -20,27 +20,19 @@ OPTIONS = {
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "positions": option(
-        "Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, "
-        "xy_m2, yy_m2, with xx_before_m2 and so on where errors are correlated. They replace the telemetry's.",
         kind=str | None,
         metavar="FILE",
     ),
     "track": option(
-        "Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the "
-        "wheels and as near to each other; or the terrain after the drive. No sinkage without it.",
         kind=str | None,
         metavar="FILE",
     ),
-    "since": option("Rows with a time_s before this are left out, such as those of earlier drives.", metavar="S"),
-    "until": option("Rows with a time_s after this are left out.", metavar="S"),
+    "since": option(metavar="S"),
+    "until": option(metavar="S"),
     "start_time": option(
-        "time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970. Rows "
-        "before it are left out. Without it the start is where the commands are those of the plan.",
         metavar="S",
     ),
     "lag": option(
-        "By how much positions, headings and attitude are later than the columns of the wheels, as of another clock or "
-        "of wheels that follow commands late; they are put back by it. Result and findings say what the drive tells.",
         metavar="S",
     ),
 }

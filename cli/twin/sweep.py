@@ -16,11 +16,9 @@ from .options import CHARGE, DRIVE, EXACT_TERRAIN, SUN
 
 OPTIONS = DRIVE | {
     "vary": option(
-        "Number of the rover file, TABLE.KEY (with .x, .y or .z of a vector), or plan.speed_m_s; repeatable: the grid "
-        "of all values.",
         metavar="NAME=LOW:HIGH:N",
     ),
-    "designs": option("Number of designs: Latin-hypercube samples of the ranges instead of the grid.", min=1),
+    "designs": option(min=1),
     "exact_terrain": EXACT_TERRAIN,
     "sun": SUN,
     "charge": CHARGE,

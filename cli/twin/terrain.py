@@ -17,47 +17,38 @@ from .options import GRAVITY, KEEP_OUT
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
 LAYERS = "Layers and light"
 OPTIONS = {
-    "rover": option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2"),
+    "rover": option(show_default="yutu2"),
     "soil": option(
-        "With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
         show_default="the terrain's, or longji",
     ),
     "gravity": GRAVITY,
-    "height_unit": option(
-        "Unit of the terrain's heights, in place of what its file states.", show_default="what the file states, or m"
-    ),
+    "height_unit": option(show_default="what the file states, or m"),
     "keep_out": KEEP_OUT,
     "layer": option(
-        "Raster on any grid (GeoTIFF, .asc, .npz, .csv) of factors on the cost of a metre, or with --class of classes "
-        "of ground; repeatable.",
         panel=LAYERS,
         metavar="FILE",
     ),
     "classes": option(
-        "What a class of the layers costs: a factor, or forbidden; repeatable.",
         "--class",
         panel=LAYERS,
         metavar="VALUE=forbidden|COST",
     ),
     "sun": option(
-        "Direction of the Sun in deg, from x towards y and over the horizon: shadows go to the maps.",
         panel=LAYERS,
         metavar="AZIMUTH,ELEVATION",
     ),
-    "shadow_cost": option(
-        "With --sun, factor on the cost of a metre in shadow, or forbidden.", panel=LAYERS, metavar="COST|forbidden"
-    ),
-    "baseline": option("Side in m of the square whose slope is measured; the rover's by default."),
-    "max_slope": option("Steepest slope, in deg.", panel=LIMITS),
-    "max_step": option("Highest step, in m.", panel=LIMITS),
-    "max_roughness": option("Largest roughness, in m.", panel=LIMITS),
-    "seed": option("Seed.", panel=GROUND),
-    "spacing": option("Grid spacing, in m.", panel=GROUND),
-    "rocks": option("Share of ground under rocks; 0.0021 at Chang'E-4.", panel=GROUND),
-    "roughness": option("Rms height of waves of 0.4 to 4 m, in m.", panel=GROUND),
-    "extent": option("Side of the square in m; not of Longji.", panel=GROUND),
-    "ground_slope": option("Slope along x in deg; not of Longji.", panel=GROUND),
-    "craters": option("Number of craters; not of Longji.", "--crater-count", panel=GROUND),
+    "shadow_cost": option(panel=LAYERS, metavar="COST|forbidden"),
+    "baseline": option(),
+    "max_slope": option(panel=LIMITS),
+    "max_step": option(panel=LIMITS),
+    "max_roughness": option(panel=LIMITS),
+    "seed": option(panel=GROUND),
+    "spacing": option(panel=GROUND),
+    "rocks": option(panel=GROUND),
+    "roughness": option(panel=GROUND),
+    "extent": option(panel=GROUND),
+    "ground_slope": option(panel=GROUND),
+    "craters": option("--crater-count", panel=GROUND),
 }
 TERRAIN = "synthetic-longji, synthetic, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, ESRI ASCII .asc, CSV of nodes)."
 TerrainFile = Annotated[str, typer.Argument(help=TERRAIN, metavar="TERRAIN")]

@@ -24,33 +24,26 @@ from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TER
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 DRIVE, BELIEF = "Drive", "Belief"
 OPTIONS = {
-    "plan": option("Plan that was driven (TOML); the embedded one if left out.", kind=str | None, panel=DRIVE),
-    "positions": option(
-        "Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.", **FILE, panel=DRIVE
-    ),
+    "plan": option(kind=str | None, panel=DRIVE),
+    "positions": option(**FILE, panel=DRIVE),
     "soil": option(
-        "What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left "
-        "out.",
         **FILE,
         panel=BELIEF,
     ),
-    "forget": option("Share of the way back to the first priors, for ground further on.", min=0, max=1, panel=BELIEF),
-    "correlation": option(
-        "Distance in m over which soils are alike; the map's, or 5, if left out.", min=0.1, panel=BELIEF
-    ),
+    "forget": option(min=0, max=1, panel=BELIEF),
+    "correlation": option(min=0.1, panel=BELIEF),
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
     "as_written": AS_WRITTEN,
-    "particles": option("Soils that carry the belief.", min=32, panel=BELIEF),
+    "particles": option(min=32, panel=BELIEF),
     "ruts": option(
-        "Whether wheels met the ruts of others; as explains the drive better, if left out.",
         "--ruts/--no-ruts",
         panel=DRIVE,
     ),
-    "seed": option("Seed of everything random.", min=0),
+    "seed": option(min=0),
 }
 States = Annotated[
     str,

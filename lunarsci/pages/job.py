@@ -7,10 +7,11 @@ from typing import Any, ClassVar
 
 from lunarsci.errors import DataError
 from lunarsci.io.atomic import check_target, write_files
+from lunarsci.options import request_of
 from lunarsci.pages.documents import Document, GivenPicture, read_results
 from lunarsci.pages.page import Page, title_of
 from lunarsci.pages.relief import Ground
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 
 SYNTHETIC = "synthetic-longji"
 
@@ -21,9 +22,9 @@ class ReportRequest:
 
     Attributes
     ----------
-    title : of the page; made of its results if None.
-    terrain : `synthetic-longji` or a file, as for `twin predict`; if None that of a folder or of a drive's options,
-        where it can be read.
+    title : Title of the page.
+    terrain : Ground to turn in the page: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes); if
+        left out that of a result's folder or of its `terrain`.
     """
 
     title: str | None = None

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import expand_inputs, read_input
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +28,15 @@ WORK = {"spectra": 5, "soil": 4, "drive": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReproduceRequest:
-    """Which part, rock being another name of spectra; measured spectra of boulders; a rover's name or file."""
+    """Which part, rock being another name of spectra; measured spectra of boulders; a rover's name or file.
+
+    Attributes
+    ----------
+    part : Which of the numbers, and of the pages of --plot; rock is another name of spectra.
+    rocks : Measured spectra of boulders of Chang'E-4, in any form that `spectra fit` reads; of files with other targets
+        too, those with 'rock' in their name. May be repeated.
+    rover : Rover that drives, and whose wheel is taken: a name or a TOML file.
+    """
 
     part: Literal["all", "spectra", "rock", "soil", "drive"] = "all"
     rocks: tuple[str, ...] = ()

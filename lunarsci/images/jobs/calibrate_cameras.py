@@ -27,7 +27,8 @@ from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,15 +64,15 @@ class CalibrateCamerasRequest:
 
     Attributes
     ----------
-    target : kind of the board.
-    board : columns x rows: inner corners (chessboard), circles, or squares (charuco).
-    square : side of a square, or distance of circles; of asymmetric ones half the distance within a row. [m]
-    marker : side of the markers of a charuco board. [m]
-    circle : diameter of circles; 0 takes the middles of their pictures. [m]
-    dictionary : of the markers.
-    square_error : error of the board's size, as a share; the baseline has it.
-    distortion : terms to be found: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).
-    name : of the camera or the rig.
+    target : What the pictures show.
+    board : Columns x rows: inner corners of a chessboard, circles, or squares of a charuco.
+    square : Side of a square, or distance of circles (asymmetric: half of that in a row), in m.
+    marker : Side of a charuco's markers, in m.
+    circle : Diameter of the circles, in m, which corrects their middles; 0 does not.
+    dictionary : Of a charuco's markers, as OpenCV calls it.
+    square_error : Error of the board's size, as a share; the baseline has it.
+    distortion : Terms to find: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).
+    name : Of the camera or rig.
     """
 
     target: Literal["chessboard", "circles", "asymmetric-circles", "charuco"] = "chessboard"

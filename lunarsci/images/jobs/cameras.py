@@ -24,7 +24,8 @@ from lunarsci.images.rig_files import (
 )
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, Source, read_input, text
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,9 +44,8 @@ class CamerasRequest:
 
     Attributes
     ----------
-    disparity_error : random error of a disparity. [px]
-    translation_unit : of the way between the cameras in a file of OpenCV, which does not say it; None takes m or mm,
-        whichever makes the baseline more usual.
+    disparity_error : Random error of a disparity, in px, for the ranges' errors.
+    translation_unit : Of T in a file of OpenCV, which does not say it.
     """
 
     disparity_error: float = 0.2

@@ -16,7 +16,8 @@ from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,11 +46,11 @@ class DemRequest:
 
     Attributes
     ----------
-    rig : name, TOML file, or the labels of the left and the right picture with a comma between.
-    pose : TOML file with position_m, heading_deg, down_deg and roll_deg of the left camera; without one the ground near
-        the rover is taken as level.
-    spacing : of the grid. [m]
-    nearest, farthest : of what is matched and gridded, from the left camera; found from rig and pose where None. [m]
+    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.
+    pose : Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.
+    spacing : Distance of the nodes, in m.
+    nearest : Smallest distance along the axis that is matched, in m.
+    farthest : Largest range that is gridded, in m.
     """
 
     rig: str = "yutu2-navcam"

@@ -20,7 +20,8 @@ from lunarsci.images.ties import Station
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,11 +51,11 @@ class LocateRequest:
 
     Attributes
     ----------
-    rig : name or TOML file, of all stations.
-    mast : x,y,z of the middle between both cameras in the rover's frame (ahead, left, up), which stays where it is
-        while the mast turns; positions are then the rover's. [m]
-    drift : error of dead reckoning as a share of the way between stations, > 0; assumed.
-    heading_error, tilt_error : of the given directions, > 0; assumed. [deg]
+    rig : The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.
+    mast : Middle between both cameras in the rover's frame, in m ahead, left and up: positions are then the rover's.
+    drift : Error of dead reckoning as a share of the way between stations (assumed).
+    heading_error : Error of the headings in pose.toml, in deg (assumed).
+    tilt_error : Error of down_deg and roll_deg in pose.toml, in deg (assumed).
     """
 
     rig: str = "yutu2-navcam"

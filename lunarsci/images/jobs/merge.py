@@ -18,7 +18,8 @@ from lunarsci.images.elevation import (
 from lunarsci.images.elevation import merge as merged_map
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,9 +41,9 @@ class MergeRequest:
 
     Attributes
     ----------
-    positions : of each model in the order given, as a table of x_m, y_m, z_m with xx_m2, xy_m2, yy_m2, zz_m2 or
-        sigma_m; without it they are in one frame, exactly.
-    spacing : of the map's nodes; that of the finest model if None. [m]
+    positions : Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or
+        sigma_m. Without it they share a frame.
+    spacing : Distance of the map's nodes, in m; that of the finest model by default.
     """
 
     positions: str | Any | None = None

@@ -18,7 +18,8 @@ from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landscape_on, read_track, with_track
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.io.inputs import read_input
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,19 +46,24 @@ class RenderRequest:
 
     Attributes
     ----------
-    rig : name or TOML file.
-    x, y, heading, down, roll : of the left camera. [m], [m], [deg]
-    height : of the left camera over the ground; the rig's mast where it is None. [m]
-    spacing : of the ground's triangles. [m]
-    rocks : of 4 cm and more on a square metre; 0 for none. [1/m2]
-    roughness : over that assumed of regolith; 0 leaves the ground as it is.
-    track : what wheels left: a table of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
-    track_width : of the wheels. [m]
-    sun_azimuth, sun_elevation : where the Sun is, from x towards y, and over the horizon. [deg]
-    law : how the ground scatters light.
-    samples : rays along each side of a pixel, 1 to 8.
-    exact : take the pictures with the rig as it is, not with a draw from its covariance.
-    seed : of ground, noise and draw.
+    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, or a TOML file.
+    x : Where the left camera is, along x, in m.
+    y : Where the left camera is, along y, in m.
+    heading : Where it looks, from x towards y, in deg.
+    down : How far below the horizon, in deg.
+    roll : Turned clockwise about its axis, in deg.
+    height : Over the ground, in m.
+    spacing : Side of the ground's triangles, in m.
+    rocks : Rocks of 4 cm and more on a square metre.
+    roughness : Factor on the roughness assumed of regolith; 0 leaves the terrain as it is.
+    track : What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
+    track_width : Width of the wheels, in m.
+    sun_azimuth : Where the Sun is, from x towards y, in deg.
+    sun_elevation : Over the horizon, in deg.
+    law : How the ground scatters light.
+    samples : Rays along each side of a pixel.
+    exact : Take the rig as it is, not a draw from its covariance.
+    seed : Seed of ground, noise and the rig's draw.
     """
 
     rig: str = "yutu2-navcam"

@@ -10,7 +10,8 @@ from lunarsci.errors import RequestError
 from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.rocks import RockSurvey, find_rocks
 from lunarsci.io.inputs import read_input
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,11 +31,11 @@ class RocksRequest:
 
     Attributes
     ----------
-    largest : diameter of the largest; what is wider is ground. [m]
-    false_share : of the finds that may be no rocks. [-]
-    sizes : diameters for which it is said how many would be found: numbers with commas. [m]
-    margin : further distance to keep from a rock. [m]
-    seed : of the rocks put in for trial.
+    largest : Diameter of the largest rock, in m; what is wider is ground.
+    false_share : Share of the finds that may be no rocks.
+    sizes : Diameters in m for which it is said how many are found: numbers with commas.
+    margin : Further distance to keep from a rock, in m.
+    seed : Seed of the rocks put in for trial.
     """
 
     largest: float = 0.5

@@ -11,8 +11,9 @@ from lunarsci.errors import RequestError
 from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.tracks import TrackDepths, read_line, track_depths
 from lunarsci.io.inputs import read_input
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
@@ -36,14 +37,14 @@ class TrackRequest:
 
     Attributes
     ----------
-    line : along the middle of the track: x1,y1,x2,y2,... [m], or a GeoJSON file with a LineString.
-    rover : whose wheel it was: a name or TOML file.
-    width : of the wheel, in place of the rover's. [m]
-    window : length of track that is one depth. [m]
-    step : distance of the depths. [m]
-    search : how far from the line the middle of the track may lie. [m]
-    disparity_bias : of the floor against the ground beside it. [px]
-    rebound : share of the sinkage by which the ground rose again after the wheel; 0 is assumed. [-]
+    line : Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.
+    rover : Whose wheel it was: a name (yutu2, small-four) or a TOML file.
+    width : Width of the wheel in m, in place of the rover's.
+    window : Length of track in m that gives one depth.
+    step : Distance of the depths, in m.
+    search : How far from the line the middle of the track may lie, in m; 0 keeps to the line.
+    disparity_bias : Bias of the disparity between the floor and the ground beside it, in px; assumed.
+    rebound : Share of the sinkage by which the ground rose again after the wheel; assumed.
     """
 
     line: str = ""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input, text
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SCHEMA, doubt, read_belief
 from lunarsci.regolith.compare import (
@@ -24,7 +25,7 @@ from lunarsci.regolith.compare import (
 )
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER, read_wheel
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, read_rover
 
 if TYPE_CHECKING:
@@ -65,9 +66,11 @@ class CompareSoilsRequest:
 
     Attributes
     ----------
-    rover : whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2.
-    stiffness [kPa m^-N], exponent [-] : K_s, N, both or none.
-    cohesion [Pa], friction_angle [deg] : c, phi, both or none.
+    rover : Rover whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2.
+    stiffness : K_s in kPa m^-N.
+    exponent : Sinkage exponent N.
+    cohesion : Cohesion c in Pa.
+    friction_angle : φ in deg.
     """
 
     rover: str | None = None

@@ -11,6 +11,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.identify import UNITS, Assumptions, Identification
 from lunarsci.regolith.identify import identify as identify_soil
@@ -20,7 +21,7 @@ from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
 from lunarsci.regolith.wheel import PAPER, ShearSign, Wheel, left_to_defaults, read_wheel
 from lunarsci.regolith.written_names import NamedBy, rover_of_states
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, called, read_rover
 
 if TYPE_CHECKING:
@@ -42,18 +43,25 @@ class IdentifyRequest:
 
     Attributes
     ----------
-    rover : rover or wheel, a name or a TOML file; left out, the one that the table names, else yutu2, with a warning.
-    exponent [-], stiffness [kPa m^-N] : bearing pair N, K_s.
-    cohesion [Pa], friction_angle [deg] : shear pair c, phi.
-    shear_modulus : K_x. [mm]
-    lateral_modulus [mm], external_friction_angle [deg] : lateral pair K_y, phi_y; K_y is a number, or several as text
-        with commas between them.
-    reading : sign convention of the longitudinal shear stress.
-    draws, seed : Monte Carlo draws of each state, 2 or more, and the seed of the random numbers.
-    sinkage_error [m], force_error, travel_error, side_slip_error : standard deviations where the table gives none, all
-        but the first as shares, see `MeasurementErrors`.
-    units : of columns, such as `normal_force_n=kN,slip_ratio=travel`, see `written_columns.asked_units`.
-    sensitivity : whether to say how much of each variance comes from each measured quantity.
+    rover : Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file; left out, the one
+        that the states name, else yutu2.
+    exponent : Assume N and solve K_s; 1.0 if neither is given.
+    stiffness : Assume K_s in kPa m^-N and solve N.
+    cohesion : Assume c in Pa and solve φ; 520 if neither is given.
+    friction_angle : Assume φ in deg and solve c.
+    shear_modulus : Assumed K_x in mm.
+    lateral_modulus : Assume K_y in mm, one or several by commas, and solve φ_y; 13,40 if not given.
+    external_friction_angle : Assume φ_y in deg and solve K_y.
+    reading : Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers.
+    draws : Monte Carlo draws per state.
+    seed : Seed of the random numbers.
+    sinkage_error : 1σ of the sinkage, in m.
+    force_error : 1σ of the forces, relative.
+    travel_error : 1σ of the travelled distance, relative; slip errs by it times 1 - |s|.
+    side_slip_error : 1σ of the side slip, relative.
+    sensitivity : How much of each variance comes from each measured quantity.
+    units : Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the
+        load); m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim (1 - v/rw), travel (rw/v - 1) or %.
     """
 
     rover: str | None = None

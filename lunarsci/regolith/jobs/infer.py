@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.options import request_of
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import (
     PredictedStates,
@@ -26,7 +27,7 @@ from lunarsci.regolith.jobs.identify import (
 )
 from lunarsci.regolith.prior import prior_hash, read_prior
 from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw, read_wheel
-from lunarsci.result import job, request_of
+from lunarsci.result import job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,16 +39,21 @@ class InferRequest(IdentifyRequest):
 
     Attributes
     ----------
-    prior : TOML file with priors in place of the lunar ones.
-    law : `given`, as the next options say, or `auto`, the one that predicts states left out best; None takes `auto`
-        where none of the next options is given, unless the forces were computed of a motion, by the closed form.
-    exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
-    shear, bulldozing, density [kg m^-3], gravity [m s^-2] : these choices.
-    contact : contact angles and the exponent's slope in skid are unknown too; by integration.
-    sample, profile : intervals by draws from the posterior, or by profile; a normal law where neither is set.
-    model_error : share of the load by which the law misses a force; None finds it from the residuals. [-]
-    predict : table of states whose forces the soil predicts.
-    predict_rover : their wheel; None for that of the states.
+    prior : Priors in place of the lunar ones.
+    law : Wheel-soil law: as the options say (given), or the one that predicts states left out best, with its scores
+        (auto); auto if none of `exact`, `shear`, `bulldozing` and `contact` is given.
+    exact : Integrate the stresses instead of Eqs 21-24.
+    shear : As in `regolith forces`.
+    bulldozing : As in `regolith forces`.
+    density : Soil density in kg/m³, for `bulldozing` and `law` auto.
+    gravity : Gravity in m/s², for `bulldozing` and `law` auto.
+    contact : Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.
+    sample : Draw from the posterior itself, not a normal law.
+    profile : Intervals by profile: the best of all else at each value.
+    model_error : Share of the load by which the model misses a force; found from the residuals if not given.
+    predict : Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known
+        sinkage_m.
+    predict_rover : Wheel of `predict`; that of the states if not given.
 
     Raises RequestError for options that exclude each other.
     """

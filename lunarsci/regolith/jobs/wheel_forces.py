@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.forces import MOST_COHESION, WheelForces, cohesion_share, warn_of_shear_sign
 from lunarsci.regolith.integrals import ContactForces, forces_by
@@ -28,7 +29,7 @@ from lunarsci.regolith.wheel import (
     read_wheel,
 )
 from lunarsci.regolith.written_names import written_for
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
@@ -66,17 +67,31 @@ class WheelForcesRequest:
 
     Attributes
     ----------
-    sinkage [m], load [N] : one of them; the sinkage under a load is solved for.
-    slip : slip ratio from -1 to 1, or FIRST:LAST:N for a curve of N of them. [-]
-    side_slip : within 90 deg. [deg]
-    rover, soil : names, or TOML files.
-    stiffness [kPa m^-N], exponent [-], cohesion [Pa], friction_angle [deg] : what is otherwise in the soil.
-    shear_modulus [mm], external_friction_angle [deg], lateral_modulus [mm] : likewise.
-    reading : sign convention of the longitudinal shear stress.
-    exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
-    shear, bulldozing, density [kg m^-3], gravity [m s^-2], rebound [-], rut [m], reload [N m^-3] : these choices.
-    slip_sinkage : how slip deepens the sinkage under a load of a wheel that does not slip.
-    reece_cohesive, reece_frictional : Reece's k_c' and k_phi', which then give the stiffness. [-]
+    sinkage : Sinkage in m, above 0, below the wheel radius.
+    load : Wheel load in N; the sinkage under it is solved for.
+    slip : Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N.
+    side_slip : Side slip angle in deg, within ±90.
+    rover : Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file.
+    soil : Soil: a name or a TOML file.
+    stiffness : K_s in kPa m^-N.
+    exponent : Sinkage exponent N.
+    cohesion : Cohesion c in Pa.
+    friction_angle : φ in deg.
+    shear_modulus : K_x in mm.
+    external_friction_angle : φ_y in deg.
+    lateral_modulus : K_y in mm.
+    reading : Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers.
+    exact : Integrate the stresses (Eqs 1-17) instead of Eqs 21-24.
+    shear : Strength along and across: each its own, or one shared along the velocity or the displacement.
+    bulldozing : Soil against the side face, by Hegedus or by passive pressure.
+    density : Soil density in kg/m³, for `bulldozing` and Reece's moduli.
+    gravity : Gravity in m/s², for `bulldozing` and Reece's moduli.
+    rebound : Share of the sinkage that springs back behind the wheel, 0-1.
+    rut : Depth in m to which a wheel before has pressed the soil; needs `reload`.
+    reload : Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.
+    slip_sinkage : With `load`: how slip deepens the sinkage of a wheel that does not slip.
+    reece_cohesive : Reece's k_c'; K_s then follows density and gravity.
+    reece_frictional : Reece's k_φ', with k_c'.
 
     Raises RequestError for options that exclude each other.
     """

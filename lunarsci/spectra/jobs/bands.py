@@ -10,8 +10,9 @@ from lunarsci.errors import Failure, RequestError
 from lunarsci.io.records import BLOCK_THINGS, Records, RecordsInBlocks, Where, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
+from lunarsci.options import request_of
 from lunarsci.parallel.checkpoint import spans
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
@@ -80,11 +81,13 @@ class BandsRequest:
 
     Attributes
     ----------
-    continuum : `conic` through 700, 1345 and 1580 nm, guarded; upper convex `hull`; `linear` between shoulders.
-    smooth_nm, smooth_order : width of the Savitzky-Golay window, 0 for none, and order of its polynomial. [nm, -]
-    smooth : the window in channels of a spectrum's median step, odd, instead.
-    wavelength_unit, reflectance_unit : used where a file states none.
-    id : the only spectra to take, by their names; all where none is given.
+    continuum : conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders.
+    smooth_nm : Savitzky-Golay window in nm, at most 300 (half of a band); 0 for none.
+    smooth : Window as an odd number of channels, of the median spacing, in place of `smooth_nm`.
+    smooth_order : Order of the smoothing polynomial.
+    wavelength_unit : Unit of the wavelengths.
+    reflectance_unit : Unit of the reflectance.
+    id : Take only this spectrum of the files, by its name. May be repeated.
     """
 
     continuum: Literal["conic", "hull", "linear"] = "conic"

@@ -9,7 +9,8 @@ from lunarsci.constants import PAPER
 from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, ParameterError
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.tables import table_hashes
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
@@ -37,12 +38,13 @@ class CalibrateRequest:
 
     Attributes
     ----------
-    photometry : disk function of the correction to i 30, e 0, g 30 deg; `none` keeps the measured angles.
-    phase : phase function, `sp-low`, `sp-mid`, `sp-high` or `flat`, or a table, as a file or in memory.
-    solar : irradiance, `e490` or `g173`, or a table of nm and W m-2 nm-1.
-    shadow : pixels with a lower reflectance factor at 465 nm are shadows, 0 to below 1. [-]
-    vnir_steps : whether the steps between the sub-bands of VNIR are kept or removed.
-    calibration : table of channel factors, for radiance from before the in-flight calibration.
+    photometry : Disk function of the correction to i 30, e 0, g 30 deg; none keeps the measured angles.
+    phase : Phase function: sp-low, sp-mid, sp-high, flat, or a CSV table.
+    solar : Solar irradiance: e490, g173, or a table of nm and W m-2 nm-1.
+    shadow : Pixels with less reflectance at 465 nm are shadows; 0 to below 1.
+    vnir_steps : Steps at 632.5 and 757.5 nm between sub-bands of the imager: keep or remove.
+    calibration : Channel factors for radiance from before the in-flight calibration (label version 1): CSV with
+        detector (vnir, swir), wavelength_nm, factor.
     """
 
     photometry: Literal["lommel-seeliger", "akimov", "mcewen", "none"] = "lommel-seeliger"

@@ -10,7 +10,8 @@ from lunarsci.errors import Failure, ParameterError, RequestError
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.records import Records, in_blocks
 from lunarsci.io.tables import table_hashes
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
@@ -44,16 +45,25 @@ class ModelRequest:
 
     Attributes
     ----------
-    assemblage : minerals joined by hyphens, such as `OL-OPX-CPX`, or `auto`.
-    continuum : polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic is one of the logarithm.
-    prior : whether priors count as measurements (`map`) or only shorten steps (`damping`), as in the RELAB program.
-    starts : starting points, beside a search around the lowest minimum.
-    composition : what is known of Fo, Fs, Wo, such as `fo=70:5`. [mol %]
-    start : file of the RELAB MGM program, instead of assemblage and continuum.
-    band_minerals : of the bands of `start`, by their number, such as `4=OPX,5=CPX`; beside what its comments name.
-    model_error : of ln R, what the model cannot explain, by default `expected_misfit`; a choice has its own. [-]
-    fix, bound, tie : `opx_1_center_nm=915`, `NAME=LOW:HIGH`, `NAME=K*OTHER+C`, one or more; NAME of `constrained`.
-    wavelength_unit, reflectance_unit : where an input does not state them. id : the only spectra to take, by name.
+    assemblage : Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the
+        most probable and names those that cannot be told apart (with its own model error, not `model_error`).
+    continuum : Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.
+    composition : What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.
+    start : Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of
+        `assemblage` and `continuum`; all channels are fitted.
+    band_minerals : Minerals of the bands of --start-file, by their number, for the ratios of strengths; a comment
+        behind the values of a band names one, too.
+    prior : map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.
+    model_error : Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default
+        0.003 and 4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.
+    starts : Starting points, beside a search around the lowest minimum.
+    fix : Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum,
+        whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.
+    bound : Keep a parameter within a range. May be repeated.
+    tie : Make a parameter follow another. May be repeated.
+    wavelength_unit : Unit of the wavelengths.
+    reflectance_unit : Unit of the reflectance.
+    id : Take only this spectrum of the files, by its name. May be repeated.
 
     Raises
     ------
@@ -121,9 +131,10 @@ class FitRequest(ModelRequest):
 
     Attributes
     ----------
-    errors : `laplace`, from the curvature; `profile` or `sample` for 68 and 95 % intervals as well.
-    continuum_spread : whether to fit under all continua, for the spread over them.
-    seed : of `sample`.
+    errors : laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by
+        refitting or by drawing from the posterior; seconds per spectrum.
+    continuum_spread : Fit under all continua but none, and report how far every value goes at most.
+    seed : Seed of `errors` sample.
     to_fit_file : whether a file of the RELAB MGM program is to be made of the fit, which must be possible then.
     """
 

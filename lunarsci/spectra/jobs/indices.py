@@ -10,7 +10,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.constants import SMOOTHING
 from lunarsci.errors import DataError, Failure, RequestError
 from lunarsci.io.records import Codes, Records
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.indices import INDICES, NO_CHANNELS, STATUSES, IndexColumn, index_arrays
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.spectrum import Spectrum
@@ -25,10 +26,11 @@ class IndicesRequest:
 
     Attributes
     ----------
-    index : names of `lunarsci.spectra.indices.INDICES`, all where left out.
-    smooth_nm : window of a Savitzky-Golay filter of order 2 before all, 0 for none. [nm]
-    wavelength_unit, reflectance_unit : used where a file states none.
-    id : the only spectra to take, by their names; all where none is given.
+    index : Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.
+    smooth_nm : Savitzky-Golay window in nm, of second order, before computing; 0 for none.
+    wavelength_unit : Unit of the wavelengths.
+    reflectance_unit : Unit of the reflectance.
+    id : Take only this spectrum of the files, by its name. May be repeated.
     """
 
     index: tuple[str, ...] = ()

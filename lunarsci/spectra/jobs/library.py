@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
 from lunarsci.io.inputs import read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, read_metadata, with_description
 from lunarsci.spectra.library.end_member import EndMember, library_pages, read_library, to_ecsv
 from lunarsci.spectra.readers.batch import expanded
@@ -23,9 +24,12 @@ class ImportRequest:
 
     Attributes
     ----------
-    mineral, source : of all spectra of which the metadata say nothing.
-    metadata : table by id of minerals, chemistry, grain sizes, sources and modes, as a file or in memory.
-    wavelength_unit, reflectance_unit : used where a file states none.
+    mineral : Mineral of all spectra that `metadata` does not name.
+    metadata : Table by id: mineral, fo, fs, en, wo, an (0 to 1), min_um, max_um, source; or, instead of the mineral,
+        modes vol_ol, vol_opx, vol_cpx, vol_plg and opx_fs, cpx_fs and the like. Mixtures are left out.
+    source : Where spectra come from whose source is unknown.
+    wavelength_unit : Unit of the wavelengths.
+    reflectance_unit : Unit of the reflectance.
     """
 
     mineral: Literal["olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other"] | None = (

@@ -12,9 +12,10 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.atomic import written_whole
 from lunarsci.io.tables import table_hashes
+from lunarsci.options import request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.cubes.blocks import Product, Tally, fetched, measured, warn_of_cost
 from lunarsci.spectra.cubes.cube import FLAGS, Cube
 from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, Layer, MapFile, backplane_layers

@@ -21,21 +21,32 @@ class MapRequest:
 
     Attributes
     ----------
-    products : of `PRODUCTS`, joined by commas.
-    roi, mask, every : which pixels, see `lunarsci.spectra.cubes.regions.region_of`.
-    band_continuum, smooth_nm : of bands, as `continuum` and `smooth_nm` of `lunarsci.bands`.
-    assemblage : the minerals of fit, OL-OPX-CPX where it is left out, and those that unmix weighs, and no
-        others; all four where it is left out.
-    continuum, model_error, starts : of fit, as `lunarsci.fit` has them.
-    neighbours, contest_every : whether a fit starts from those of its neighbours and takes theirs where they are
-        lower; every how many lines and samples all starts are tried. Without, all are tried everywhere.
-    kind : of unmix, as `lunarsci.unmix` has it.
-    both : whether unmix mixes end members too, in further layers, as `lunarsci.unmix` does where minerals are named.
-    craters : of match, as `lunarsci.match` has them.
-    single_precision : whether values are written with 24 bits instead of 53.
-    wavelengths, wavelength_unit, scale, ignore, saturated, locations : of the cube, where it does not say: a file of
-        wavelengths, their unit, what reflectances were multiplied by, the number for no value, the number from which on
-        a channel is saturated, a file of longitudes and latitudes.
+    products : What to measure, joined by commas: bands, indices, fit, unmix, match.
+    roi : Samples and lines x0:x1,y0:y1 from 0, ends left out; or a GeoJSON file of polygons in degrees.
+    mask : Image of the cube's size: pixels with 0 or no value are left out.
+    every : Every n-th line and sample only.
+    band_continuum : Continuum of the bands, as `continuum` of `spectra bands`.
+    smooth_nm : Smoothing window of the bands in nm.
+    assemblage : The minerals that there are, joined by hyphens: OL, OPX, CPX, PLG. unmix weighs these and no others,
+        without it all four; fit has their bands, without it those of OL-OPX-CPX.
+    continuum : Continuum of the fit, as `continuum` of `spectra fit`.
+    model_error : Model error of ln R; left out: that expected of each spectrum.
+    starts : Starting points of a fit.
+    neighbours : Fits start from those of their neighbours, and take theirs where they are lower; without, each pixel is
+        fitted alone, as `spectra fit` does it.
+    contest_every : Every Nth line and sample is fitted from all starting points, the others from their neighbours.
+    kind : Kind of target of unmix; auto: found in each pixel.
+    both : Of unmix: mix end members too in every pixel, and write shares by both methods beside those that networks
+        learned (share_olivine_both and so on), as `spectra unmix `assemblage`` gives them. Name the minerals: where
+        nothing is known of them networks alone are better. Slow: some 20 pixels a second and core.
+    craters : Table of craters of match, as `craters` of `spectra match`.
+    single_precision : Write values with 24 bits instead of 53: half the size.
+    wavelengths : Table of wavelengths, one a band; columns fwhm and good beside it.
+    wavelength_unit : Unit of the wavelengths.
+    scale : What reflectances were multiplied by, such as 10000; 100 for percent.
+    ignore : Number that stands for no value.
+    saturated : Number in the file from which on a channel is saturated.
+    locations : ENVI file of longitude and latitude of each pixel (M3: found beside it).
     """
 
     products: str = "bands,indices,fit"

@@ -12,8 +12,9 @@ from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
+from lunarsci.options import request_of
 from lunarsci.parallel.blocks import Progress
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.origin.assumptions import assumptions
 from lunarsci.spectra.origin.catalogue import (
     TABLE,
@@ -57,20 +58,34 @@ class MatchRequest:
 
     Attributes
     ----------
-    modes : `ol=0.2:0.05,opx=…`, share and error of two minerals or more. [-]
-    bands : `bc1000=930:5,…`, centres and errors. [nm]
-    kind : of target that its modes were unmixed from: errors are then at least those that were measured of it.
-    name : of that rock.
-    site : latitude and longitude where rocks were found, numbers or text; None for Chang'E-4's, which craters of one's
-        own refuse. [deg]
-    use : kind of composition that is compared.
-    systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
-    craters : table of candidates, as a file or in memory; None for those around Chang'E-4, for a site within 1,000 km.
-    mineral_map : `olivine=map.tif`, one a mineral, or one file that `spectra map` wrote of shares.
-    annulus : ring around a crater that is read there. [rim radii]
-    prior, ejecta_law, thickness_factor, surface_age, other, exposure : see
-        `lunarsci.spectra.origin.prior.PriorSettings`.
-    rock_life, rock_size, life_exponent, re_excavation, stirring, gardening, seed : likewise.
+    modes : Modes of a rock without a file: olivine, orthopyroxene, clinopyroxene, plagioclase (or ol, opx, cpx, plg);
+        two or more, compared as shares of those given.
+    bands : Its band centres, bc1000 and bc2000, in nm.
+    kind : Kind of target of `modes`; errors are raised to those known for this kind. Left out: errors as given.
+    name : Name of that rock.
+    site : Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; `craters` need it.
+    use : Which kind of composition is compared, where a crater has it.
+    systematic : What two methods disagree by in the share of a mineral, one standard deviation.
+    band_systematic : The same for band centres, in nm.
+    craters : Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, olivine,
+        olivine_sigma, …, bc1000_nm, bc1000_sigma_nm, …, source. Left out: the craters around Chang'E-4.
+    mineral_map : GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be
+        repeated. Or a file of `spectra map --products unmix`.
+    annulus : That ring, in rim radii.
+    prior : Prior of the craters. ejecta: by what each left at the site; uniform: all alike.
+    ejecta_law : Law of the ejecta's thickness, from the transient crater.
+    thickness_factor : Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.
+    surface_age : Age of the site's surface in Ma: ejecta of older craters lie below it. Left out: 3600 at Chang'E-4,
+        none elsewhere.
+    other : Prior probability that the rock is from none of the craters.
+    exposure : Rocks are destroyed at the surface.
+    rock_life : Median life of a 2 m boulder, in Ma.
+    rock_size : Size of the rock, in m.
+    life_exponent : Its life goes with this power of its size; assumed.
+    re_excavation : Buried ejecta are brought up again.
+    stirring : Factor on the local ground that falling ejecta stir up (Oberbeck).
+    gardening : Buried rock that small local craters keep at the surface, as a thickness in m; assumed.
+    seed : Seed of the draws for the prior.
     """
 
     modes: str | None = None

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
@@ -29,15 +30,19 @@ class SimulateVnisRequest:
 
     Attributes
     ----------
-    soil, rock : fractions of ol, opx, cpx, plg that add up to 1; no rock where None.
-    rock_radius : in the image; the short-wave detector sees 53.8. [px]
-    shadow : share of the image in shadow, 0 to below 1. [-]
-    incidence, emission, phase_angle : Sun and view from the normal, and the angle between them. [deg]
-    photometry, phase : disk function and phase function that the ground obeys.
-    noise : factor on the instrument's noise; 0 for none. [-]
-    time : of the short-wave scan, UTC, ISO 8601.
-    sequence : number of the observation, 1 to 9999.
-    seed : of texture, shadows and noise.
+    soil : Fractions of ol, opx, cpx, plg that add up to 1.
+    rock : The same for a rock in the image; none if left out.
+    rock_radius : Radius of the rock in px; the SWIR detector sees 53.8.
+    shadow : Share of the image in shadow, 0 to below 1.
+    incidence : Angle of the Sun from the normal in deg.
+    emission : Angle of the view from the normal in deg.
+    phase_angle : Angle between Sun and view in deg.
+    photometry : Disk function that the ground obeys; none for the same reflectance at all angles.
+    phase : Phase function that the ground obeys.
+    noise : Factor on the instrument's noise; 0 for none.
+    time : UTC time of the short-wave scan, ISO 8601.
+    sequence : Number of the observation.
+    seed : Seed of texture, shadows and noise.
     """
 
     soil: str = "ol=0.05,opx=0.20,cpx=0.20,plg=0.55"

@@ -14,7 +14,8 @@ from lunarsci.errors import DataError, Failure, ParameterError, RequestError, wa
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, reaches
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
@@ -61,16 +62,24 @@ class UnmixRequest:
 
     Attributes
     ----------
-    assemblage : the minerals that there are, and no others, joined by hyphens, such as `OL-OPX`; all four are weighed
-        where it is left out.
-    kind : of the target; `auto`: found for each spectrum, and weighed by its probability.
-    method : mixing law of end members, or both, weighted by their evidence.
-    library : file of end members, instead of the embedded ones.
-    together : whether all spectra are mixtures of the same powders, beside `assemblage`, `library` or `known`.
-    known : table of mixtures whose modes are known; implies `together`.
-    opaque, iron : whether there may be an opaque powder, or nanophase iron on all grains, beside the end members.
-    prior : of the shares; `powders`: the mixtures that networks learned from; `lunar-rocks`: rocks that were returned.
-    wavelength_unit, reflectance_unit : where an input does not state them. id : the only spectra to take, by name.
+    assemblage : The minerals that there are, and no others, joined by hyphens: OL, OPX, CPX, PLG. Shares are then
+        better by a fifth, since mixtures of end members take part. Without it all four are weighed.
+    kind : What is looked at: powder-mixture, minerals ground and mixed; dark-rock-powder, a rock with opaques, ground,
+        such as a chondrite; weathered-soil, which is not unmixed; solid-rock, which must be stated, since a rock looks
+        like the soil beside it. auto weighs each kind by its probability.
+    method : How end members mix: hapke, in the albedo of single scattering; absorbance, in -ln R; both, by evidence.
+    library : End members instead of the embedded ones; see `spectra library`.
+    together : With `assemblage` or `library`: take all spectra as mixtures of the same powders of minerals, which are
+        then found far better than one by one. Of rocks it changes nothing.
+    known : Table of id and one column per mineral, in shares of 1, of mixtures whose shares are known; an empty cell is
+        solved for, 0 means that the mineral is absent. Implies `together`.
+    opaque : There may be an opaque phase beside the end members, such as ilmenite.
+    iron : There may be nanophase iron on all grains: space weathering.
+    prior : What is expected before the spectrum is seen: powders, mixtures as the networks learned from; lunar-rocks,
+        rocks as were returned from the Moon, of which a solid rock (`kind` solid-rock) is likely one.
+    wavelength_unit : Unit of the wavelengths.
+    reflectance_unit : Unit of the reflectance.
+    id : Take only this spectrum of the files, by its name. May be repeated.
 
     Raises
     ------

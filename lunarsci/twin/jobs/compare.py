@@ -12,12 +12,13 @@ from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.questions import Question, asked_in
 from lunarsci.regolith.states import StateTable
 from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
@@ -55,12 +56,13 @@ class CompareRequest:
 
     Attributes
     ----------
-    positions : measured, as a table of time_s, x_m, y_m and their errors.
-    plan : that was driven; refused if another was predicted.
-    belief : whose discrepancy of the twin's physics learns from the miss.
-    rover : as it was predicted for; a name or a TOML file; None for the one that the prediction names.
-    seed : of the errors of measurement that are given to the members.
-    as_written : numbers of rover and states are meant as they are; nothing is asked about them.
+    positions : Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2.
+    plan : Plan that was driven (TOML): refused if another was predicted.
+    belief : Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.
+    rover : Rover: a name (yutu2, husky, rosey) or a TOML file.
+    seed : Seed of everything random.
+    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
+        likely in another unit is asked about, and the result is not to be trusted.
     """
 
     positions: str | Any | None = None

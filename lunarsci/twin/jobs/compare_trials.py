@@ -11,8 +11,9 @@ from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, Lunar
 from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes
+from lunarsci.options import request_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.drive_record import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
@@ -45,12 +46,13 @@ class TrialsRequest(CompareRequest):
 
     Attributes
     ----------
-    terrain : a file; None for the plane that the drive itself tells of in a public data set, else synthetic-longji.
-    height_unit : of the terrain's heights, in place of what its file states.
-    gravity : `moon`, `mars`, `earth` or a number in m/s2; None for that of a public data set, else the Moon's.
-    interpolation : of the ground between nodes, `smooth` or `triangles`.
-    soil : a name or a TOML file; a belief or samples, from which every member has its own; the priors if left out.
-    members : drives for each trial; 64 of a belief.
+    terrain : Terrain of the trials: a file, as of `twin states`.
+    height_unit : Unit of the terrain's heights, in place of what its file states.
+    gravity : Gravity: moon, mars, earth, or a number in m/s².
+    interpolation : Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).
+    soil : Soil that trials are predicted on: a name or a TOML file; or a belief (JSON) or samples (CSV), from which
+        every drive has its own. Repeatable.
+    members : Number of drives for each trial.
     """
 
     terrain: str | None = None

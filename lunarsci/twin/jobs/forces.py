@@ -8,7 +8,8 @@ import numpy as np
 
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.predict import DriveRequest, predict_drives
 from lunarsci.twin.jobs.soils import Soils

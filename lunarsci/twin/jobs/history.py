@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.belief_history import (
     BeliefDistance,
@@ -17,7 +18,7 @@ from lunarsci.regolith.belief_history import (
     rolled_back,
 )
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.twin.jobs.given_soil import doubt_of
 
 if TYPE_CHECKING:
@@ -48,8 +49,8 @@ class HistoryRequest:
 
     Attributes
     ----------
-    against : another belief to set beside it, as a file or in memory.
-    rollback : go back to what was believed after so many drives; 0 is the priors.
+    against : Another belief (JSON) to set beside it, parameter by parameter.
+    rollback : Go back to what was believed after N drives; 0: the priors.
     """
 
     against: str | Any | None = None

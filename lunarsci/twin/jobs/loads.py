@@ -10,9 +10,10 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.io.tables import csv_bytes
+from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.forces import load_record
@@ -55,16 +56,17 @@ class LoadsRequest(RoverOnGround):
 
     Attributes
     ----------
-    member : which drive of the motion's file, where it has several.
-    soil : one soil, in place of the terrain's: a name or a TOML file.
-    states : measured wheel states that get the forces.
-    belief : what is believed of the soil; the priors if None.
-    draws : soils and motions to draw; 64 if None.
-    correlation : distance over which the motion's errors stay alike; from the slips' errors, or 0.5, if None. [m]
-    balance_error : of the balance of forces, as a share of the weight; 0.005 if None. [-]
-    iterate : rounds, at most, of forces and soil in turn; needs states with sinkages.
-    seed : of everything random; None is 0.
-    as_written : numbers of soil, rover and terrain are meant as they are; nothing is asked about them.
+    member : Which member of the motion's file, where it has several.
+    soil : One soil, in place of the terrain's: a name or a TOML file.
+    states : Measured wheel states (CSV: time_s, wheel, sinkage_m, slip_ratio, ...) that get the forces.
+    belief : What is believed of the soil (JSON of `twin update`); the priors if left out.
+    draws : Soils and motions to draw; 64 if left out.
+    correlation : Distance in m over which the motion's errors stay alike; from the slips' errors, or 0.5, if left out.
+    balance_error : Error of the balance of forces as a share of the weight; 0.005 if left out.
+    iterate : Rounds, at most, of forces and soil in turn: needs `states` with sinkages.
+    seed : Seed of everything random; 0 if left out.
+    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
+        likely in another unit is asked about, and the result is not to be trusted.
     """
 
     member: int | None = None

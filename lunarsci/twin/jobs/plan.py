@@ -4,7 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 from lunarsci.errors import RequestError
-from lunarsci.result import job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import job
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.keep_out import near_way

@@ -34,34 +34,31 @@ class PlanRequest(GroundRequest):
 
     Attributes
     ----------
-    target : x, y, and the heading there where it matters; numbers, or a text of them with commas. [m, m, deg]
-    start : x, y, heading of the rover; or where a drive ended: the folder of `states` or `predict`, or a table of
-        x_m, y_m, yaw_deg such as motion.csv, whose last row is taken. [m, m, deg]
-    speed : of the drive; the rover's highest where it is None. [m/s]
-    turning_radius, hazard_distance : limits in place of the rover's: smallest radius of an arc, and distance to keep
-        from hazards and holes. [m]
-    lonlat : start and target are longitude to the east and latitude, of a terrain with a coordinate system. [deg]
-    soil : in place of the terrain's: a name or a TOML file; with `risk` also a file from which every drive has a soil
-        of its own, as `predict` takes it.
-    risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
-        cheapest path on the maps. [-]
-    prefer : of drives that keep the risk that with the least energy, length, time or risk.
-    sweep : with `risk`: NAME=LOW:HIGH:N, uncertain parameters; those of the embedded plan where no soil is given.
-    members : with `risk`: soils on which all candidates are driven; 64 where it is None.
-    tolerance : with `risk`: distance of the end from the target that counts as there; the limit of the embedded plan
-        where it is None. [m]
-    candidates : with `risk`: drives that are compared, at most; 50 where it is None.
-    fixes : with `risk`: M,DEG, standard errors of localisation updates, where drives may halt for some.
-    exact_terrain : with `risk`: leave out that each drive has a ground of its own where the terrain's file says how far
-        its heights may be off.
-    charge : with `risk` or a mission: of the battery at the start, 0 to 1; then the battery is a limit, and `sun` also
-        lights the panels. [-]
-    limits : TOML file with [limits] that drives are judged by, such as a plan; what it leaves out, and all of it where
-        it is None, is as of the rover and the embedded plan.
-    local : files of finer terrains, in the first one's coordinates, that stand in its place where they are known: for
-        ways and, with `risk` or a mission, for the drives.
-    mission : TOML file of several targets with keep-outs, time and windows of communication, instead of a target;
-        reached by legs with localisation between, over the soils; `risk` is then that of the whole, 0.05 if None.
+    target : Where to plan a path to, in m; with the heading there, in deg.
+    start : Pose of the rover, in m and deg; or where a drive ended: the folder of `twin states` or `twin predict`, or a
+        motion.csv.
+    speed : Speed in m/s; the rover's highest if left out.
+    turning_radius : Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.
+    hazard_distance : Distance to keep from hazards and holes, in m.
+    lonlat : Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.
+    soil : Soil, in place of the terrain's: a name or a TOML file. With `risk` a file from which each drive has its own,
+        as of `twin predict`: a belief of `twin update` or its map (JSON), or CSV.
+    risk : Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at
+        most this, such as 0.05.
+    prefer : Of drives that keep the risk the one with the least of this.
+    sweep : Uncertain soil parameter, repeatable; those of the embedded plan where no soil is given.
+    members : Soils on which all are driven; the best again on twice as many.
+    tolerance : Distance in m of the end from the target that counts as there.
+    candidates : Drives to compare, at most.
+    fixes : Let drives halt for localisation updates, with these standard errors and the standstill in s that each
+        takes.
+    exact_terrain : Drive on the likely ground, not on one that is drawn for each drive.
+    charge : Charge of the battery at the start, 0 to 1; the battery is a limit then, and `sun` also lights the panels.
+    limits : TOML file with the mission's limits, such as a plan; risk is counted against them, and they go into the
+        plan. What it leaves out is as assumed of the rover.
+    local : Finer terrain in the same coordinates, looked at in place of the first one where it is known; repeatable.
+    mission : Reach several targets by legs: TOML file with tables target, fixes, keep_out and window, and
+        time_budget_s.
     """
 
     target: Place = ""

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.io.tables import csv_bytes
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.questions import Question
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.hazards import read_mobility
@@ -45,14 +46,17 @@ class DriveRequest(RoverOnGround):
 
     Attributes
     ----------
-    soil : in place of the terrain's: a name or a TOML file; a file of samples (CSV), a belief or a soil map (JSON),
-        from which every drive has a soil of its own; or a name, and samples that lack some of its parameters.
-    sweep : NAME=LOW:HIGH:N, uncertain parameters in place of the plan's sweeps.
-    members : drives: samples of the ranges instead of the grid of all their values, or draws; 64 of a belief.
-    fixes : M,DEG, standard errors of localisation updates after each leg, in place of the plan's.
-    seed : of everything random; None is 0.
-    time_step : longest time step. [s]
-    sample : distance between recorded states. [m]
+    soil : Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with
+        a row each, a belief of `twin update` or its map (JSON), from which 64 are drawn unless `members` is given; or
+        `priors`, or a file of `template prior`: what is believed before any drive. Repeatable: a name beside a CSV that
+        lacks parameters.
+    sweep : Uncertain soil parameter, repeatable; replaces the plan's sweeps.
+    members : Number of drives: samples of the ranges instead of the grid of all values, or draws.
+    fixes : Position fixes after each leg: standard errors in position and heading, and the standstill in s that each
+        takes.
+    seed : Seed of everything random.
+    time_step : Longest time step in s.
+    sample : Distance between recorded states in m.
     """
 
     soil: tuple[str, ...] = ()
@@ -70,9 +74,9 @@ class PoweredRequest(DriveRequest):
 
     Attributes
     ----------
-    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon, or TIME@LONGITUDE,LATITUDE (UTC) where x
-        is east and y north; for panels and battery. [deg]
-    charge : of the battery at the start, 0 to 1, full if None; with it or `sun` the battery is a limit. [-]
+    sun : Direction of the Sun in deg, azimuth from x towards y (as headings) and elevation over the horizon; or time
+        (UTC) and place, TIME@LON,LAT, where x is east and y north. Adds panels, shadow of the terrain and the battery.
+    charge : Charge of the battery at the start, 0 to 1; adds electrical power and the battery.
     """
 
     sun: str | None = None
@@ -100,13 +104,18 @@ class PredictRequest(PoweredRequest):
 
     Attributes
     ----------
-    ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
-    before : a plan that was driven on the same ground before.
-    exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
-        may be off, or where its nodes lie wider apart than a wheel is large.
-    keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
-    as_written : numbers of soil, rover and terrain are meant as they are; nothing is asked about them.
-    risk : chance of failing that is accepted, in place of the plan's; None for the plan's, or for the rule of `judge`.
+    ruts : Whether wheels meet the ruts that others, and they themselves, left. With `soil` of a belief as its last
+        drive did, else no, if left out.
+    before : A plan that was driven on the same ground before; its ruts are met, too.
+    exact_terrain : Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an
+        elevation model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes
+        lie wider apart than a wheel is large.
+    keep_out : Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it;
+        repeatable.
+    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
+        likely in another unit is asked about, and the result is not to be trusted.
+    risk : Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both
+        95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.
     """
 
     ruts: bool | None = None

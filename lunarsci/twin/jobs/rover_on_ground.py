@@ -11,11 +11,12 @@ class RoverOnGround:
 
     Attributes
     ----------
-    rover : name or TOML file; Yutu-2 where it is None.
-    terrain : `synthetic-longji`, which is taken where it is None, or a file.
-    height_unit : of the terrain's heights, in place of what its file states; None for that, and m where it states none.
-    gravity : `moon`, which is taken where it is None, `mars`, `earth` or a number in m/s2.
-    interpolation : of the ground between nodes, `smooth` or `triangles`.
+    rover : Rover: a name (yutu2, small-four) or a TOML file.
+    terrain : Terrain: synthetic-longji, or a file (.npz, GeoTIFF, PDS3, PDS4, ISIS, netCDF, ESRI ASCII .asc, CSV of
+        nodes).
+    height_unit : Unit of the terrain's heights, in place of what its file states.
+    gravity : Gravity: moon, mars, earth, or a number in m/s².
+    interpolation : Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).
     """
 
     rover: str | None = None

@@ -10,7 +10,8 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.io.tables import csv_bytes
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 from lunarsci.twin.judgement.tables import state_table
@@ -32,14 +33,17 @@ class SimulateDriveRequest(RoverOnGround):
 
     Attributes
     ----------
-    ruts, before : as of `PredictRequest`.
-    soil : the true one, in place of the terrain's: a name or a TOML file.
-    fix_distance : way between localised positions. [m]
-    fix_sigma : their standard error in x and in y; None is a third of 4 % of the way between them. [m]
-    yaw_sigma : standard error of the heading, assumed. [deg]
-    track_sigma : standard error of the track's depth. [m]
-    seed : of the errors, also of those of the plan's position fixes.
-    time_step, sample : longest time step, and way between rows. [s], [m]
+    soil : The true soil, in place of the terrain's: a name or a TOML file.
+    ruts : Whether wheels meet the ruts that others, and they themselves, left. With `soil` of a belief as its last
+        drive did, else no, if left out.
+    before : A plan that was driven on the same ground before; its ruts are met, too.
+    fix_distance : Way between localised positions in m.
+    fix_sigma : Their standard error in m, in x and in y; a third of 4 % of the way between them by default.
+    yaw_sigma : Standard error of the heading in degrees; assumed.
+    track_sigma : Standard error of the track's depth in m.
+    seed : Seed of everything random.
+    time_step : Longest time step in s.
+    sample : Way between rows of telemetry in m.
     """
 
     soil: str | None = None

@@ -12,8 +12,9 @@ from lunarsci.errors import RequestError
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import Source, open_input, read_input
 from lunarsci.io.tables import csv_bytes
+from lunarsci.options import request_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.drives.layouts import read_public_drive
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import read_terrain
@@ -43,12 +44,16 @@ class StatesRequest(RoverOnGround):
 
     Attributes
     ----------
-    positions : from localisation, as a table of time_s, x_m, y_m and their errors, in place of those in the telemetry.
-    track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
-    since, until : rows whose time_s is before or after are left out; None takes all. [s]
-    start_time : time_s of the start of the plan, by the clock of telemetry and `positions`, such as seconds since 1970;
-        rows before are left out. None takes that at which the commands are those of the plan. [s]
-    lag : by how much positions, headings and attitude are later than the columns of the wheels; they are put back. [s]
+    positions : Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or
+        xx_m2, xy_m2, yy_m2, with xx_before_m2 and so on where errors are correlated. They replace the telemetry's.
+    track : Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the
+        wheels and as near to each other; or the terrain after the drive. No sinkage without it.
+    since : Rows with a time_s before this are left out, such as those of earlier drives.
+    until : Rows with a time_s after this are left out.
+    start_time : time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970.
+        Rows before it are left out. Without it the start is where the commands are those of the plan.
+    lag : By how much positions, headings and attitude are later than the columns of the wheels, as of another clock or
+        of wheels that follow commands late; they are put back by it. Result and findings say what the drive tells.
     """
 
     positions: str | Any | None = None

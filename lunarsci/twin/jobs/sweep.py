@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.constants import PAPER
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.options import request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.designs.trade import (
     Design,
     Variation,
@@ -38,9 +39,12 @@ class SweepRequest(PoweredRequest):
 
     Attributes
     ----------
-    vary : NAME=LOW:HIGH:N, numbers of the rover file as TABLE.KEY (`.x`, `.y`, `.z` of a vector), or plan.speed_m_s.
-    designs : Latin-hypercube samples of the ranges instead of the grid of all their values.
-    exact_terrain : drive on the likely ground, although the elevation model says how far it may be off.
+    vary : Number of the rover file, TABLE.KEY (with .x, .y or .z of a vector), or plan.speed_m_s; repeatable: the grid
+        of all values.
+    designs : Number of designs: Latin-hypercube samples of the ranges instead of the grid.
+    exact_terrain : Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an
+        elevation model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes
+        lie wider apart than a wheel is large.
     """
 
     vary: tuple[str, ...] = ()

@@ -9,9 +9,10 @@ from lunarsci.heights.projections import lonlat_of, told_of
 from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
+from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription, made_for, read_rover
 from lunarsci.twin.ground import synthetic
 from lunarsci.twin.ground.cost_layers import CostLayer, parse_classes, parse_cost, read_cost_layer, shadow_layer
@@ -65,17 +66,27 @@ class GroundRequest:
 
     Attributes
     ----------
-    rover, gravity, height_unit : as in `RoverOnGround`.
-    baseline : side of the square whose slope is measured; the rover's where it is None. [m]
-    max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
-    seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
-        height of waves of 0.4 to 4 m [m].
-    keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
-    layer : rasters on any grid of factors on the cost of a metre; of classes where `classes` are given.
-    classes : VALUE=COST of the layers' classes, COST a factor or `forbidden`.
-    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon. [deg]
-    shadow_cost : factor on the cost of a metre in shadow, or `forbidden`.
-    extent, ground_slope, craters : of `synthetic` alone: side of the square [m], slope along x [deg], craters.
+    rover : Rover: a name (yutu2, small-four) or a TOML file.
+    height_unit : Unit of the terrain's heights, in place of what its file states.
+    gravity : Gravity: moon, mars, earth, or a number in m/s².
+    baseline : Side in m of the square whose slope is measured; the rover's by default.
+    max_slope : Steepest slope, in deg.
+    max_step : Highest step, in m.
+    max_roughness : Largest roughness, in m.
+    seed : Seed.
+    spacing : Grid spacing, in m.
+    rocks : Share of ground under rocks; 0.0021 at Chang'E-4.
+    roughness : Rms height of waves of 0.4 to 4 m, in m.
+    extent : Side of the square in m; not of Longji.
+    ground_slope : Slope along x in deg; not of Longji.
+    craters : Number of craters; not of Longji.
+    keep_out : Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it;
+        repeatable.
+    layer : Raster on any grid (GeoTIFF, .asc, .npz, .csv) of factors on the cost of a metre, or with --class of classes
+        of ground; repeatable.
+    classes : What a class of the layers costs: a factor, or forbidden; repeatable.
+    sun : Direction of the Sun in deg, from x towards y and over the horizon: shadows go to the maps.
+    shadow_cost : With `sun`, factor on the cost of a metre in shadow, or forbidden.
     """
 
     rover: str | None = None
@@ -147,7 +158,7 @@ class TerrainRequest(GroundRequest):
 
     Attributes
     ----------
-    soil : in place of the terrain's: a name or a TOML file.
+    soil : With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.
     """
 
     soil: str | None = None

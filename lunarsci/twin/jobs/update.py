@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.figure import as_label
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import contact_rows, parameter_rows, with_drive
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.regolith.questions import asked_in
-from lunarsci.result import MadeFrom, Result, job, request_of
+from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
@@ -40,16 +41,18 @@ class UpdateRequest(RoverOnGround):
 
     Attributes
     ----------
-    plan : that was driven, the embedded one if None.
-    positions : from localisation, as a table of time_s, x_m, y_m, sigma_m.
-    soil : what was believed before: a belief, or a soil map; the priors if None.
-    forget : share of the way back to the first priors, for ground further on, 0 to 1. [-]
+    plan : Plan that was driven (TOML); the embedded one if left out.
+    positions : Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.
+    soil : What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left
+        out.
+    forget : Share of the way back to the first priors, for ground further on.
     by_place : whether the soil is kept by place, as it is where `soil` is a map.
-    correlation : distance over which soils are alike; the map's, or 5, if None. [m]
-    particles : soils that carry the belief, 32 or more.
-    ruts : whether wheels met the ruts of others; None takes what explains the drive better.
-    seed : of everything random.
-    as_written : numbers of rover, terrain and states are meant as they are; nothing is asked about them.
+    correlation : Distance in m over which soils are alike; the map's, or 5, if left out.
+    particles : Soils that carry the belief.
+    ruts : Whether wheels met the ruts of others; as explains the drive better, if left out.
+    seed : Seed of everything random.
+    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
+        likely in another unit is asked about, and the result is not to be trusted.
     """
 
     plan: str | Any | None = None

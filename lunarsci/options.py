@@ -1,0 +1,115 @@
+"""The options of a request: their meanings, from its docstring, and what they can be, by their types."""
+
+import dataclasses
+import inspect
+import os
+import re
+from collections.abc import Mapping
+from textwrap import fill
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from lunarsci.errors import RequestError
+from lunarsci.names import one_of
+
+Request = TypeVar("Request")
+_ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
+PLAIN = {str: (str, os.PathLike), int: (int,), float: (int, float), bool: (bool,), NoneType: (NoneType,)}
+"""Plain types of options, and what counts as one of them."""
+WORDS = {str: "text", int: "a whole number", float: "a number", bool: "True or False"}
+
+TYPED = {
+    "boulders": "rocks",
+    "class": "classes",
+    "crater_count": "craters",
+    "crater_prior": "prior",
+    "draw_posterior": "sample",
+    "exact_rig": "exact",
+    "minerals": "soil",
+    "pattern": "target",
+    "prior_file": "prior",
+    "rays": "samples",
+    "rock_density": "rocks",
+    "roughness_factor": "roughness",
+    "scattering": "law",
+    "shadow_share": "shadow",
+    "start_file": "start",
+}
+"""Options that the command line has under another name: as typed there, and the name in Python."""
+
+
+def meanings(kind: type) -> dict[str, str]:
+    """What each option of a request means, by its name: from its docstring, before those of the requests it extends."""
+    entries: dict[str, str] = {}
+    for request in reversed(kind.__mro__):
+        section = _ATTRIBUTES.search(inspect.getdoc(request) or "") if dataclasses.is_dataclass(request) else None
+        for entry in re.split(r"\n(?=\S)", section[1]) if section else ():
+            name, _, text = entry.partition(" : ")
+            entries[name] = " ".join(text.split())
+    return entries
+
+
+def choices_of(hint: Any) -> list[Any]:
+    """The values that a type hint names, in its order.
+
+    >>> choices_of(Literal["hull", "conic"] | None)
+    ['hull', 'conic']
+    """
+    return [one for kind in (hint, *get_args(hint)) if get_origin(kind) is Literal for one in get_args(kind)]
+
+
+def check_option(name: str, value: Any, hint: Any) -> None:
+    """RequestError for a value that is none of an option's choices, or of another type than its plain ones."""
+    kinds = get_args(hint) if isinstance(hint, UnionType) or NoneType in get_args(hint) else (hint,)
+    if get_origin(hint) is tuple and not isinstance(value, tuple | list):
+        raise RequestError(f"`{name}` is {value!r:.60}; give one text, or several in a list")
+    choices, others = choices_of(hint), [kind for kind in kinds if get_origin(kind) is not Literal]
+    if any(kind not in PLAIN for kind in others) or any(
+        isinstance(value, PLAIN[kind]) and (kind is bool or not isinstance(value, bool)) for kind in others
+    ):
+        return
+    if not choices:
+        raise RequestError(f"`{name}` is {value!r:.60}; give {' or '.join(WORDS[k] for k in others if k in WORDS)}")
+    if not any(value is one or (type(value) is type(one) and value == one) for one in choices):
+        raise RequestError(f"`{name}` is {value!r:.60}; {one_of(str(value), [str(one) for one in choices])}")
+
+
+def as_meant(value: Any, hint: Any) -> Any:
+    """A whole number as a real one, and one text as the only one of several, where that is meant."""
+    if get_origin(hint) is tuple and isinstance(value, str):
+        return (value,)
+    if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
+        value = value.item()
+    real = float in (hint, *get_args(hint))
+    return float(value) if real and isinstance(value, int) and not isinstance(value, bool) else value
+
+
+def options_text(kind: type) -> str:
+    """The options of a request with their meaning, from its docstring and those that it extends, and their defaults."""
+    requests = [one for one in reversed(kind.__mro__) if dataclasses.is_dataclass(one)]
+    sections = [section[1] for one in requests if (section := _ATTRIBUTES.search(inspect.getdoc(one) or ""))]
+    defaults = [f"{item.name}={item.default!r}" for item in dataclasses.fields(kind)]
+    named = {name: choices_of(hint) for name, hint in get_type_hints(kind).items()}
+    choices = [f"{name}: {', '.join(map(repr, values))}" for name, values in named.items() if values]
+    closing = [f"By default {', '.join(defaults)}.", *([f"Choices of {'; '.join(choices)}."] if choices else [])]
+    lines = (fill(line, 112, break_on_hyphens=False, break_long_words=False) for line in closing)
+    return "\n".join(["Other Parameters", "----------------", *sections, "", *lines])
+
+
+def request_of(kind: type[Request], request: Request | None, options: Mapping[str, Any]) -> Request:
+    """A request, or the one with all defaults, with some options replaced.
+
+    Raises RequestError for a name that is none of its options, and for a value that an option cannot have.
+    """
+    names = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    if wrong := next((name for name in options if name not in names), None):
+        other = TYPED.get(wrong)
+        if other in names:
+            raise RequestError(f"'{wrong}' is how the command line has `{other}`; give that name in Python")
+        raise RequestError(f"'{wrong}' is no option here; {one_of(wrong, sorted(names))}")
+    hints = get_type_hints(kind)
+    meant = {name: as_meant(value, hints[name]) for name, value in options.items()}
+    given = meant if request is None else {name: getattr(request, name) for name in names} | meant
+    for name, value in given.items():
+        check_option(name, value, hints[name])
+    return kind(**meant) if request is None else dataclasses.replace(request, **meant)  # type: ignore[type-var]
