@@ -1,14 +1,19 @@
 """`lunarsci doctor`: whether lunarsci works here."""
 
-import typer
+from __future__ import annotations
 
-from lunarsci.guide.doctor import HealthReport
+from typing import TYPE_CHECKING
+
+import typer
 
 from .shared.command import command
 from .shared.options import Output
 from .shared.progress import progress
 from .shared.report import Report
 from .shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.guide.doctor import HealthReport
 
 
 def add_to(app: typer.Typer) -> None:

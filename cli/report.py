@@ -1,21 +1,24 @@
 """`lunarsci report`: one page of several results."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.pages.job import ReportedResults, ReportRequest
+from lunarsci.pages.requests import ReportRequest
 
 from .shared.command import command
 from .shared.options import option
 from .shared.report import Report
 from .shared.table import TextTable
 
+if TYPE_CHECKING:
+    from lunarsci.pages.job import ReportedResults
+
 OPTIONS = {
     "title": option(),
-    "terrain": option(
-        metavar="FILE",
-    ),
+    "terrain": option(metavar="FILE"),
 }
 Results = Annotated[
     list[str],

@@ -1,9 +1,12 @@
 """`lunarsci reproduce`: the published numbers beside ours."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import typer
 
-from lunarsci.reproduce.job import ReproduceRequest, Reproduction
-from lunarsci.reproduce.numbers import Number
+from lunarsci.reproduce.requests import ReproduceRequest
 
 from .shared.command import command
 from .shared.options import SPREAD, Output, option
@@ -11,12 +14,13 @@ from .shared.progress import progress
 from .shared.report import Report
 from .shared.table import TextTable
 
+if TYPE_CHECKING:
+    from lunarsci.reproduce.job import Reproduction
+    from lunarsci.reproduce.numbers import Number
+
 OPTIONS = {
     "part": option(),
-    "rocks": option(
-        "--boulders",
-        metavar="FILE",
-    ),
+    "rocks": option("--boulders", metavar="FILE"),
     "rover": option(show_default="yutu2"),
 }
 TITLES = {"spectra": "The rock", "soil": "The soil", "drive": "The drive"}

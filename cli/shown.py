@@ -1,15 +1,20 @@
 """A result as its command would show it: for `print` in Python, and for a notebook."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from html import escape
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
-from lunarsci.result import Result
 
 from .shared.layout import terminal_width
 from .shared.printing import render
 from .shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.result import Result
 
 COMMAND_OF = {
     "Calibrations": "spectra.calibrate",

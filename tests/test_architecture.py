@@ -20,6 +20,7 @@ SHARED = {
     "spectra_data",
     "result",
     "names",
+    "options",
     "printable",
     "sun",
     "io",

@@ -29,7 +29,7 @@ import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.inputs import read_input
 from lunarsci.options import TYPED, request_of
-from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
+from lunarsci.regolith.jobs.requests import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, _column
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +45,15 @@ WITH_DASHES = {
 
 @dataclass(frozen=True)
 class Asked:
+    """What is asked.
+
+    Attributes
+    ----------
+    load_n : Load on the wheel, in N.
+    ties : Bands that share a centre.
+    exact : With the integrals, whatever `load_n` is.
+    """
+
     load_n: float = 20.0
     ties: tuple[str, ...] = ()
     exact: bool = False
@@ -206,14 +215,14 @@ def test_a_command_takes_the_fields_of_a_request() -> None:
     app = typer.Typer()
     seen = []
 
-    @command(
-        app, "try", request=Asked, options={"load_n": option("Load."), "ties": option("Tie."), "exact": option("")}
-    )
+    @command(app, "try", request=Asked, options={"load_n": option(), "ties": option(), "exact": option()})
     def run(request: Asked) -> Report:
         seen.append(request)
         return Report.of(Found(request.load_n, "x"), [])
 
     runner = CliRunner()
+    help_text = " ".join(runner.invoke(app, ["--help"]).output.replace("│", " ").split())
+    assert "Load on the wheel, in N." in help_text and "whatever --load-n is." in help_text
     assert runner.invoke(app, ["--load-n", "7", "--ties", "a", "--ties", "b", "--exact", "--json"]).exit_code == 0
     assert runner.invoke(app, ["--json"]).exit_code == 0
     assert seen == [Asked(7.0, ("a", "b"), True), Asked()]

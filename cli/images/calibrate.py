@@ -1,12 +1,13 @@
 """`lunarsci images calibrate`: cameras from pictures of a board."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.images.calibration import pictures_matching
-from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest, CalibratedCameras, calibrate_cameras
+from lunarsci.images.jobs.requests import CalibrateCamerasRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -14,6 +15,9 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .cameras import SHOWN, number
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.calibrate_cameras import CalibratedCameras
 
 BOARD = "Board"
 OPTIONS = {
@@ -55,6 +59,9 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     the rig is written with its covariance as `images dem` reads it. The picture of --plot shows residuals, and how
     uncertain directions are. Where the pictures leave focal length or baseline open, the exit code is 3.
     """
+
+    from lunarsci.images.calibration import pictures_matching
+    from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras
 
     with progress("looking for the board", quiet=output.quiet) as update:
         found = calibrate_cameras(

@@ -1,17 +1,22 @@
 """`lunarsci images cameras`: what is known of cameras."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.images.jobs.cameras import CameraSheet, CamerasRequest
+from lunarsci.images.jobs.requests import CamerasRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.cameras import CameraSheet
 
 OPTIONS = {
     "disparity_error": option(),

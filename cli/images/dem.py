@@ -1,13 +1,14 @@
 """`lunarsci images dem`: heights from a pair of pictures."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
-from lunarsci.images.jobs.dem import DemRequest, StereoTerrain
+from lunarsci.images.jobs.requests import DemRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -15,14 +16,12 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
 
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.dem import StereoTerrain
+
 OPTIONS = {
-    "rig": option(
-        metavar="RIG",
-    ),
-    "pose": option(
-        metavar="FILE",
-        show_default="ground near the rover taken as level",
-    ),
+    "rig": option(metavar="RIG"),
+    "pose": option(metavar="FILE", show_default="ground near the rover taken as level"),
     "spacing": option(),
     "nearest": option(show_default="from rig and pose"),
     "farthest": option(show_default="where its error is three cells"),
@@ -56,6 +55,8 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
 
 
 def _content(found: StereoTerrain, path: Path) -> Callable[[], bytes]:
+
+    from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
 
     return lambda: elevation_bytes(found.model) if path.suffix == ".npz" else elevation_geotiff(found.model)
 

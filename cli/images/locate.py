@@ -1,10 +1,12 @@
 """`lunarsci images locate`: where stations were, from their pictures."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.images.jobs.locate import LocatedStations, LocateRequest
+from lunarsci.images.jobs.requests import LocateRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -12,13 +14,13 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.locate import LocatedStations
+
 ERRORS = "Errors before the pictures (assumed)"
 OPTIONS = {
     "rig": option(metavar="RIG"),
-    "mast": option(
-        kind=str | None,
-        metavar="X,Y,Z",
-    ),
+    "mast": option(kind=str | None, metavar="X,Y,Z"),
     "drift": option(panel=ERRORS),
     "heading_error": option(panel=ERRORS),
     "tilt_error": option(panel=ERRORS),

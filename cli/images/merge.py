@@ -1,11 +1,13 @@
 """`lunarsci images merge`: elevation models of several stations as one map."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.images.jobs.merge import MergedStations, MergeRequest
+from lunarsci.images.jobs.requests import MergeRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -13,11 +15,11 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.merge import MergedStations
+
 OPTIONS = {
-    "positions": option(
-        kind=str | None,
-        metavar="FILE",
-    ),
+    "positions": option(kind=str | None, metavar="FILE"),
     "spacing": option(),
 }
 Elevations = Annotated[

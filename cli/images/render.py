@@ -1,16 +1,21 @@
 """`lunarsci images render`: SYNTHETIC pairs of pictures."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.images.jobs.render import RenderRequest, SyntheticPair
+from lunarsci.images.jobs.requests import RenderRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.render import SyntheticPair
 
 CAMERA, GROUND, LIGHT = "Camera", "Ground", "Light"
 OPTIONS = {
@@ -25,10 +30,7 @@ OPTIONS = {
     "exact": option("--exact-rig", panel=CAMERA),
     "spacing": option(panel=GROUND),
     "rocks": option("--rock-density", panel=GROUND),
-    "roughness": option(
-        "--roughness-factor",
-        panel=GROUND,
-    ),
+    "roughness": option("--roughness-factor", panel=GROUND),
     "track": option(panel=GROUND),
     "track_width": option(panel=GROUND),
     "seed": option(panel=GROUND),

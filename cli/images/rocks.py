@@ -1,11 +1,13 @@
 """`lunarsci images rocks`: rocks in an elevation model."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.images.jobs.rocks import RockList, RocksRequest
+from lunarsci.images.jobs.requests import RocksRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -13,6 +15,9 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .track import Elevation
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.rocks import RockList
 
 OPTIONS = {
     "largest": option(),

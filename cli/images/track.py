@@ -1,16 +1,21 @@
 """`lunarsci images track`: how deep a track is, and the sinkage that follows."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.images.jobs.track import TrackRequest, TrackSinkage
+from lunarsci.images.jobs.requests import TrackRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.track import TrackSinkage
 
 TRACK, ERRORS = "Track and wheel", "Errors (assumed)"
 OPTIONS = {

@@ -1,17 +1,22 @@
 """`lunarsci regolith compare`: the site beside other soils."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.compare import WORDS, SoilComparison, nearest
-from lunarsci.regolith.jobs.compare_soils import ComparedSoils, CompareSoilsRequest, compare_soils
+from lunarsci.regolith.jobs.requests import CompareSoilsRequest
 from lunarsci.rovers import called
 
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.compare import SoilComparison
+    from lunarsci.regolith.jobs.compare_soils import ComparedSoils
 
 SHOWN = 8
 GIVEN = "The site, instead of a result"
@@ -43,12 +48,16 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     mean square of the logarithm: 0.1 is about 10 %. Parameters that a result does not determine are named, and
     distances have 68 %. The picture also shows the curves of a result, and lateral shear.
     """
+    from lunarsci.regolith.jobs.compare_soils import compare_soils
+
     found = compare_soils(result, request)
     return Report.of(found, tables=result_tables(found))
 
 
 def result_tables(result: ComparedSoils) -> list[TextTable]:
     """The nearest soils in both aspects."""
+
+    from lunarsci.regolith.compare import WORDS, nearest
 
     found, tables = result.soils, []
     for aspect, title in (("bearing", "Alike in bearing"), ("strength", "Alike in shear strength")):

@@ -1,28 +1,29 @@
 """`lunarsci regolith forces`: forces of the soil on one wheel."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.regolith.jobs.wheel_forces import ForcesOnWheel, WheelForcesRequest, wheel_forces
-from lunarsci.regolith.traction import Traction
+from lunarsci.regolith.jobs.requests import WheelForcesRequest
 
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
 
+if TYPE_CHECKING:
+    from lunarsci.regolith.jobs.wheel_forces import ForcesOnWheel
+    from lunarsci.regolith.traction import Traction
+
 SOIL, EXACT = "Soil", "Exact integrals"
 WHEEL = "State of the wheel"
 OPTIONS = {
     "sinkage": option(panel=WHEEL),
     "load": option(panel=WHEEL),
-    "slip": option(
-        kind=str,
-        metavar="S|A:B:N",
-        panel=WHEEL,
-    ),
+    "slip": option(kind=str, metavar="S|A:B:N", panel=WHEEL),
     "side_slip": option(panel=WHEEL),
     "rover": option(),
     "soil": option(panel=SOIL),
@@ -64,6 +65,8 @@ def forces(request: WheelForcesRequest) -> Report:
     With --slip FIRST:LAST:N a curve; under --load also what it is worth: pull at 20 % slip and per weight, tractive
     efficiency, and the slope that such wheels climb.
     """
+    from lunarsci.regolith.jobs.wheel_forces import wheel_forces
+
     found = wheel_forces(request)
     return Report.of(found, tables=result_tables(found))
 

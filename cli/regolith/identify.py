@@ -1,21 +1,24 @@
 """`lunarsci regolith identify`: the soil that wheel states reveal, each by itself."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.identify import UNITS, Estimate, Identification
-from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest
-from lunarsci.regolith.jobs.identify import identify as identify_soil
-from lunarsci.regolith.sensitivity import Sensitivity
-from lunarsci.regolith.states_agreement import LABELS
+from lunarsci.regolith.jobs.requests import IdentifyRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.identify import Estimate, Identification
+    from lunarsci.regolith.jobs.identify import IdentifiedSoil
+    from lunarsci.regolith.sensitivity import Sensitivity
 
 ERRORS = "Errors (where the file gives none)"
 SYMBOLS = {
@@ -57,9 +60,7 @@ OPTIONS = {
     "lateral_modulus": option(kind=str | None, panel=ASSUMED),
     "external_friction_angle": option(panel=ASSUMED),
     "reading": option(),
-    "units": option(
-        metavar="COLUMN=UNIT,…",
-    ),
+    "units": option(metavar="COLUMN=UNIT,…"),
     "draws": option(min=2, max=1_000_000),
     "seed": option(min=0),
     "sinkage_error": option(panel=ERRORS),
@@ -81,6 +82,8 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     Of each pair (K_s, N), (c, φ), (K_y, φ_y) what is assumed is given and the other is solved for; with both given,
     each is solved at the other's value. `regolith infer` takes all states together.
     """
+    from lunarsci.regolith.jobs.identify import identify as identify_soil
+
     with progress("identifying", quiet=output.quiet) as update:
         found = identify_soil(states, request, progress=update)
     return Report.of(found, tables=result_tables(found))
@@ -134,6 +137,8 @@ def _share(value: float | None) -> str:
 
 def _observation_tables(found: Identification, title: str) -> list[TextTable]:
 
+    from lunarsci.regolith.identify import UNITS, Estimate
+
     if len(found.observations) > MANY_STATES:
         return []
     names = [name for name, value in found.observations[0].items() if isinstance(value, Estimate)]
@@ -143,6 +148,8 @@ def _observation_tables(found: Identification, title: str) -> list[TextTable]:
 
 
 def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
+    from lunarsci.regolith.states_agreement import LABELS
+
     found = result.found
     several = len(found.corners) > 1
     names = [name for name in LABELS if not (several and name == "lateral_modulus_mm")]
@@ -166,6 +173,8 @@ def _site_title(result: IdentifiedSoil) -> str:
 
 
 def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:
+
+    from lunarsci.regolith.identify import UNITS
 
     interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"
     remark = "assumed" if estimate.assumed else estimate.reason

@@ -1,15 +1,14 @@
 """`lunarsci regolith infer`: all soil parameters from all wheel states at once."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.inference.posterior import SoilPosterior
-from lunarsci.regolith.jobs.identify import alone_title
-from lunarsci.regolith.jobs.infer import InferredSoil, InferRequest
-from lunarsci.regolith.jobs.infer import infer as infer_soil
+from lunarsci.regolith.jobs.requests import InferRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -18,6 +17,10 @@ from ..shared.report import Report
 from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
 from .identify import States, read_as, single_tables, wheel_text
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.inference.posterior import SoilPosterior
+    from lunarsci.regolith.jobs.infer import InferredSoil
 
 LAW, INTERVALS, OTHER = "Wheel-soil law", "Intervals", "Forces of other states"
 LABELS = {
@@ -39,9 +42,7 @@ SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
 OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
     "prior": option("--prior-file", metavar="FILE.toml"),
     "model_error": option(panel=LAW),
-    "law": option(
-        panel=LAW,
-    ),
+    "law": option(panel=LAW),
     "exact": option(panel=LAW),
     "shear": option(panel=LAW),
     "bulldozing": option(panel=LAW),
@@ -50,10 +51,7 @@ OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
     "contact": option(panel=LAW),
     "sample": option("--draw-posterior", panel=INTERVALS),
     "profile": option(panel=INTERVALS),
-    "predict": option(
-        metavar="FILE.csv",
-        panel=OTHER,
-    ),
+    "predict": option(metavar="FILE.csv", panel=OTHER),
     "predict_rover": option(panel=OTHER),
 }
 Posterior = Annotated[
@@ -78,6 +76,8 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
     What the options assume of a parameter is for these single states alone. Exit code 3 where no soil of the law
     explains the states. Choices of the law that only the integrals know, such as --shear, need no --exact.
     """
+    from lunarsci.regolith.jobs.infer import infer as infer_soil
+
     output.check_extra("--posterior", posterior, (".csv", ".json"))
     with progress("the posterior", quiet=output.quiet) as update:
         found = infer_soil(states, request, progress=update)
@@ -87,6 +87,8 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
 
 def result_tables(found: InferredSoil) -> list[TextTable]:
     """All states together, then what each gives by itself."""
+    from lunarsci.regolith.jobs.identify import alone_title
+
     return [*_joint_tables(found), *single_tables(found, alone_title(found.held))]
 
 

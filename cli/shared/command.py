@@ -54,7 +54,7 @@ def command(
     asked = [] if request is None else request_parameters(request, options or {})
 
     def register(function: Callable[..., Report]) -> Callable[..., None]:
-        signature = inspect.signature(function)
+        signature = inspect.signature(function, eval_str=True)
         wants_output = "output" in signature.parameters
         fields = [parameter.name for parameter in asked]
 

@@ -13,7 +13,6 @@ from lunarsci.io.atomic import write_files
 from lunarsci.names import meant, some_of
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
-from lunarsci.result import doubt_about
 
 from .layout import terminal_width
 from .options import Output
@@ -183,6 +182,8 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
     `whole`: the parts of the document beside the result, which a path may begin with. A name that other spectra of the
     result have, or could have, is a value that is missing here; any other is wrong usage.
     """
+    from lunarsci.result import doubt_about
+
     steps = path.split(".")
     stored = report.stored if report.stored and steps[0] in ("result", "provenance") and len(steps) > 1 else None
     own = stored["result"] if stored else report.result

@@ -348,7 +348,7 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)
         text = re.sub(r"`(\w+)`", lambda word: flags.get(word[1], word[0]), texts[name])
-        annotation = Annotated[kind, _typer_option(name, kind, given, text)]
+        annotation: Any = Annotated[kind, _typer_option(name, kind, given, text)]
         parameters.append(
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
         )

@@ -1,14 +1,14 @@
 """`lunarsci spectra bands`: centres, depths and areas of the 1 and 2 µm bands."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.spectra.band_status import with_errors
-from lunarsci.spectra.jobs.bands import SHORT, BandsRequest, MeasuredBands, regression
-from lunarsci.spectra.jobs.verdicts import bands_verdict
+from lunarsci.spectra.jobs.requests import BandsRequest
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option
@@ -16,6 +16,9 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
 from .options import ONLY, UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.bands import MeasuredBands
 
 OPTIONS = {
     "continuum": option(),
@@ -52,6 +55,8 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
 
 def result_tables(result: MeasuredBands) -> list[TextTable]:
     """Bands, what follows of compositions, and what both say."""
+    from lunarsci.spectra.jobs.verdicts import bands_verdict
+
     records = result.content()["spectra"]
     return [_bands_table(result), *_chemistry_tables(result), *verdict_table(records, bands_verdict)]
 
@@ -80,6 +85,8 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
 
 def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
     """The centre with the error of its noise, and what methods differ by."""
+
+    from lunarsci.spectra.band_status import with_errors
 
     center, sigma = record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]
     if center is None:
@@ -115,6 +122,8 @@ def _chemistry_tables(result: MeasuredBands) -> list[TextTable]:
 
 def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
     """What may be read of the bands; regressions that do not apply are counted."""
+    from lunarsci.spectra.jobs.bands import SHORT, regression
+
     every = [item for item in record["chemistry"].items() if item[1]]
     rows = [
         [f"{SHORT[item['quantity']]}{_unit(item)}", regression(key), _usable(item), f"if {item['domain']}"]
@@ -129,6 +138,8 @@ def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
 
 def _many_chemistries(records: Sequence[Mapping[str, Any]], examples: Mapping[str, Mapping[str, Any]]) -> TextTable:
     """One column for each regression that some spectrum can use."""
+    from lunarsci.spectra.jobs.bands import SHORT, regression
+
     headers = ["spectrum"] + [
         f"{SHORT[item['quantity']]}{_unit(item)} {regression(key)}" for key, item in examples.items()
     ]

@@ -1,18 +1,23 @@
 """`lunarsci spectra calibrate`: VNIS radiance to reflectance factor."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations
-from lunarsci.spectra.vnis.calibration import Calibration
+from lunarsci.spectra.jobs.requests import CalibrateRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.calibrate import Calibrations
+    from lunarsci.spectra.vnis.calibration import Calibration
 
 Products = Annotated[
     list[str],
@@ -24,23 +29,11 @@ Products = Annotated[
 CORRECTION, DETECTOR = "Reflectance", "Detectors"
 OPTIONS = {
     "photometry": option(panel=CORRECTION),
-    "phase": option(
-        kind=str,
-        metavar="NAME|FILE",
-        panel=CORRECTION,
-    ),
-    "solar": option(
-        kind=str,
-        metavar="NAME|FILE",
-        panel=CORRECTION,
-    ),
+    "phase": option(kind=str, metavar="NAME|FILE", panel=CORRECTION),
+    "solar": option(kind=str, metavar="NAME|FILE", panel=CORRECTION),
     "shadow": option(panel=DETECTOR),
     "vnir_steps": option(panel=DETECTOR),
-    "calibration": option(
-        kind=str | None,
-        metavar="FILE",
-        panel=DETECTOR,
-    ),
+    "calibration": option(kind=str | None, metavar="FILE", panel=DETECTOR),
 }
 
 

@@ -1,18 +1,15 @@
 """`lunarsci spectra fit`: the Modified Gaussian Model."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
-from lunarsci.spectra.jobs.verdicts import fit_verdict, fits_counted
+from lunarsci.spectra.jobs.requests import FitRequest
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
-from lunarsci.spectra.mgm.assemblages import SURE
-from lunarsci.spectra.mgm.compositions import compositions
-from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
@@ -21,43 +18,27 @@ from ..shared.report import Report
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
 from .options import ONLY, UNITS, Files
 
+if TYPE_CHECKING:
+    from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.jobs.fit import MgmFits
+    from lunarsci.spectra.mgm.result import FittedBand, MgmFit
+
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
-    "assemblage": option(
-        panel=MODEL,
-    ),
+    "assemblage": option(panel=MODEL),
     "continuum": option(panel=MODEL),
-    "composition": option(
-        panel=MODEL,
-        metavar="KEY=MEAN:ERROR,…",
-    ),
-    "start": option(
-        "--start-file",
-        panel=MODEL,
-        metavar="FILE.fit",
-    ),
-    "band_minerals": option(
-        panel=MODEL,
-        metavar="NUMBER=OPX,…",
-    ),
-    "prior": option(
-        panel=MODEL,
-    ),
-    "model_error": option(
-        panel=MODEL,
-    ),
+    "composition": option(panel=MODEL, metavar="KEY=MEAN:ERROR,…"),
+    "start": option("--start-file", panel=MODEL, metavar="FILE.fit"),
+    "band_minerals": option(panel=MODEL, metavar="NUMBER=OPX,…"),
+    "prior": option(panel=MODEL),
+    "model_error": option(panel=MODEL),
     "starts": option(panel=MODEL, min=1, max=100),
-    "fix": option(
-        panel=LIMITS,
-        metavar="NAME[=VALUE]",
-    ),
+    "fix": option(panel=LIMITS, metavar="NAME[=VALUE]"),
     "bound": option(panel=LIMITS, metavar="NAME=LOW:HIGH"),
     "tie": option(panel=LIMITS, metavar="NAME=K*OTHER+C"),
 }
 OPTIONS = MODEL_OPTIONS | {
-    "errors": option(
-        panel=ANSWER,
-    ),
+    "errors": option(panel=ANSWER),
     "continuum_spread": option(panel=ANSWER),
     "seed": option(panel=ANSWER, min=0),
     **UNITS,
@@ -77,6 +58,8 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
 
     -o FILE.fit writes a result file of the RELAB MGM program (one spectrum).
     """
+    from lunarsci.spectra.jobs.fit import fit
+
     to_file = output.path is not None and output.path.suffix.lower() == ".fit"
     with progress("fitting", quiet=output.quiet) as update:
         found = fit(files, replace(request, to_fit_file=to_file), progress=update)
@@ -85,6 +68,8 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
 
 def result_tables(found: MgmFits) -> list[TextTable]:
     """The fits, and what they say."""
+    from lunarsci.spectra.jobs.verdicts import fit_verdict, fits_counted
+
     return [*fit_tables(found), *verdict_table(found.records, fit_verdict, fits_counted)]
 
 
@@ -115,6 +100,7 @@ def _not_shown(found: MgmFits) -> list[str]:
 
 
 def _notes(record: Mapping[str, Any], fit: MgmFit) -> list[str]:
+
     if fit.prior == "damping":
         error = "errors include the residuals"
     else:
@@ -148,6 +134,8 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
 
 def _composition_notes(fit: MgmFit) -> list[str]:
 
+    from lunarsci.spectra.mgm.compositions import compositions
+
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
@@ -176,6 +164,7 @@ def _overview_row(record: Mapping[str, Any]) -> list[str]:
 
 
 def _bands_table(fit: MgmFit) -> TextTable:
+
     spread = any(band.center_continuum_nm is not None for band in fit.bands)
     headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
     headers += ["shrinkage of centre", "shrinkage of FWHM"]
@@ -226,6 +215,8 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
+
+    from lunarsci.spectra.mgm.assemblages import SURE
 
     shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]
     rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if percent != "0"]

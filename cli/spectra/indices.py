@@ -1,17 +1,21 @@
 """`lunarsci spectra indices`: spectral indices of the Moon."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.spectra.indices import INDICES, NO_CHANNELS
-from lunarsci.spectra.jobs.indices import FoundIndices, IndicesRequest
+from lunarsci.spectra.jobs.requests import IndicesRequest
 
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import ONLY, UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.indices import FoundIndices
 
 OPTIONS = {
     "index": option(metavar="NAME"),
@@ -49,6 +53,8 @@ def result_tables(found: FoundIndices) -> list[TextTable]:
 
 def _one(found: FoundIndices) -> TextTable:
 
+    from lunarsci.spectra.indices import INDICES
+
     record = found.records()[0]
     rows = [
         [_title(INDICES[name]), _cell(record[name]), _remark(INDICES[name], record[name])] for name in found.columns
@@ -57,6 +63,8 @@ def _one(found: FoundIndices) -> TextTable:
 
 
 def _many(found: FoundIndices) -> TextTable:
+
+    from lunarsci.spectra.indices import INDICES, NO_CHANNELS
 
     records = found.records()
     shown = [name for name, column in found.columns.items() if (column.status != NO_CHANNELS).any()]

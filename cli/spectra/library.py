@@ -1,28 +1,25 @@
 """`lunarsci spectra library`: end-member spectra with what is known of them."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lunarsci.errors import ParameterError
-from lunarsci.figure import picture_bytes
-from lunarsci.spectra.jobs.library import (
-    CheckedLibrary,
-    ImportRequest,
-    Library,
-    check_library,
-    import_library,
-    open_library,
-)
+from lunarsci.spectra.jobs.requests import ImportRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .options import UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.library import CheckedLibrary, Library
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -35,10 +32,7 @@ Libraries = Annotated[
 ]
 OPTIONS = {
     "mineral": option(),
-    "metadata": option(
-        kind=str | None,
-        metavar="FILE.csv",
-    ),
+    "metadata": option(kind=str | None, metavar="FILE.csv"),
     "source": option(metavar="TEXT"),
     **UNITS,
 }
@@ -56,6 +50,8 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     Libraries among the files are merged.
     """
 
+    from lunarsci.spectra.jobs.library import import_library
+
     library = import_library(files, request)
     if output.path is not None and output.path.suffix.lower() not in (".ecsv", ".json"):
         raise ParameterError(f"{output.path}: a library is written as .ecsv, its list as .json; give such a name")
@@ -72,6 +68,8 @@ def list_(files: Libraries) -> Report:
 def check(files: Libraries) -> Report:
     """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
 
+    from lunarsci.spectra.jobs.library import check_library
+
     checked = check_library(files)
     return Report.of(checked, [_findings(checked)])
 
@@ -86,6 +84,8 @@ def plot(files: Libraries, output: Output) -> Report:
 
 def _list(files: list[str]) -> Report:
 
+    from lunarsci.spectra.jobs.library import open_library
+
     library = open_library(files)
     return Report.of(
         library, [_listing(library)], formats={name: partial(_picture, library, name) for name in PICTURES}
@@ -93,6 +93,8 @@ def _list(files: list[str]) -> Report:
 
 
 def _picture(library: Library, suffix: str, _: Mapping[str, Any]) -> bytes:
+
+    from lunarsci.figure import picture_bytes
 
     return picture_bytes(library.figures(), Path(f"library{suffix}"))
 

@@ -1,12 +1,13 @@
 """`lunarsci spectra map`: maps of bands, fits and shares of minerals from an image cube."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum, map, pixel
-from lunarsci.spectra.jobs.map_request import MapRequest
+from lunarsci.spectra.jobs.requests import MapRequest
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option
@@ -14,6 +15,9 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import FILE
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum
 
 PIXELS, SETTINGS = "Pixels", "Products"
 
@@ -34,34 +38,19 @@ Spectrum = Annotated[
 ]
 OPTIONS = {
     "products": option(panel=SETTINGS, metavar="NAMES"),
-    "roi": option(
-        panel=PIXELS,
-        metavar="BOX|FILE",
-    ),
+    "roi": option(panel=PIXELS, metavar="BOX|FILE"),
     "mask": option(panel=PIXELS, metavar="FILE"),
     "every": option(panel=PIXELS, min=1, metavar="N"),
     "band_continuum": option(panel=SETTINGS),
     "smooth_nm": option(panel=SETTINGS, min=0),
-    "assemblage": option(
-        panel=SETTINGS,
-        metavar="NAMES",
-    ),
+    "assemblage": option(panel=SETTINGS, metavar="NAMES"),
     "continuum": option(panel=SETTINGS),
     "model_error": option(panel=SETTINGS),
     "starts": option(panel=SETTINGS, min=1),
-    "neighbours": option(
-        "--neighbours/--no-neighbours",
-        panel=SETTINGS,
-    ),
-    "contest_every": option(
-        panel=SETTINGS,
-        min=1,
-        max=32,
-    ),
+    "neighbours": option("--neighbours/--no-neighbours", panel=SETTINGS),
+    "contest_every": option(panel=SETTINGS, min=1, max=32),
     "kind": option(panel=SETTINGS),
-    "both": option(
-        panel=SETTINGS,
-    ),
+    "both": option(panel=SETTINGS),
     "craters": option(panel=SETTINGS, metavar="FILE"),
     "single_precision": option(panel=SETTINGS),
     "wavelengths": option(panel=FILE, metavar="FILE"),
@@ -83,6 +72,8 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
 
     -o MAP.nc writes NetCDF (CF conventions), -o MAP.tif GeoTIFF; --plot draws a quick look.
     """
+
+    from lunarsci.spectra.jobs.map import map, pixel
 
     if spectrum is not None:
         found = pixel(cube, spectrum, request)

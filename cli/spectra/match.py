@@ -1,18 +1,23 @@
 """`lunarsci spectra match`: the crater a rock came from."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.spectra.jobs.match import Matches, MatchRequest
-from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
+from lunarsci.spectra.jobs.requests import MatchRequest
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.match import Matches
+    from lunarsci.spectra.origin.match import CraterMatch, RockMatch
 
 ROCK, CRATERS, PRIOR, EXPOSURE = "Rock", "Craters", "Prior", "Survival and re-excavation"
 
@@ -26,42 +31,21 @@ Rocks = Annotated[
     ),
 ]
 OPTIONS = {
-    "modes": option(
-        panel=ROCK,
-        metavar="MINERAL=FRACTION:ERROR,…",
-    ),
+    "modes": option(panel=ROCK, metavar="MINERAL=FRACTION:ERROR,…"),
     "bands": option(panel=ROCK, metavar="bc1000=NM:ERROR,…"),
-    "kind": option(
-        panel=ROCK,
-    ),
+    "kind": option(panel=ROCK),
     "name": option(panel=ROCK),
-    "site": option(
-        panel=ROCK,
-        kind=str | None,
-        metavar="LAT,LON",
-    ),
+    "site": option(panel=ROCK, kind=str | None, metavar="LAT,LON"),
     "use": option(panel=ROCK),
     "systematic": option(panel=ROCK),
     "band_systematic": option(panel=ROCK),
-    "craters": option(
-        panel=CRATERS,
-        kind=str | None,
-        metavar="FILE",
-    ),
-    "mineral_map": option(
-        panel=CRATERS,
-        metavar="MINERAL=FILE.tif|MAP",
-    ),
+    "craters": option(panel=CRATERS, kind=str | None, metavar="FILE"),
+    "mineral_map": option(panel=CRATERS, metavar="MINERAL=FILE.tif|MAP"),
     "annulus": option(panel=CRATERS, metavar="IN:OUT"),
-    "prior": option(
-        "--crater-prior",
-        panel=PRIOR,
-    ),
+    "prior": option("--crater-prior", panel=PRIOR),
     "ejecta_law": option(panel=PRIOR),
     "thickness_factor": option(panel=PRIOR),
-    "surface_age": option(
-        panel=PRIOR,
-    ),
+    "surface_age": option(panel=PRIOR),
     "other": option(panel=PRIOR),
     "exposure": option("--exposure/--no-exposure", panel=EXPOSURE),
     "rock_life": option(panel=EXPOSURE, metavar="LOW:HIGH"),
@@ -69,10 +53,7 @@ OPTIONS = {
     "life_exponent": option(panel=EXPOSURE),
     "re_excavation": option("--re-excavation/--no-re-excavation", panel=EXPOSURE),
     "stirring": option(panel=EXPOSURE),
-    "gardening": option(
-        panel=EXPOSURE,
-        metavar="LOW:HIGH",
-    ),
+    "gardening": option(panel=EXPOSURE, metavar="LOW:HIGH"),
     "seed": option(panel=PRIOR, min=0),
 }
 
@@ -96,6 +77,8 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
 def result_tables(result: Matches) -> list[TextTable]:
 
+    from lunarsci.spectra.origin.match import OTHER
+
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
         told = (
@@ -117,6 +100,8 @@ def _best(match: RockMatch) -> float:
 
 
 def _craters_table(match: RockMatch, notes: Sequence[str]) -> TextTable:
+
+    from lunarsci.spectra.origin.match import OTHER
 
     headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]
     headers.append("compared")

@@ -6,7 +6,7 @@ from typing import Any
 
 import typer
 
-from lunarsci.spectra.jobs.simulate import SimulateVnisRequest
+from lunarsci.spectra.jobs.requests import SimulateVnisRequest
 
 from ..shared.command import command
 from ..shared.options import option

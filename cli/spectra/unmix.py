@@ -1,12 +1,13 @@
 """`lunarsci spectra unmix`: shares of minerals."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import typer
 
-from lunarsci.spectra.abundance.result import BOULDERS, MineralFraction
-from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
-from lunarsci.spectra.jobs.verdicts import shares_counted, shares_verdict
+from lunarsci.spectra.jobs.requests import UnmixRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -15,31 +16,20 @@ from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
 from .options import ONLY, UNITS, Files
 
+if TYPE_CHECKING:
+    from lunarsci.spectra.abundance.result import MineralFraction
+    from lunarsci.spectra.jobs.unmix import UnmixedSpectra
+
 KNOWN, MIXTURE = "What is known", "End members"
 NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
 OPTIONS = {
-    "assemblage": option(
-        panel=KNOWN,
-        metavar="NAMES",
-    ),
-    "kind": option(
-        panel=KNOWN,
-        metavar="KIND",
-    ),
-    "prior": option(
-        panel=KNOWN,
-    ),
-    "together": option(
-        panel=KNOWN,
-    ),
-    "known": option(
-        panel=KNOWN,
-        metavar="FILE",
-    ),
+    "assemblage": option(panel=KNOWN, metavar="NAMES"),
+    "kind": option(panel=KNOWN, metavar="KIND"),
+    "prior": option(panel=KNOWN),
+    "together": option(panel=KNOWN),
+    "known": option(panel=KNOWN, metavar="FILE"),
     "library": option(panel=MIXTURE, metavar="FILE"),
-    "method": option(
-        panel=MIXTURE,
-    ),
+    "method": option(panel=MIXTURE),
     "opaque": option(panel=MIXTURE),
     "iron": option(panel=MIXTURE),
     **UNITS,
@@ -62,6 +52,8 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     A soil that space has weathered is not unmixed (exit code 3): normative plagioclase, FeO and TiO2 are given instead,
     by regression. What may be one has both.
     """
+    from lunarsci.spectra.jobs.unmix import unmix
+
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)
     return Report.of(found, lambda: result_tables(found))
@@ -69,6 +61,8 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 
 def result_tables(found: UnmixedSpectra) -> list[TextTable]:
     """The shares, the ratios of rocks, the composition of soils, and what they say."""
+    from lunarsci.spectra.jobs.verdicts import shares_counted, shares_verdict
+
     told = verdict_table(found.records, shares_verdict, shares_counted)
     return [*share_tables(found), *ratio_table(found), *chondrite_table(found), *normative_table(found), *told]
 
@@ -101,6 +95,8 @@ def _percent(share: MineralFraction) -> list[str]:
 
 def ratio_table(found: UnmixedSpectra) -> list[TextTable]:
     """Ratios of the mafic minerals of solid rocks, beside published ones."""
+
+    from lunarsci.spectra.abundance.result import BOULDERS
 
     rows = [[one.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for one in found.shares for ratio in one.ratios]
     headers = ["spectrum", "ratio", "[%]", "68 %", "95 %"]

@@ -1,11 +1,14 @@
 """What is believed of a soil, and of what the twin's physics is off by, as tables for people."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from __future__ import annotations
 
-from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from ..shared.table import TextTable, significant
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 
 ENDS = (("low", "high"), ("ground_low_68", "ground_high_68"))
 
@@ -27,6 +30,8 @@ def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: 
 
 def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | None = None) -> TextTable:
     """What the twin's physics is off by, for people; beside what was believed before."""
+    from lunarsci.regolith.physics_discrepancy import FIRST
+
     headers = ["share", "68 %", "95 %", "worth [drives]", *(["68 % before"] if before else [])]
     parts = {"way, along": "along", "way, across": "across", **{name: name for name in sorted(after.quantities)}}
     rows = []

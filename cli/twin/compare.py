@@ -1,17 +1,14 @@
 """`lunarsci twin compare`: what was predicted beside what happened."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.comparison.forecast import Miss, miss_of
-from lunarsci.twin.comparison.scores import EndCheck, PathCheck
-from lunarsci.twin.comparison.verdict import DriveComparison
-from lunarsci.twin.jobs import compare_trials as job
-from lunarsci.twin.jobs.compare import ComparedDrive
-from lunarsci.twin.jobs.compare_trials import OF_A_PREDICTION, OF_TRIALS, TrialsRequest
+from lunarsci.twin.jobs.requests import TrialsRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -22,6 +19,12 @@ from .belief_tables import discrepancy_table
 from .options import AS_WRITTEN, GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
 from .trial_tables import trial_tables
 
+if TYPE_CHECKING:
+    from lunarsci.twin.comparison.forecast import Miss
+    from lunarsci.twin.comparison.scores import EndCheck, PathCheck
+    from lunarsci.twin.comparison.verdict import DriveComparison
+    from lunarsci.twin.jobs.compare import ComparedDrive
+
 FORECAST = "prediction.json"
 """By which a folder of `twin predict -o` is known."""
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
@@ -31,18 +34,12 @@ OPTIONS = {
     "belief": option(**FILE),
     "rover": option(show_default="that of the prediction or the trial"),
     "seed": option(min=0),
-    "terrain": option(
-        show_default="the plane that a public trial tells of",
-        panel=GROUND,
-    ),
+    "terrain": option(show_default="the plane that a public trial tells of", panel=GROUND),
     "height_unit": HEIGHT_UNIT,
     "gravity": option(show_default="that of a public trial, or moon", panel=GROUND),
     "interpolation": INTERPOLATION,
     "as_written": AS_WRITTEN,
-    "soil": option(
-        show_default="priors",
-        panel=SOIL,
-    ),
+    "soil": option(show_default="priors", panel=SOIL),
     "members": option(min=1, show_default="64 of a belief", panel=SOIL),
 }
 Inputs = Annotated[
@@ -99,12 +96,16 @@ def compare(inputs: Inputs, request: TrialsRequest, output: Output, save: SavedB
 
 def _is_prediction(inputs: list[str], request: TrialsRequest) -> bool:
     """Whether a folder of a prediction was named, or is meant by what is given beside it."""
+    from lunarsci.twin.jobs.compare_trials import OF_A_PREDICTION
+
     meant = len(inputs) == 2 and any(getattr(request, name) is not None for name in OF_A_PREDICTION)
     return meant or (Path(inputs[0]) / FORECAST).is_file()
 
 
 def _check_prediction(inputs: list[str], request: TrialsRequest, save: Path | None) -> None:
     """Raises RequestError for what does not belong to a prediction made before the drive."""
+    from lunarsci.twin.jobs.compare_trials import OF_TRIALS
+
     if len(inputs) != 2:
         raise RequestError(f"{inputs[0]} is a prediction; give one file of measured states beside it")
     if given := [name for name in OF_TRIALS if getattr(request, name) != getattr(TrialsRequest(), name)]:
@@ -124,6 +125,8 @@ def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Repo
 
 def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
 
+    from lunarsci.twin.jobs import compare_trials as job
+
     if save is not None:
         raise RequestError("`save` keeps what a belief learns from a prediction, not from trials; leave it out")
     with progress("trials", quiet=output.quiet) as update:
@@ -141,6 +144,8 @@ def result_tables(found: ComparedDrive) -> list[TextTable]:
 
 
 def _tables(compared: ComparedDrive) -> list[TextTable]:
+
+    from lunarsci.twin.comparison.forecast import miss_of
 
     matched, found, states = compared.matched, compared.found, compared.states
     forecast, pace = matched.forecast, compared.pace

@@ -1,13 +1,13 @@
 """`lunarsci twin forces`: what the wheels carry and pull along a predicted drive."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import typer
 
-from lunarsci.twin.jobs import forces as job
-from lunarsci.twin.jobs.forces import DriveForces
-from lunarsci.twin.jobs.predict import DriveRequest
-from lunarsci.twin.judgement.load_check import Spread, WheelLoads
+from lunarsci.twin.jobs.requests import DriveRequest
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output
@@ -15,6 +15,10 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, bare
 from .options import DRIVE, PlanFile
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.forces import DriveForces
+    from lunarsci.twin.judgement.load_check import Spread, WheelLoads
 
 COLUMNS = {
     "normal_force_n": ("F_N [N]", 1.0),
@@ -38,6 +42,8 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     The drive has the soil of the terrain unless --sweep, --members or --soil name others. `lunarsci twin loads` gives
     the same along a measured motion.
     """
+
+    from lunarsci.twin.jobs import forces as job
 
     with progress("driving", quiet=output.quiet) as update:
         found = job.forces(plan, request, progress=update)

@@ -1,21 +1,25 @@
 """`lunarsci twin history`: what a belief of the soil rests on, and the way back."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.belief_history import BeliefDistance, parameter_rows
-from lunarsci.regolith.written_names import ground_name
-from lunarsci.twin.jobs.history import BeliefHistory, HistoryRequest
+from lunarsci.twin.jobs.requests import HistoryRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.report import Report
 from ..shared.table import TextTable
 from .belief_tables import discrepancy_table, parameter_table
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.belief_history import BeliefDistance
+    from lunarsci.twin.jobs.history import BeliefHistory
 
 OPTIONS = {
     "against": option(kind=str | None, metavar="FILE"),
@@ -67,6 +71,8 @@ def history(
 
 def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
 
+    from lunarsci.regolith.belief_history import parameter_rows
+
     now = parameter_table(parameter_rows(found.belief), "What is believed now")
     drives = found.drives
     tables = [_drive_table(found.source.name, drives), _moved_table(drives), now, _physics_table(found.belief)]
@@ -79,6 +85,8 @@ def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
+
+    from lunarsci.regolith.written_names import ground_name
 
     headers = [
         "drive",

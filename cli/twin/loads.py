@@ -1,15 +1,14 @@
 """`lunarsci twin loads`: what the wheels carry and pull along a motion that was measured."""
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.jobs import loads as job
-from lunarsci.twin.jobs.forces import TOGETHER
-from lunarsci.twin.jobs.loads import LoadsRequest, MotionLoads, UncertainLoads
-from lunarsci.twin.lanes import outcome_texts
+from lunarsci.twin.jobs.requests import LoadsRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -18,6 +17,9 @@ from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import wheel_tables
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.loads import MotionLoads, UncertainLoads
 
 PANEL: dict[str, Any] = {"panel": "Uncertain motion and soil"}
 OPTIONS = {
@@ -29,16 +31,8 @@ OPTIONS = {
     "interpolation": INTERPOLATION,
     "as_written": AS_WRITTEN,
     "soil": option(show_default="the terrain's, or longji"),
-    "states": option(
-        kind=str | None,
-        metavar="FILE",
-        **PANEL,
-    ),
-    "belief": option(
-        kind=str | None,
-        metavar="FILE",
-        **PANEL,
-    ),
+    "states": option(kind=str | None, metavar="FILE", **PANEL),
+    "belief": option(kind=str | None, metavar="FILE", **PANEL),
     "draws": option(min=16, max=4096, **PANEL),
     "correlation": option(**PANEL),
     "balance_error": option(**PANEL),
@@ -81,6 +75,9 @@ def loads(
     and the slips beside the pull of all wheels together. Exit code 3: the rounds do not converge.
     """
 
+    from lunarsci.twin.jobs import loads as job
+    from lunarsci.twin.jobs.loads import MotionLoads
+
     if save is not None and request.iterate is None:
         raise RequestError("`save` takes the soil of `iterate`; give that, or leave it out")
     output.check_extra("--save", save, (".json",))
@@ -95,12 +92,16 @@ def loads(
 
 def result_tables(found: MotionLoads | UncertainLoads) -> list[TextTable]:
     """Loads of one motion, or of all that could have been."""
+    from lunarsci.twin.jobs.loads import MotionLoads
+
     if isinstance(found, MotionLoads):
         return wheel_tables(found.title, found.wheels, _notes_of_motion(found))
     return _tables(found)
 
 
 def _notes_of_motion(found: MotionLoads) -> list[str]:
+
+    from lunarsci.twin.lanes import outcome_texts
 
     notes = [*outcome_texts(found.found.outcome), *found.known.remarks]
     if missing := found.missing:
@@ -171,6 +172,8 @@ def _share_table(shares: dict[str, Any]) -> TextTable:
 
 
 def _total_table(totals: dict[str, dict[str, float]], notes: list[str]) -> TextTable:
+    from lunarsci.twin.jobs.forces import TOGETHER
+
     rows = [[f"{name} [{UNITS[name]}]", *(f"{row[key]:.2f}" for key in row)] for name, row in totals.items()]
     headers = ["of all wheels", "missing, assumed soil", "balanced", "± assumed soil", "± balanced"]
     title = "What the wheels do not supply, root mean square"

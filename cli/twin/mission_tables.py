@@ -1,10 +1,14 @@
 """A planned mission for people: its targets, and its legs."""
 
-from lunarsci.twin.jobs.planned_mission import PlannedMission
-from lunarsci.twin.judgement.keeping import least_of_95
-from lunarsci.twin.mission.legs import MissionLeg
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.planned_mission import PlannedMission
+    from lunarsci.twin.mission.legs import MissionLeg
 
 
 def mission_tables(found: PlannedMission) -> list[TextTable]:
@@ -40,6 +44,8 @@ def _targets(found: PlannedMission) -> TextTable:
 
 
 def _legs(found: PlannedMission) -> TextTable:
+
+    from lunarsci.twin.judgement.keeping import least_of_95
 
     rows = [_row(leg) for leg in found.driven.legs]
     headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]

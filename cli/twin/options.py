@@ -11,45 +11,20 @@ PlanFile = Annotated[
 ]
 GROUND, SOIL, LIGHT, STEPS = "Rover and ground", "Soil and drives", "Sun and battery", "Steps and draws"
 ROVER = option(show_default="yutu2", panel=GROUND)
-TERRAIN = option(
-    show_default="synthetic-longji",
-    panel=GROUND,
-)
-HEIGHT_UNIT = option(
-    show_default="what the file states, or m",
-    panel=GROUND,
-)
+TERRAIN = option(show_default="synthetic-longji", panel=GROUND)
+HEIGHT_UNIT = option(show_default="what the file states, or m", panel=GROUND)
 GRAVITY = option(show_default="moon", panel=GROUND)
-AS_WRITTEN = option(
-    panel=GROUND,
-)
+AS_WRITTEN = option(panel=GROUND)
 INTERPOLATION = option(panel=GROUND)
-SOILS = option(
-    show_default="the terrain's, or longji",
-    panel=SOIL,
-)
+SOILS = option(show_default="the terrain's, or longji", panel=SOIL)
 SWEEP = option(metavar="NAME=LOW:HIGH:N", panel=SOIL)
 MEMBERS = option(min=1, panel=SOIL)
-FIXES = option(
-    metavar="M,DEG[,S]",
-    panel=SOIL,
-)
-RUTS = option(
-    "--ruts/--no-ruts",
-    panel=GROUND,
-)
+FIXES = option(metavar="M,DEG[,S]", panel=SOIL)
+RUTS = option("--ruts/--no-ruts", panel=GROUND)
 BEFORE = option(metavar="PLAN", panel=GROUND)
-EXACT_TERRAIN = option(
-    panel=GROUND,
-)
-KEEP_OUT = option(
-    metavar="FILE",
-    panel=GROUND,
-)
-SUN = option(
-    metavar="AZIMUTH,ELEVATION",
-    panel=LIGHT,
-)
+EXACT_TERRAIN = option(panel=GROUND)
+KEEP_OUT = option(metavar="FILE", panel=GROUND)
+SUN = option(metavar="AZIMUTH,ELEVATION", panel=LIGHT)
 CHARGE = option(show_default="1", panel=LIGHT)
 SEED = option(min=0, show_default="0", panel=STEPS)
 TIME_STEP = option(panel=STEPS)

@@ -1,21 +1,14 @@
 """`lunarsci twin plan`: a path to a target."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
 
-from lunarsci.heights.projections import lonlat_of
-from lunarsci.twin.choice.choice import DriveCandidate
-from lunarsci.twin.jobs import plan as job
-from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-from lunarsci.twin.jobs.plan_request import PlanRequest
-from lunarsci.twin.jobs.planned_mission import PlannedMission
-from lunarsci.twin.jobs.terrain import TerrainSurvey
-from lunarsci.twin.plans.plan import Leg
-from lunarsci.twin.routes.planner import PlannedPath
+from lunarsci.twin.jobs.requests import PlanRequest
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
@@ -26,66 +19,34 @@ from .mission_tables import mission_tables
 from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
+if TYPE_CHECKING:
+    from lunarsci.twin.choice.choice import DriveCandidate
+    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.terrain import TerrainSurvey
+    from lunarsci.twin.plans.plan import Leg
+    from lunarsci.twin.routes.planner import PlannedPath
+
 PATH, CHOICE = "Path", "Drives compared by their risk"
 OPTIONS = {
-    "target": option(
-        panel=PATH,
-        metavar="X,Y[,HEADING]",
-        kind=str,
-        show_default=False,
-    ),
-    "start": option(
-        panel=PATH,
-        metavar="X,Y,HEADING|DRIVE",
-        kind=str,
-    ),
-    "lonlat": option(
-        panel=PATH,
-    ),
-    "local": option(
-        panel=PATH,
-        metavar="FILE",
-    ),
+    "target": option(panel=PATH, metavar="X,Y[,HEADING]", kind=str, show_default=False),
+    "start": option(panel=PATH, metavar="X,Y,HEADING|DRIVE", kind=str),
+    "lonlat": option(panel=PATH),
+    "local": option(panel=PATH, metavar="FILE"),
     "speed": option(panel=PATH),
-    "turning_radius": option(
-        panel=LIMITS,
-    ),
-    "limits": option(
-        panel=LIMITS,
-        metavar="FILE",
-        show_default="assumed of the rover",
-    ),
+    "turning_radius": option(panel=LIMITS),
+    "limits": option(panel=LIMITS, metavar="FILE", show_default="assumed of the rover"),
     "hazard_distance": option(panel=LIMITS),
-    "risk": option(
-        panel=CHOICE,
-    ),
-    "prefer": option(
-        panel=CHOICE,
-    ),
-    "soil": option(
-        show_default="the terrain's, or longji",
-    ),
-    "sweep": option(
-        panel=CHOICE,
-        metavar="NAME=LOW:HIGH:N",
-    ),
+    "risk": option(panel=CHOICE),
+    "prefer": option(panel=CHOICE),
+    "soil": option(show_default="the terrain's, or longji"),
+    "sweep": option(panel=CHOICE, metavar="NAME=LOW:HIGH:N"),
     "members": option(panel=CHOICE, show_default="64"),
     "tolerance": option(panel=CHOICE, show_default="1"),
     "candidates": option(panel=CHOICE, show_default="50"),
-    "fixes": option(
-        panel=CHOICE,
-        metavar="M,DEG[,S]",
-    ),
-    "mission": option(
-        panel=PATH,
-        metavar="FILE",
-        show_default=False,
-    ),
+    "fixes": option(panel=CHOICE, metavar="M,DEG[,S]"),
+    "mission": option(panel=PATH, metavar="FILE", show_default=False),
     "exact_terrain": option(panel=CHOICE),
-    "charge": option(
-        panel=CHOICE,
-        show_default="the battery does not count",
-    ),
+    "charge": option(panel=CHOICE, show_default="the battery does not count"),
     **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
 }
 SHORT = {
@@ -121,6 +82,8 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     the plans, legs.csv the timetable, mission.geojson the map.
     """
 
+    from lunarsci.twin.jobs import plan as job
+
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
@@ -130,6 +93,9 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
 
 def result_tables(found: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
+
+    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.planned_mission import PlannedMission
 
     if isinstance(found, PlannedMission):
         return mission_tables(found)
@@ -200,7 +166,7 @@ def _path_table(found: TerrainSurvey, path: PlannedPath) -> TextTable:
         f"starts at x {path.plan.x_m:z.3f} m, y {path.plan.y_m:z.3f} m, heading {path.plan.heading_deg:z.1f} deg "
         "(--start)",
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
-        f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
+        f"heading {math.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
         *_place_notes(path, found.light()),
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
         f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
@@ -223,6 +189,8 @@ def _driven(leg: Leg) -> str:
 
 def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
+
+    from lunarsci.heights.projections import lonlat_of
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())
     notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []

@@ -1,8 +1,12 @@
 """`lunarsci twin simulate`: a made-up drive and the telemetry it would send."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import typer
 
-from lunarsci.twin.jobs.simulate import MadeUpDrive, SimulateDriveRequest, simulate_drive
+from lunarsci.twin.jobs.requests import SimulateDriveRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -10,6 +14,9 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import BEFORE, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.simulate import MadeUpDrive
 
 TELEMETRY = "Telemetry"
 OPTIONS = {
@@ -45,6 +52,8 @@ def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = Non
     With -o DIR the telemetry goes to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
     truth.csv. All of it is made up and says so. `lunarsci twin states` reads the first two.
     """
+
+    from lunarsci.twin.jobs.simulate import simulate_drive
 
     with progress("driving", quiet=output.quiet) as update:
         found = simulate_drive(plan, request, progress=update)

@@ -1,10 +1,12 @@
 """`lunarsci twin states`: from telemetry to slip, side slip and sinkage of every wheel."""
 
-from typing import Annotated, Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.twin.jobs.states import DEEPEST, MeasuredStates, StatesRequest
+from lunarsci.twin.jobs.requests import StatesRequest
 
 from ..shared.command import command
 from ..shared.options import option
@@ -13,28 +15,21 @@ from ..shared.table import TextTable, plus_minus
 from .forces import spread_headers
 from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.states import MeasuredStates
+
 OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
     "height_unit": HEIGHT_UNIT,
     "gravity": GRAVITY,
     "interpolation": INTERPOLATION,
-    "positions": option(
-        kind=str | None,
-        metavar="FILE",
-    ),
-    "track": option(
-        kind=str | None,
-        metavar="FILE",
-    ),
+    "positions": option(kind=str | None, metavar="FILE"),
+    "track": option(kind=str | None, metavar="FILE"),
     "since": option(metavar="S"),
     "until": option(metavar="S"),
-    "start_time": option(
-        metavar="S",
-    ),
-    "lag": option(
-        metavar="S",
-    ),
+    "start_time": option(metavar="S"),
+    "lag": option(metavar="S"),
 }
 Telemetry = Annotated[
     str,
@@ -92,6 +87,8 @@ def result_tables(found: MeasuredStates) -> list[TextTable]:
 
 
 def _wheel_table(found: MeasuredStates, result: dict[str, Any]) -> TextTable:
+    from lunarsci.twin.jobs.states import DEEPEST
+
     rows = [
         [wheel, str(own["measured"]), *(cell for name, factor in FACTORS.items() for cell in _cells(own[name], factor))]
         for wheel, own in result["wheels"].items()

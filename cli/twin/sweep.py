@@ -1,11 +1,12 @@
 """`lunarsci twin sweep`: what a number of the rover is worth on a mission."""
 
-from typing import Annotated, Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.twin.jobs import sweep as job
-from lunarsci.twin.jobs.sweep import DesignTrade, SweepRequest
+from lunarsci.twin.jobs.requests import SweepRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -14,10 +15,11 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import CHARGE, DRIVE, EXACT_TERRAIN, SUN
 
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.sweep import DesignTrade
+
 OPTIONS = DRIVE | {
-    "vary": option(
-        metavar="NAME=LOW:HIGH:N",
-    ),
+    "vary": option(metavar="NAME=LOW:HIGH:N"),
     "designs": option(min=1),
     "exact_terrain": EXACT_TERRAIN,
     "sun": SUN,
@@ -43,6 +45,8 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
     energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
     """
+
+    from lunarsci.twin.jobs import sweep as job
 
     with progress("designs", quiet=output.quiet) as update:
         found = job.sweep(plans, request, progress=update)

@@ -1,11 +1,12 @@
 """`lunarsci twin terrain`: look at a terrain."""
 
-from typing import Annotated
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.twin.jobs import terrain as job
-from lunarsci.twin.jobs.terrain import TerrainRequest, TerrainSurvey
+from lunarsci.twin.jobs.requests import TerrainRequest
 
 from ..shared.command import command
 from ..shared.options import Output, option
@@ -14,29 +15,20 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import GRAVITY, KEEP_OUT
 
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.terrain import TerrainSurvey
+
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
 LAYERS = "Layers and light"
 OPTIONS = {
     "rover": option(show_default="yutu2"),
-    "soil": option(
-        show_default="the terrain's, or longji",
-    ),
+    "soil": option(show_default="the terrain's, or longji"),
     "gravity": GRAVITY,
     "height_unit": option(show_default="what the file states, or m"),
     "keep_out": KEEP_OUT,
-    "layer": option(
-        panel=LAYERS,
-        metavar="FILE",
-    ),
-    "classes": option(
-        "--class",
-        panel=LAYERS,
-        metavar="VALUE=forbidden|COST",
-    ),
-    "sun": option(
-        panel=LAYERS,
-        metavar="AZIMUTH,ELEVATION",
-    ),
+    "layer": option(panel=LAYERS, metavar="FILE"),
+    "classes": option("--class", panel=LAYERS, metavar="VALUE=forbidden|COST"),
+    "sun": option(panel=LAYERS, metavar="AZIMUTH,ELEVATION"),
     "shadow_cost": option(panel=LAYERS, metavar="COST|forbidden"),
     "baseline": option(),
     "max_slope": option(panel=LIMITS),
@@ -69,6 +61,8 @@ def terrain(
     With -o DIR the terrain goes to terrain.npz and the maps to maps.npz. The terrain keeps the rover and the limits
     that it was looked at for. `lunarsci twin plan` finds a path on it.
     """
+
+    from lunarsci.twin.jobs import terrain as job
 
     check_files(output, soil=request.soil is not None, geotiff=geotiff)
     with progress("looking at the ground", quiet=output.quiet) as update:

@@ -1,10 +1,13 @@
 """Tables of trials beside their predictions, for people."""
 
-from typing import Any
+from __future__ import annotations
 
-from lunarsci.twin.jobs.compare_trials import ScoredTrials
+from typing import TYPE_CHECKING, Any
 
 from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.compare_trials import ScoredTrials
 
 UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
 

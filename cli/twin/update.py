@@ -1,17 +1,14 @@
 """`lunarsci twin update`: what a drive says of the soil, for the next prediction."""
 
+from __future__ import annotations
+
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.regolith.belief_history import parameter_rows
-from lunarsci.regolith.written_names import short_name
-from lunarsci.twin.assimilation.segments import Segment
-from lunarsci.twin.assimilation.update import SURPRISING
-from lunarsci.twin.jobs import update as job
-from lunarsci.twin.jobs.update import LearnedSoil, UpdateRequest
+from lunarsci.twin.jobs.requests import UpdateRequest
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
@@ -21,15 +18,16 @@ from ..shared.table import TextTable
 from .belief_tables import discrepancy_table, parameter_table
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
+if TYPE_CHECKING:
+    from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.jobs.update import LearnedSoil
+
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 DRIVE, BELIEF = "Drive", "Belief"
 OPTIONS = {
     "plan": option(kind=str | None, panel=DRIVE),
     "positions": option(**FILE, panel=DRIVE),
-    "soil": option(
-        **FILE,
-        panel=BELIEF,
-    ),
+    "soil": option(**FILE, panel=BELIEF),
     "forget": option(min=0, max=1, panel=BELIEF),
     "correlation": option(min=0.1, panel=BELIEF),
     "rover": ROVER,
@@ -39,10 +37,7 @@ OPTIONS = {
     "interpolation": INTERPOLATION,
     "as_written": AS_WRITTEN,
     "particles": option(min=32, panel=BELIEF),
-    "ruts": option(
-        "--ruts/--no-ruts",
-        panel=DRIVE,
-    ),
+    "ruts": option("--ruts/--no-ruts", panel=DRIVE),
     "seed": option(min=0),
 }
 States = Annotated[
@@ -107,6 +102,8 @@ def update(
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
 
+    from lunarsci.twin.jobs import update as job
+
     output.check_extra("--save", save, (".json",))
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))
@@ -119,6 +116,9 @@ def update(
 
 def result_tables(found: LearnedSoil) -> list[TextTable]:
 
+    from lunarsci.regolith.belief_history import parameter_rows
+    from lunarsci.regolith.written_names import short_name
+
     known = found.known
     title = f"Soil after {found.states.name}: {known.plan.name}; {short_name(known.rover.name)} on {known.terrain.name}"
     tables = [
@@ -129,6 +129,8 @@ def result_tables(found: LearnedSoil) -> list[TextTable]:
 
 
 def _notes(learned: LearnedSoil) -> list[str]:
+
+    from lunarsci.twin.assimilation.update import SURPRISING
 
     found = learned.found
     notes = [

@@ -13,13 +13,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.images import LengthUnit
 from lunarsci.images.camera import (
     INTRINSICS,
     PARAMETERS,
@@ -158,7 +159,6 @@ def _of_transforms(file: InputFile) -> dict[str, Any]:
     }
 
 
-LengthUnit: TypeAlias = Literal["m", "cm", "mm"]
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 USUAL_BASELINE_M = 0.2
 """Of stereo rigs on rovers: 0.1 m (hazard cameras) to 0.42 m (Maki et al. 2003, 10.1029/2003JE002077). [m]"""

@@ -11,24 +11,10 @@ from lunarsci.options import request_of
 from lunarsci.pages.documents import Document, GivenPicture, read_results
 from lunarsci.pages.page import Page, title_of
 from lunarsci.pages.relief import Ground
+from lunarsci.pages.requests import ReportRequest
 from lunarsci.result import MadeFrom, Result, job
 
 SYNTHETIC = "synthetic-longji"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReportRequest:
-    """What a page shows beside its results.
-
-    Attributes
-    ----------
-    title : Title of the page.
-    terrain : Ground to turn in the page: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes); if
-        left out that of a result's folder or of its `terrain`.
-    """
-
-    title: str | None = None
-    terrain: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

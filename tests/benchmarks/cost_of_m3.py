@@ -23,7 +23,7 @@ from lunarsci.spectra.cubes.blocks import fetched, measured
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
 from lunarsci.spectra.jobs.map_products import products_of
-from lunarsci.spectra.jobs.map_request import MapRequest
+from lunarsci.spectra.jobs.requests import MapRequest
 
 MOON_KM2 = 4.0 * np.pi * 1737.4**2
 COVERAGES = 1.5

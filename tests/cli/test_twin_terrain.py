@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.jobs.plan_request import PlanRequest
+from lunarsci.twin.jobs.plan_request import places_of
+from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
@@ -167,13 +168,13 @@ def test_a_plan_starts_where_the_last_drive_ended(run: Run, tmp_path: Path) -> N
         found = json.loads(done.out)
         assert found["result"]["path"]["length_m"] == pytest.approx(2.5125, abs=0.1)
         assert str(motion) in [one["path"] for one in found["provenance"]["inputs"]]
-    assert PlanRequest(target="3,0", start=str(folder)).places[0] == (0.5, 0.25, pytest.approx(10.0))
+    assert places_of(PlanRequest(target="3,0", start=str(folder)))[0] == (0.5, 0.25, pytest.approx(10.0))
     motion.unlink()
     empty = run("twin", "plan", "--target", "3,0", "--start", folder)
     assert empty.code == 2 and "no motion.csv or paths.csv in it" in empty.err[0]
     paths = folder / "paths.csv"
     paths.write_text("member,time_s,x_m,y_m,yaw_deg\n0,0,0,0,0\n0,9,1,0,179\n1,0,0,0,0\n1,9,2,0.2,-177\n")
-    assert PlanRequest(target="3,0", start=str(folder)).places[0] == pytest.approx((1.5, 0.1, -179.0))
+    assert places_of(PlanRequest(target="3,0", start=str(folder)))[0] == pytest.approx((1.5, 0.1, -179.0))
     paths.write_text("time_s,x_m,y_m\n0,0,0\n")
     bad = run("twin", "plan", "--target", "3,0", "--start", paths)
     assert bad.code == 1 and "no column yaw_deg" in bad.err[0]

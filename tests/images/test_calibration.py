@@ -31,13 +31,8 @@ from lunarsci.images.calibration import (
     of_moments,
 )
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
-from lunarsci.images.jobs.calibrate_cameras import (
-    SIDES,
-    CalibrateCamerasRequest,
-    CalibratedCameras,
-    _seen_share,
-    calibrate_cameras,
-)
+from lunarsci.images.jobs.calibrate_cameras import SIDES, CalibratedCameras, _seen_share, calibrate_cameras
+from lunarsci.images.jobs.requests import CalibrateCamerasRequest
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
 from lunarsci.io.inputs import InputFile

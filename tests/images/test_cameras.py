@@ -18,7 +18,8 @@ from lunarsci.images.camera import (
     rotation_of,
     vector_of,
 )
-from lunarsci.images.jobs.cameras import CameraSheet, CamerasRequest
+from lunarsci.images.jobs.cameras import CameraSheet
+from lunarsci.images.jobs.requests import CamerasRequest
 from lunarsci.images.labels import CahvModel, fit_cahv, read_label
 from lunarsci.images.rig_files import check_rig_of, known_rigs, read_rig, rig_text
 from lunarsci.io.inputs import InputFile

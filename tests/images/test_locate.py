@@ -14,8 +14,9 @@ pytest.importorskip("cv2", reason="needs the extra images")
 
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
-from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
+from lunarsci.images.jobs.locate import _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
+from lunarsci.images.jobs.requests import LocateRequest
 from lunarsci.images.localisation import DEFINED_PX, SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import landscape_on, render

@@ -9,7 +9,8 @@ from stamped_ground import NAVCAM, PANCAM, with_rocks
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.jobs.rocks import RockList, RocksRequest
+from lunarsci.images.jobs.requests import RocksRequest
+from lunarsci.images.jobs.rocks import RockList
 from lunarsci.images.rocks import RockSurvey, find_rocks
 
 CAMERA = (-1.5, 1.5, 1.5)

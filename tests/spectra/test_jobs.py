@@ -13,10 +13,11 @@ from lunarsci.cli import main
 
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.spectra.jobs.bands import MeasuredBands, bands
-from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations, calibrate, check_fits
+from lunarsci.spectra.jobs.calibrate import Calibrations, calibrate, check_fits, settings_of
 from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.library import check_library, import_library, open_library
-from lunarsci.spectra.jobs.match import MatchRequest, match
+from lunarsci.spectra.jobs.match import match
+from lunarsci.spectra.jobs.requests import CalibrateRequest, MatchRequest
 from lunarsci.spectra.jobs.simulate import simulate
 
 ROCK = "ol=0.1,opx=0.5,cpx=0.1,plg=0.3"
@@ -93,7 +94,7 @@ def test_a_library_is_made_written_and_opened(calibrated: Calibrations, tmp_path
         (lambda: simulate(soil="ol=1.5"), ParameterError, "ol|olivine"),
         (lambda: simulate(time="noon"), ParameterError, "'noon' is no time"),
         (lambda: calibrate("-"), DataError, "a product is several files"),
-        (lambda: CalibrateRequest(shadow=2.0).settings(), ParameterError, "the shadow limit is 2"),
+        (lambda: settings_of(CalibrateRequest(shadow=2.0)), ParameterError, "the shadow limit is 2"),
     ],
 )
 def test_what_there_cannot_be_is_refused(ask: Callable[[], Any], error: type[Exception], message: str) -> None:

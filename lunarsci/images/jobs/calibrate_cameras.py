@@ -2,11 +2,10 @@
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from lunarsci.images.calibration import (
     of_moments,
 )
 from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
+from lunarsci.images.jobs.requests import CalibrateCamerasRequest
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
@@ -58,58 +58,19 @@ FIRST = 3
 """Pictures after which it is asked whether the board is another one."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrateCamerasRequest:
-    """What the pictures show, and what is to be found.
+def board_target(request: CalibrateCamerasRequest) -> BoardTarget:
+    """The board as a target. Raises ParameterError."""
 
-    Attributes
-    ----------
-    target : What the pictures show.
-    board : Columns x rows: inner corners of a chessboard, circles, or squares of a charuco.
-    square : Side of a square, or distance of circles (asymmetric: half of that in a row), in m.
-    marker : Side of a charuco's markers, in m.
-    circle : Diameter of the circles, in m, which corrects their middles; 0 does not.
-    dictionary : Of a charuco's markers, as OpenCV calls it.
-    square_error : Error of the board's size, as a share; the baseline has it.
-    distortion : Terms to find: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).
-    name : Of the camera or rig.
-    """
-
-    target: Literal["chessboard", "circles", "asymmetric-circles", "charuco"] = "chessboard"
-    board: str = "9x6"
-    square: float = 0.025
-    marker: float = 0.0
-    circle: float = 0.0
-    dictionary: str = "DICT_4X4_50"
-    square_error: float = 0.001
-    distortion: Literal[0, 1, 2, 4, 5] = 5
-    name: str = "calibrated"
-
-    def __post_init__(self) -> None:
-        if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.board):
-            raise RequestError(f"`board` is '{self.board}'; give columns and rows, such as 9x6")
-        if not 0 < self.square < 100:
-            raise RequestError(f"`square` is {self.square:g} m; give a number above 0")
-        if not 0 <= self.square_error < 0.5:
-            raise RequestError(f"`square_error` is {self.square_error:g}; give a share, such as 0.001")
-        if self.distortion not in (0, 1, 2, 4, 5):
-            raise RequestError(f"`distortion` is {self.distortion}; give 0, 1, 2, 4 or 5 terms")
-        if self.target == "charuco" and not 0 < self.marker < self.square:
-            raise RequestError("`marker`: give the side of the markers in m, less than that of `square`")
-
-    def board_target(self) -> BoardTarget:
-        """The board as a target. Raises ParameterError."""
-
-        columns, rows = map(int, self.board.split("x"))
-        return BoardTarget(
-            kind=self.target,
-            columns=columns,
-            rows=rows,
-            square_m=self.square,
-            marker_m=self.marker,
-            circle_m=self.circle,
-            dictionary=self.dictionary,
-        )
+    columns, rows = map(int, request.board.split("x"))
+    return BoardTarget(
+        kind=request.target,
+        columns=columns,
+        rows=rows,
+        square_m=request.square,
+        marker_m=request.marker,
+        circle_m=request.circle,
+        dictionary=request.dictionary,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -328,7 +289,7 @@ def calibrate_cameras(
     """
 
     asked = request_of(CalibrateCamerasRequest, request, options)
-    target, steps = asked.board_target(), progress or (lambda *_: None)
+    target, steps = board_target(asked), progress or (lambda *_: None)
     first, second = files_of(pictures), files_of(right, "right")
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
     shown = [[read_picture(one) for one in side] for side in sides]

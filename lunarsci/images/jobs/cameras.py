@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.images import LengthUnit
 from lunarsci.images.camera import INTRINSICS, Camera, StereoRig, vector_of
+from lunarsci.images.jobs.requests import CamerasRequest
 from lunarsci.images.labels import LabelCamera, read_label, rig_of_labels
 from lunarsci.images.rig_files import (
-    LengthUnit,
     SingleCamera,
     WrittenCamera,
     is_rig,
@@ -36,24 +37,6 @@ SOURCES = [
     "Gennery (2006), Int. J. Comput. Vis. 68, 239, 10.1007/s11263-006-5168-1: CAHVOR and CAHVORE",
 ]
 RANGES_M = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CamerasRequest:
-    """At what precision of matching ranges are judged.
-
-    Attributes
-    ----------
-    disparity_error : Random error of a disparity, in px, for the ranges' errors.
-    translation_unit : Of T in a file of OpenCV, which does not say it.
-    """
-
-    disparity_error: float = 0.2
-    translation_unit: LengthUnit | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 < self.disparity_error < 100:
-            raise RequestError(f"`disparity_error` is {self.disparity_error:g} px; give a number above 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

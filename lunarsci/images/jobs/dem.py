@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from lunarsci.errors import RequestError
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.gridding import grid_of, levelled
+from lunarsci.images.jobs.requests import DemRequest
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
@@ -38,34 +38,6 @@ HONEST = 3.0
 TYPICAL_SIGMA_PX = 0.2
 """Error of a disparity on ground with texture: assumed, where no pair has been looked at."""
 RANGES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0, math.inf)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DemRequest:
-    """How a pair is to be read.
-
-    Attributes
-    ----------
-    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.
-    pose : Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.
-    spacing : Distance of the nodes, in m.
-    nearest : Smallest distance along the axis that is matched, in m.
-    farthest : Largest range that is gridded, in m.
-    """
-
-    rig: str = "yutu2-navcam"
-    pose: str | None = None
-    spacing: float = 0.02
-    nearest: float | None = None
-    farthest: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("spacing", "nearest", "farthest"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < 1e4:
-                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
-        if self.nearest is not None and self.farthest is not None and self.nearest >= self.farthest:
-            raise RequestError("`nearest` must be below `farthest`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

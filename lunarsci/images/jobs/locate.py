@@ -12,6 +12,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
+from lunarsci.images.jobs.requests import LocateRequest
 from lunarsci.images.localisation import ODD_SIGMAS, Localised, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
@@ -43,44 +44,6 @@ FIRST_M = 0.001
 ATTITUDE = ("rover_yaw_deg", "rover_pitch_deg", "rover_roll_deg")
 """Of the rover, in pose.toml: from x towards y, positive nose down, and positive with its left side up."""
 AXES = "xyz"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocateRequest:
-    """How stations are to be found.
-
-    Attributes
-    ----------
-    rig : The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.
-    mast : Middle between both cameras in the rover's frame, in m ahead, left and up: positions are then the rover's.
-    drift : Error of dead reckoning as a share of the way between stations (assumed).
-    heading_error : Error of the headings in pose.toml, in deg (assumed).
-    tilt_error : Error of down_deg and roll_deg in pose.toml, in deg (assumed).
-    """
-
-    rig: str = "yutu2-navcam"
-    mast: str | None = None
-    drift: float = 0.03
-    heading_error: float = 1.0
-    tilt_error: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name, top in (("drift", 1.0), ("heading_error", 45.0), ("tilt_error", 20.0)):
-            if not 0 < getattr(self, name) <= top:
-                raise RequestError(f"`{name}` is {getattr(self, name):g}; give a number above 0, at most {top:g}")
-        self.mast_m()
-
-    def mast_m(self) -> tuple[float, ...] | None:
-        """`mast` as numbers."""
-        if self.mast is None:
-            return None
-        try:
-            found = tuple(map(float, self.mast.split(",")))
-        except ValueError:
-            found = ()
-        if len(found) != 3 or not all(map(math.isfinite, found)):
-            raise RequestError(f"`mast` is '{self.mast}'; give x,y,z in m, ahead, left and up from the rover's origin")
-        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

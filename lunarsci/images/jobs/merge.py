@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError
 from lunarsci.images.elevation import (
     ElevationModel,
     MergedMap,
@@ -16,6 +16,7 @@ from lunarsci.images.elevation import (
     read_elevation,
 )
 from lunarsci.images.elevation import merge as merged_map
+from lunarsci.images.jobs.requests import MergeRequest
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
@@ -33,25 +34,6 @@ NEEDED = ("x_m", "y_m", "z_m")
 ERRORS = ("xx_m2", "xy_m2", "yy_m2", "zz_m2")
 ODD, SHARE = 1.5, 0.05
 """Rms of z-scores, and share beyond three, from which models are said to disagree; assumed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MergeRequest:
-    """How models are laid together.
-
-    Attributes
-    ----------
-    positions : Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or
-        sigma_m. Without it they share a frame.
-    spacing : Distance of the map's nodes, in m; that of the finest model by default.
-    """
-
-    positions: str | Any | None = None
-    spacing: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.spacing is not None and not 0 < self.spacing < 1000:
-            raise RequestError(f"`spacing` is {self.spacing:g} m; give a number above 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,16 +4,16 @@ import io
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import RequestError
 from lunarsci.figure import file_label, headline, page
 from lunarsci.images import render as renderer
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import read_elevation
+from lunarsci.images.jobs.requests import RenderRequest
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landscape_on, read_track, with_track
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int, int], None]
-Law = Literal["lommel-seeliger", "hapke"]
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
     "Hapke (2012), 10.1017/CBO9781139025683: how regolith scatters light",
@@ -38,62 +37,6 @@ COARSE_M = 0.25
 """Spacing of that ground; assumed, level ground needs no finer one. [m]"""
 TRUTH_STEP_M = 2.0**-16
 """To which places of the truth are rounded, 15 micrometres: its file is a third as large then. [m]"""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RenderRequest:
-    """What is looked at, with what, and from where.
-
-    Attributes
-    ----------
-    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, or a TOML file.
-    x : Where the left camera is, along x, in m.
-    y : Where the left camera is, along y, in m.
-    heading : Where it looks, from x towards y, in deg.
-    down : How far below the horizon, in deg.
-    roll : Turned clockwise about its axis, in deg.
-    height : Over the ground, in m.
-    spacing : Side of the ground's triangles, in m.
-    rocks : Rocks of 4 cm and more on a square metre.
-    roughness : Factor on the roughness assumed of regolith; 0 leaves the terrain as it is.
-    track : What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
-    track_width : Width of the wheels, in m.
-    sun_azimuth : Where the Sun is, from x towards y, in deg.
-    sun_elevation : Over the horizon, in deg.
-    law : How the ground scatters light.
-    samples : Rays along each side of a pixel.
-    exact : Take the rig as it is, not a draw from its covariance.
-    seed : Seed of ground, noise and the rig's draw.
-    """
-
-    rig: str = "yutu2-navcam"
-    x: float = 0.0
-    y: float = 0.0
-    heading: float = 0.0
-    down: float = 25.0
-    roll: float = 0.0
-    height: float | None = None
-    spacing: float = 0.01
-    rocks: float = 0.5
-    roughness: float = 1.0
-    track: str | None = None
-    track_width: float = 0.15
-    sun_azimuth: float = 60.0
-    sun_elevation: float = 30.0
-    law: Law = "lommel-seeliger"
-    samples: int = 2
-    exact: bool = False
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        if not 1e-3 <= self.spacing <= 1 or not 0 <= self.rocks <= 100 or not 0 <= self.roughness <= 10:
-            raise RequestError("`spacing` is 0.001 to 1 m, `rocks` 0 to 100 a square metre, `roughness` 0 to 10")
-        if not 0.01 <= self.track_width <= 2:
-            raise RequestError(f"`track_width` is {self.track_width:g} m; give 0.01 to 2")
-        if not 0 < self.sun_elevation <= 90:
-            raise RequestError(f"`sun_elevation` is {self.sun_elevation:g} deg; give 0 to 90, over the horizon")
-        if not 1 <= self.samples <= 8:
-            raise RequestError(f"`samples` is {self.samples}; give 1 to 8")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import RequestError
 from lunarsci.images.elevation import ElevationModel, read_elevation
+from lunarsci.images.jobs.requests import RocksRequest
 from lunarsci.images.rocks import RockSurvey, find_rocks
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
@@ -23,43 +23,6 @@ SOURCES = [
     "Wilson (1927), J. Am. Stat. Assoc. 22, 209, 10.1080/01621459.1927.10502953: interval of a share",
 ]
 CORNERS = 24
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RocksRequest:
-    """What rocks are looked for.
-
-    Attributes
-    ----------
-    largest : Diameter of the largest rock, in m; what is wider is ground.
-    false_share : Share of the finds that may be no rocks.
-    sizes : Diameters in m for which it is said how many are found: numbers with commas.
-    margin : Further distance to keep from a rock, in m.
-    seed : Seed of the rocks put in for trial.
-    """
-
-    largest: float = 0.5
-    false_share: float = 0.05
-    sizes: str = "0.05,0.1,0.2"
-    margin: float = 0.0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0.02 <= self.largest <= 5:
-            raise RequestError(f"`largest` is {self.largest:g} m; give 0.02 to 5")
-        if not 0 < self.false_share < 1:
-            raise RequestError(f"`false_share` is {self.false_share:g}; give a share between 0 and 1")
-        if not 0 <= self.margin < 100:
-            raise RequestError(f"`margin` is {self.margin:g} m; give 0 or more")
-        if not all(0.01 <= size <= self.largest for size in self.diameters()):
-            raise RequestError(f"`sizes` '{self.sizes}' are not between 0.01 m and `largest`")
-
-    def diameters(self) -> tuple[float, ...]:
-        """`sizes` as numbers. Raises RequestError."""
-        try:
-            return tuple(float(part) for part in self.sizes.split(",") if part.strip())
-        except ValueError as error:
-            raise RequestError(f"`sizes` '{self.sizes}' are no numbers with commas between them") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

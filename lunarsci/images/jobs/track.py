@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import RequestError
 from lunarsci.images.elevation import ElevationModel, read_elevation
+from lunarsci.images.jobs.requests import TrackRequest
 from lunarsci.images.tracks import TrackDepths, read_line, track_depths
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
@@ -29,44 +29,6 @@ STATEMENTS = (
     "the depth is that of all wheels that passed: the deepest of them left it, often the last",
     "it is the mean of the floor; prints of lugs go deeper, ridges between them are higher",
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackRequest:
-    """Where the track is and what left it.
-
-    Attributes
-    ----------
-    line : Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.
-    rover : Whose wheel it was: a name (yutu2, small-four) or a TOML file.
-    width : Width of the wheel in m, in place of the rover's.
-    window : Length of track in m that gives one depth.
-    step : Distance of the depths, in m.
-    search : How far from the line the middle of the track may lie, in m; 0 keeps to the line.
-    disparity_bias : Bias of the disparity between the floor and the ground beside it, in px; assumed.
-    rebound : Share of the sinkage by which the ground rose again after the wheel; assumed.
-    """
-
-    line: str = ""
-    rover: str = "yutu2"
-    width: float | None = None
-    window: float = 0.5
-    step: float = 0.1
-    search: float = 0.05
-    disparity_bias: float = 0.05
-    rebound: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.line:
-            raise RequestError("`line` says where the track is; give x1,y1,x2,y2,... or a GeoJSON file")
-        for name in ("width", "window", "step"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < 100:
-                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
-        if not 0 <= self.search <= 1 or not 0 <= self.disparity_bias <= 10:
-            raise RequestError("`search` is 0 to 1 m, `disparity_bias` 0 to 10 px")
-        if not 0 <= self.rebound < 0.9:
-            raise RequestError(f"`rebound` is {self.rebound:g}; give a share of 0 to 0.9")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

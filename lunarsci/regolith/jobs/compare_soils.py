@@ -24,6 +24,7 @@ from lunarsci.regolith.compare import (
     sources_of,
 )
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
+from lunarsci.regolith.jobs.requests import CompareSoilsRequest
 from lunarsci.regolith.wheel import PAPER, read_wheel
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, read_rover
@@ -58,31 +59,6 @@ class _GivenSite:
         site, curves = site_of(found)
         left = open_site(found) if "joint" in found else None
         return cls(site=site, curves=curves, inputs=inputs, wheel=wheel, left_open=left)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareSoilsRequest:
-    """The site, where it is not a result.
-
-    Attributes
-    ----------
-    rover : Rover whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2.
-    stiffness : K_s in kPa m^-N.
-    exponent : Sinkage exponent N.
-    cohesion : Cohesion c in Pa.
-    friction_angle : φ in deg.
-    """
-
-    rover: str | None = None
-    stiffness: float | None = None
-    exponent: float | None = None
-    cohesion: float | None = None
-    friction_angle: float | None = None
-
-    @property
-    def stated(self) -> bool:
-        """Whether anything of the site is given."""
-        return any(v is not None for v in (self.stiffness, self.exponent, self.cohesion, self.friction_angle))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

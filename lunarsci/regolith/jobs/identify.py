@@ -15,11 +15,12 @@ from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.identify import UNITS, Assumptions, Identification
 from lunarsci.regolith.identify import identify as identify_soil
+from lunarsci.regolith.jobs.requests import IdentifyRequest
 from lunarsci.regolith.questions import Question
 from lunarsci.regolith.sensitivity import Sensitivity, sensitivities
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
-from lunarsci.regolith.wheel import PAPER, ShearSign, Wheel, left_to_defaults, read_wheel
+from lunarsci.regolith.wheel import PAPER, Wheel, left_to_defaults, read_wheel
 from lunarsci.regolith.written_names import NamedBy, rover_of_states
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, called, read_rover
@@ -34,84 +35,35 @@ HELD = {"stiffness_kpa_m_n": "kPa/m^N", "cohesion_pa": "Pa", "friction_angle_deg
 """Units of what single states are solved with."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyRequest:
-    """What is assumed, and how errors are drawn.
+def assumptions_of(request: IdentifyRequest) -> Assumptions:
+    """As `lunarsci.regolith.identify.identify` takes them. Raises RequestError for a modulus that is no number."""
 
-    Of each pair what is given is assumed and the other is solved for; with both given, each is solved at the other's
-    value; with none, the lunar values of `Assumptions` are taken.
+    given = request.lateral_modulus
+    try:
+        moduli = tuple(float(part) for part in str(given).split(",")) if given not in (None, "") else ()
+    except ValueError:
+        text = f"`lateral_modulus` {given}: give one number, or several separated by commas"
+        raise RequestError(text) from None
+    return Assumptions(
+        exponent=request.exponent,
+        stiffness_kpa_m_n=request.stiffness,
+        cohesion_pa=request.cohesion,
+        friction_angle_deg=request.friction_angle,
+        shear_modulus_mm=request.shear_modulus,
+        lateral_modulus_mm=moduli,
+        external_friction_angle_deg=request.external_friction_angle,
+    )
 
-    Attributes
-    ----------
-    rover : Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file; left out, the one
-        that the states name, else yutu2.
-    exponent : Assume N and solve K_s; 1.0 if neither is given.
-    stiffness : Assume K_s in kPa m^-N and solve N.
-    cohesion : Assume c in Pa and solve φ; 520 if neither is given.
-    friction_angle : Assume φ in deg and solve c.
-    shear_modulus : Assumed K_x in mm.
-    lateral_modulus : Assume K_y in mm, one or several by commas, and solve φ_y; 13,40 if not given.
-    external_friction_angle : Assume φ_y in deg and solve K_y.
-    reading : Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers.
-    draws : Monte Carlo draws per state.
-    seed : Seed of the random numbers.
-    sinkage_error : 1σ of the sinkage, in m.
-    force_error : 1σ of the forces, relative.
-    travel_error : 1σ of the travelled distance, relative; slip errs by it times 1 - |s|.
-    side_slip_error : 1σ of the side slip, relative.
-    sensitivity : How much of each variance comes from each measured quantity.
-    units : Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the
-        load); m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim (1 - v/rw), travel (rw/v - 1) or %.
-    """
 
-    rover: str | None = None
-    exponent: float | None = None
-    stiffness: float | None = None
-    cohesion: float | None = None
-    friction_angle: float | None = None
-    shear_modulus: float = 17.8
-    lateral_modulus: str | float | None = None
-    external_friction_angle: float | None = None
-    reading: ShearSign = "signed"
-    draws: int = 1024
-    seed: int = 0
-    sinkage_error: float = 0.00033
-    force_error: float = 0.1 / 3
-    travel_error: float = 0.04 / 3
-    side_slip_error: float = 0.04 / 3
-    sensitivity: bool = False
-    units: str = ""
+def errors_of(request: IdentifyRequest) -> MeasurementErrors:
+    """Of states whose table gives none."""
 
-    @property
-    def assumptions(self) -> Assumptions:
-        """As `lunarsci.regolith.identify.identify` takes them. Raises RequestError for a modulus that is no number."""
-
-        given = self.lateral_modulus
-        try:
-            moduli = tuple(float(part) for part in str(given).split(",")) if given not in (None, "") else ()
-        except ValueError:
-            text = f"`lateral_modulus` {given}: give one number, or several separated by commas"
-            raise RequestError(text) from None
-        return Assumptions(
-            exponent=self.exponent,
-            stiffness_kpa_m_n=self.stiffness,
-            cohesion_pa=self.cohesion,
-            friction_angle_deg=self.friction_angle,
-            shear_modulus_mm=self.shear_modulus,
-            lateral_modulus_mm=moduli,
-            external_friction_angle_deg=self.external_friction_angle,
-        )
-
-    @property
-    def errors(self) -> MeasurementErrors:
-        """Of states whose table gives none."""
-
-        return MeasurementErrors(
-            sinkage_m=self.sinkage_error,
-            force_relative=self.force_error,
-            travel_relative=self.travel_error,
-            side_slip_relative=self.side_slip_error,
-        )
+    return MeasurementErrors(
+        sinkage_m=request.sinkage_error,
+        force_relative=request.force_error,
+        travel_relative=request.travel_error,
+        side_slip_relative=request.side_slip_error,
+    )
 
 
 def alone_title(held: Mapping[str, float]) -> str:
@@ -153,7 +105,7 @@ def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest)
     assumed += [f"wheel.{name}" for name in left_to_defaults(description)]
     origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
     found = StatesOfWheel(
-        read_states(source, wheel, asked.errors, asked.units), named, wheel, origin, assumed, description.name, by
+        read_states(source, wheel, errors_of(asked), asked.units), named, wheel, origin, assumed, description.name, by
     )
     if by == "default":
         _warn_of_default(source.name, found, description)
@@ -311,7 +263,7 @@ def identify(
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
     """
     asked = request_of(IdentifyRequest, request, options)
-    known = asked.assumptions
+    known = assumptions_of(asked)
     return identified(read_wheel_states(states, asked.rover, asked), asked, known, progress)
 
 

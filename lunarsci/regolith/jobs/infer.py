@@ -2,10 +2,8 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
@@ -18,85 +16,23 @@ from lunarsci.regolith.inference.prediction import (
     disputed,
     predict_states,
 )
-from lunarsci.regolith.jobs.identify import (
-    IdentifiedSoil,
-    IdentifyRequest,
-    StatesOfWheel,
-    identified,
-    read_wheel_states,
-)
+from lunarsci.regolith.jobs.identify import IdentifiedSoil, StatesOfWheel, assumptions_of, identified, read_wheel_states
+from lunarsci.regolith.jobs.requests import InferRequest
 from lunarsci.regolith.prior import prior_hash, read_prior
-from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw, read_wheel
+from lunarsci.regolith.wheel import ContactModel, read_wheel
 from lunarsci.result import job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InferRequest(IdentifyRequest):
-    """What is asked of all states at once, beside what each state gives by itself.
+def wheel_law_of(request: InferRequest) -> WheelLaw:
+    """The law that the options name."""
 
-    Attributes
-    ----------
-    prior : Priors in place of the lunar ones.
-    law : Wheel-soil law: as the options say (given), or the one that predicts states left out best, with its scores
-        (auto); auto if none of `exact`, `shear`, `bulldozing` and `contact` is given.
-    exact : Integrate the stresses instead of Eqs 21-24.
-    shear : As in `regolith forces`.
-    bulldozing : As in `regolith forces`.
-    density : Soil density in kg/m³, for `bulldozing` and `law` auto.
-    gravity : Gravity in m/s², for `bulldozing` and `law` auto.
-    contact : Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.
-    sample : Draw from the posterior itself, not a normal law.
-    profile : Intervals by profile: the best of all else at each value.
-    model_error : Share of the load by which the model misses a force; found from the residuals if not given.
-    predict : Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known
-        sinkage_m.
-    predict_rover : Wheel of `predict`; that of the states if not given.
-
-    Raises RequestError for options that exclude each other.
-    """
-
-    prior: str | None = None
-    law: Literal["given", "auto"] | None = None
-    exact: bool = False
-    shear: ShearLaw = "separate"
-    bulldozing: Bulldozing = "none"
-    density: float = DENSITY_KG_M3
-    gravity: float = LUNAR_GRAVITY.value
-    contact: bool = False
-    sample: bool = False
-    profile: bool = False
-    model_error: float | None = None
-    predict: str | None = None
-    predict_rover: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.sample and self.profile:
-            raise RequestError("`sample` and `profile` are two ways to the intervals; give one")
-        if self.reading != "signed":
-            raise RequestError(f"`reading` {self.reading} only reproduces numbers; this needs signed")
-        if self.law == "auto" and (self.exact or self.beyond):
-            raise RequestError("`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`")
-
-    def chooses(self, computed: bool) -> bool:
-        """Whether the law is chosen by how it predicts, for forces that were measured or computed of a motion."""
-        return self.law == "auto" or (self.law is None and not (self.exact or self.beyond or computed))
-
-    @property
-    def beyond(self) -> bool:
-        """Whether something is asked for that only the integrals know."""
-        return self.shear != "separate" or self.bulldozing != "none" or self.contact
-
-    @property
-    def wheel_law(self) -> WheelLaw:
-        """The law that the options name."""
-
-        model = ContactModel(
-            shear=self.shear, bulldozing=self.bulldozing, density_kg_m3=self.density, gravity_m_s2=self.gravity
-        )
-        return WheelLaw(model if self.exact or self.beyond else None, self.contact)
+    model = ContactModel(
+        shear=request.shear, bulldozing=request.bulldozing, density_kg_m3=request.density, gravity_m_s2=request.gravity
+    )
+    return WheelLaw(model if request.exact or request.beyond else None, request.contact)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -176,7 +112,7 @@ def infer(
     """
 
     asked = request_of(InferRequest, request, options)
-    known = asked.assumptions
+    known = assumptions_of(asked)
     given = read_wheel_states(states, asked.rover, asked)
     alone = identified(given, asked, known, progress)
     posterior, scores, inputs = _posterior(asked, given, progress)
@@ -212,7 +148,7 @@ def _posterior(
     chooses = asked.chooses(given.states.alike)
     source = read_input(asked.prior) if asked.prior else None
     prior = read_prior(source, contact=asked.contact or chooses) if source else None
-    law, scores = asked.wheel_law, list[Any]()
+    law, scores = wheel_law_of(asked), list[Any]()
     if chooses:
         laws = candidates(given.states, asked.density, asked.gravity)
         law, scores = compare_laws(

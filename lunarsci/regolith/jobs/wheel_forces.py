@@ -3,28 +3,23 @@
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import LunarSciWarning, RequestError
+from lunarsci.errors import LunarSciWarning
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.forces import MOST_COHESION, WheelForces, cohesion_share, warn_of_shear_sign
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.inversion import reece_stiffness
+from lunarsci.regolith.jobs.requests import WheelForcesRequest
 from lunarsci.regolith.soil import Soil, read_soil, soil_hash, warn_of_unusual
 from lunarsci.regolith.traction import LoadedState, LoadedWheel, Traction, traction
 from lunarsci.regolith.wheel import (
-    DENSITY_KG_M3,
     MAX_VALID_SLIP,
     PAPER,
-    Bulldozing,
     ContactModel,
-    ShearLaw,
-    ShearSign,
-    SlipSinkageLaw,
     Wheel,
     read_wheel,
 )
@@ -51,140 +46,37 @@ SOIL = {
 """Option to parameter of the soil that it changes."""
 
 
-MOST_SLIPS = 10_000
+def contact_model(request: WheelForcesRequest) -> ContactModel | None:
+    """Choices of the integrals; None for the closed form."""
+    plain = ContactModel(reading=request.reading, density_kg_m3=request.density, gravity_m_s2=request.gravity)
+    model = replace(
+        plain,
+        shear=request.shear,
+        bulldozing=request.bulldozing,
+        rebound=request.rebound,
+        rut_m=request.rut,
+        reload_n_m3=request.reload,
+    )
+    return model if request.exact or model != plain else None
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise RequestError(f"'{text}' is no slip; give a number, or FIRST:LAST:N") from error
+def changed_soil(request: WheelForcesRequest, soil: Soil, width_m: float) -> Soil:
+    """The soil with what was asked for in its place; with Reece's moduli its stiffness under this gravity."""
+    changes = {name: getattr(request, option) for option, name in SOIL.items() if getattr(request, option) is not None}
+    soil = soil.replace(**changes)
+    if request.reece_cohesive is None or request.reece_frictional is None:
+        return soil
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WheelForcesRequest:
-    """A wheel on a soil.
-
-    Attributes
-    ----------
-    sinkage : Sinkage in m, above 0, below the wheel radius.
-    load : Wheel load in N; the sinkage under it is solved for.
-    slip : Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N.
-    side_slip : Side slip angle in deg, within ±90.
-    rover : Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file.
-    soil : Soil: a name or a TOML file.
-    stiffness : K_s in kPa m^-N.
-    exponent : Sinkage exponent N.
-    cohesion : Cohesion c in Pa.
-    friction_angle : φ in deg.
-    shear_modulus : K_x in mm.
-    external_friction_angle : φ_y in deg.
-    lateral_modulus : K_y in mm.
-    reading : Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers.
-    exact : Integrate the stresses (Eqs 1-17) instead of Eqs 21-24.
-    shear : Strength along and across: each its own, or one shared along the velocity or the displacement.
-    bulldozing : Soil against the side face, by Hegedus or by passive pressure.
-    density : Soil density in kg/m³, for `bulldozing` and Reece's moduli.
-    gravity : Gravity in m/s², for `bulldozing` and Reece's moduli.
-    rebound : Share of the sinkage that springs back behind the wheel, 0-1.
-    rut : Depth in m to which a wheel before has pressed the soil; needs `reload`.
-    reload : Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.
-    slip_sinkage : With `load`: how slip deepens the sinkage of a wheel that does not slip.
-    reece_cohesive : Reece's k_c'; K_s then follows density and gravity.
-    reece_frictional : Reece's k_φ', with k_c'.
-
-    Raises RequestError for options that exclude each other.
-    """
-
-    sinkage: float | None = None
-    load: float | None = None
-    slip: float | str = 0.0
-    side_slip: float = 0.0
-    rover: str = "yutu2"
-    soil: str = "lunar-typical"
-    stiffness: float | None = None
-    exponent: float | None = None
-    cohesion: float | None = None
-    friction_angle: float | None = None
-    shear_modulus: float | None = None
-    external_friction_angle: float | None = None
-    lateral_modulus: float | None = None
-    reading: ShearSign = "signed"
-    exact: bool = False
-    shear: ShearLaw = "separate"
-    bulldozing: Bulldozing = "none"
-    density: float = DENSITY_KG_M3
-    gravity: float = LUNAR_GRAVITY.value
-    rebound: float | None = None
-    rut: float = 0.0
-    reload: float = 0.0
-    slip_sinkage: Literal["none", "lyasko", "linear"] = "none"
-    reece_cohesive: float | None = None
-    reece_frictional: float | None = None
-
-    def __post_init__(self) -> None:
-        if (self.sinkage is None) == (self.load is None):
-            raise RequestError("give either `sinkage` or `load`")
-        if isinstance(self.slip, str) and ":" not in self.slip:
-            object.__setattr__(self, "slip", _number(self.slip))
-        if self.slip_sinkage != "none" and (self.load is None or min(self.slips()) < 0):
-            raise RequestError("`slip_sinkage` needs `load`, and a slip of 0 or more; skid has no such law")
-        if (self.reece_cohesive is None) != (self.reece_frictional is None):
-            raise RequestError("`reece_cohesive` and `reece_frictional` go together; give both")
-        if self.reece_cohesive is not None and self.stiffness is not None:
-            raise RequestError("K_s comes from `stiffness` or from Reece's moduli; give one")
-
-    def slips(self) -> list[float]:
-        """Slips that were asked for, in order. Raises RequestError."""
-        if isinstance(self.slip, float | int):
-            return [float(self.slip)]
-        parts = self.slip.split(":")
-        if len(parts) != 3:
-            raise RequestError(f"`slip` is '{self.slip}'; give a number, or FIRST:LAST:N")
-        first, last, count = _number(parts[0]), _number(parts[1]), _number(parts[2])
-        if not (first < last and count == int(count) and 2 <= count <= MOST_SLIPS):
-            raise RequestError(
-                f"`slip` is '{self.slip}'; give FIRST:LAST:N with FIRST below LAST and N from 2 to {MOST_SLIPS}"
-            )
-        shares = [k / (int(count) - 1) for k in range(int(count))]
-        return [first * (1.0 - share) + last * share for share in shares]
-
-    @property
-    def law(self) -> SlipSinkageLaw | None:
-        """How slip deepens the sinkage; None for not at all."""
-        return None if self.slip_sinkage == "none" else self.slip_sinkage
-
-    @property
-    def model(self) -> ContactModel | None:
-        """Choices of the integrals; None for the closed form."""
-        plain = ContactModel(reading=self.reading, density_kg_m3=self.density, gravity_m_s2=self.gravity)
-        model = replace(
-            plain,
-            shear=self.shear,
-            bulldozing=self.bulldozing,
-            rebound=self.rebound,
-            rut_m=self.rut,
-            reload_n_m3=self.reload,
-        )
-        return model if self.exact or model != plain else None
-
-    def changed(self, soil: Soil, width_m: float) -> Soil:
-        """The soil with what was asked for in its place; with Reece's moduli its stiffness under this gravity."""
-        changes = {name: getattr(self, option) for option, name in SOIL.items() if getattr(self, option) is not None}
-        soil = soil.replace(**changes)
-        if self.reece_cohesive is None or self.reece_frictional is None:
-            return soil
-
-        stiffness = reece_stiffness(
-            self.reece_cohesive,
-            self.reece_frictional,
-            soil.sinkage_exponent,
-            width_m,
-            cohesion_pa=soil.cohesion_pa,
-            density_kg_m3=self.density,
-            gravity_m_s2=self.gravity,
-        )
-        return soil.replace(stiffness_kpa_m_n=stiffness)
+    stiffness = reece_stiffness(
+        request.reece_cohesive,
+        request.reece_frictional,
+        soil.sinkage_exponent,
+        width_m,
+        cohesion_pa=soil.cohesion_pa,
+        density_kg_m3=request.density,
+        gravity_m_s2=request.gravity,
+    )
+    return soil.replace(stiffness_kpa_m_n=stiffness)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -288,7 +180,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     description, slips = read_rover(asked.rover), asked.slips()
     wheel = read_wheel(description)
     given = read_soil(asked.soil)
-    soil = asked.changed(given, wheel.width_m)
+    soil = changed_soil(asked, given, wheel.width_m)
     if soil != given:
         warn_of_unusual(soil, "the soil")
     warn_of_shear_sign(asked.reading)
@@ -306,7 +198,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
         wheel=wheel,
         soil=soil,
         states=states,
-        model=asked.model,
+        model=contact_model(asked),
         cohesion_share=float(max(shares, key=lambda share: share if share >= 0 else np.inf)),
         traction=None if loaded is None or len(slips) == 1 else traction(loaded, states),
         assumed=description.assumed,
@@ -324,7 +216,7 @@ def _states(
 ) -> tuple[list[LoadedState], LoadedWheel | None]:
     """The wheel at each slip, under its load or at its sinkage; and the loaded wheel."""
 
-    model = asked.model
+    model = contact_model(asked)
     if asked.load is None:
         sinkage = float(asked.sinkage or 0.0)
         found = [forces_by(model, wheel, soil, sinkage, slip, asked.side_slip, asked.reading) for slip in slips]

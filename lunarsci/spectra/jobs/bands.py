@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.constants import PAPER, SMOOTHING
-from lunarsci.errors import Failure, RequestError
+from lunarsci.errors import Failure
 from lunarsci.io.records import BLOCK_THINGS, Records, RecordsInBlocks, Where, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
@@ -18,6 +18,7 @@ from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
 from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, Estimates
+from lunarsci.spectra.jobs.requests import BandsRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.spectrum import Smoothing
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 MOST_NAMED = 5
 """Spectra that one sentence names."""
-SMOOTH_NM = 205.0
-"""The 41 channels of 5 nm of Ding et al. (2024)."""
 REGRESSIONS = {
     "gaffey-2002": "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",
     "burbine-2007": "Burbine et al. (2009), Meteorit. Planet. Sci. 44, 1331, 10.1111/j.1945-5100.2009.tb01225.x (HED)",
@@ -73,34 +72,6 @@ def regression(key: str) -> str:
     name = next(text for part, text in METHODS.items() if part in key)
     band = "" if name == METHODS["bc1000"] else ", 1 µm" if "bc1000" in key else ", 2 µm" if "bc2000" in key else ""
     return name + band
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BandsRequest:
-    """How to measure bands.
-
-    Attributes
-    ----------
-    continuum : conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders.
-    smooth_nm : Savitzky-Golay window in nm, at most 300 (half of a band); 0 for none.
-    smooth : Window as an odd number of channels, of the median spacing, in place of `smooth_nm`.
-    smooth_order : Order of the smoothing polynomial.
-    wavelength_unit : Unit of the wavelengths.
-    reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
-    """
-
-    continuum: Literal["conic", "hull", "linear"] = "conic"
-    smooth_nm: float = SMOOTH_NM
-    smooth: int | None = None
-    smooth_order: int = 3
-    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
-    reflectance_unit: Literal["fraction", "percent"] | None = None
-    id: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.smooth is not None and self.smooth_nm != SMOOTH_NM:
-            raise RequestError("`smooth` is the window in channels, `smooth_nm` the same in nm; give one")
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.constants import PAPER
 from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, ParameterError
@@ -11,6 +11,7 @@ from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
+from lunarsci.spectra.jobs.requests import CalibrateRequest
 from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
@@ -32,51 +33,29 @@ Products = str | Path | Sequence[str | Path]
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrateRequest:
-    """How to calibrate.
+def settings_of(request: CalibrateRequest) -> Settings:
+    """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
 
-    Attributes
-    ----------
-    photometry : Disk function of the correction to i 30, e 0, g 30 deg; none keeps the measured angles.
-    phase : Phase function: sp-low, sp-mid, sp-high, flat, or a CSV table.
-    solar : Solar irradiance: e490, g173, or a table of nm and W m-2 nm-1.
-    shadow : Pixels with less reflectance at 465 nm are shadows; 0 to below 1.
-    vnir_steps : Steps at 632.5 and 757.5 nm between sub-bands of the imager: keep or remove.
-    calibration : Channel factors for radiance from before the in-flight calibration (label version 1): CSV with
-        detector (vnir, swir), wavelength_nm, factor.
-    """
+    inputs: dict[str, str] = {}
 
-    photometry: Literal["lommel-seeliger", "akimov", "mcewen", "none"] = "lommel-seeliger"
-    phase: str | Any = "sp-mid"
-    solar: str | Any = "e490"
-    shadow: float = 0.02
-    vnir_steps: Literal["keep", "remove"] = "keep"
-    calibration: str | Any | None = None
+    def table(given: Any, named: Any, read: Callable[[InputFile], Any], names: Collection[str]) -> Any:
+        if isinstance(given, str) and given in names:
+            return named(given)
+        file = read_input(given)
+        inputs[file.name] = file.sha256
+        return read(file)
 
-    def settings(self) -> Settings:
-        """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
-
-        inputs: dict[str, str] = {}
-
-        def table(given: Any, named: Any, read: Callable[[InputFile], Any], names: Collection[str]) -> Any:
-            if isinstance(given, str) and given in names:
-                return named(given)
-            file = read_input(given)
-            inputs[file.name] = file.sha256
-            return read(file)
-
-        solar = table(self.solar, solar_spectrum, read_solar_spectrum, SOLAR_SPECTRA)
-        return Settings(
-            solar=solar,
-            other_solar=solar_spectrum("g173" if solar is solar_spectrum("e490") else "e490"),
-            photometry=self.photometry,
-            phase=table(self.phase, phase_function, read_phase_function, PHASE_FUNCTIONS),
-            shadow_limit=self.shadow,
-            remove_vnir_steps=self.vnir_steps == "remove",
-            factors=None if self.calibration is None else table(self.calibration, None, read_channel_factors, ()),
-            inputs=inputs,
-        )
+    solar = table(request.solar, solar_spectrum, read_solar_spectrum, SOLAR_SPECTRA)
+    return Settings(
+        solar=solar,
+        other_solar=solar_spectrum("g173" if solar is solar_spectrum("e490") else "e490"),
+        photometry=request.photometry,
+        phase=table(request.phase, phase_function, read_phase_function, PHASE_FUNCTIONS),
+        shadow_limit=request.shadow,
+        remove_vnir_steps=request.vnir_steps == "remove",
+        factors=None if request.calibration is None else table(request.calibration, None, read_channel_factors, ()),
+        inputs=inputs,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +130,7 @@ def calibrate(
     Raises DataError when nothing could be calibrated, or a table of the request cannot be used.
     """
 
-    settings = request_of(CalibrateRequest, request, options).settings()
+    settings = settings_of(request_of(CalibrateRequest, request, options))
     paths, failures = _observations(products)
     results = calibrate_files(paths, settings, progress)
     good = [item for item in results if isinstance(item, Calibration)]

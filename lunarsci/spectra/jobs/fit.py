@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from functools import cached_property, lru_cache, partial
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import Failure, ParameterError, RequestError
@@ -16,7 +16,8 @@ from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.jobs.other_causes import with_causes
-from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, PERCENT_OF, MgmContinuum
+from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
+from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, TABLES
 from lunarsci.spectra.mgm.columns import FitColumns, rows_of, rows_one_by_one
 from lunarsci.spectra.mgm.compositions import beyond_any, compositions
@@ -36,125 +37,21 @@ if TYPE_CHECKING:
 
 
 Progress: TypeAlias = Callable[[int, int], None]
-DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModelRequest:
-    """The model that is fitted, and how.
+def model_of(request: ModelRequest, assemblage: str, continuum: MgmContinuum) -> MgmModel:
+    """The model of an assemblage under a continuum, with composition and constraints."""
 
-    Attributes
-    ----------
-    assemblage : Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the
-        most probable and names those that cannot be told apart (with its own model error, not `model_error`).
-    continuum : Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.
-    composition : What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.
-    start : Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of
-        `assemblage` and `continuum`; all channels are fitted.
-    band_minerals : Minerals of the bands of --start-file, by their number, for the ratios of strengths; a comment
-        behind the values of a band names one, too.
-    prior : map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.
-    model_error : Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default
-        0.003 and 4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.
-    starts : Starting points, beside a search around the lowest minimum.
-    fix : Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum,
-        whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.
-    bound : Keep a parameter within a range. May be repeated.
-    tie : Make a parameter follow another. May be repeated.
-    wavelength_unit : Unit of the wavelengths.
-    reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
-
-    Raises
-    ------
-    RequestError for options that exclude each other.
-    """
-
-    assemblage: str = DEFAULT_ASSEMBLAGE
-    continuum: MgmContinuum = DEFAULT_CONTINUUM
-    composition: str | None = None
-    start: str | None = None
-    band_minerals: str | None = None
-    prior: Literal["map", "damping"] = "map"
-    model_error: float | None = None
-    starts: int = 4
-    fix: tuple[str, ...] = ()
-    bound: tuple[str, ...] = ()
-    tie: tuple[str, ...] = ()
-    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
-    reflectance_unit: Literal["fraction", "percent"] | None = None
-    id: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        for wrong, text in self._faults():
-            if wrong:
-                raise RequestError(text)
-
-    @property
-    def automatic(self) -> bool:
-        """Whether the assemblage is to be chosen."""
-        return self.assemblage.lower() == "auto"
-
-    def _faults(self) -> tuple[tuple[Any, str], ...]:
-        return (
-            (self.automatic and (self.fix or self.bound or self.tie), "`fix`, `bound` and `tie` name bands of one "
-             "assemblage; give it instead of auto"),
-            (self.automatic and self.prior == "damping", "`assemblage` auto compares evidence, which `prior` damping "
-             "does not have; use `prior` map"),
-            (self.prior == "damping" and self.bound, "`prior` damping knows no bounds; use `fix` or `tie`, or `prior` "
-             "map"),
-            (self.band_minerals and not self.start, "`band_minerals` names bands of a file; give it as `start`"),
-            (self.model_error is not None and not 0 < self.model_error < 1, "`model_error` is a standard deviation of "
-             "ln R; give a number above 0 and below 1, such as 0.01"),
-            *((self.start and given, f"`start` brings its own {what}; leave `{name}` out") for name, what, given in (
-                ("composition", "bands", self.composition),
-                ("assemblage", "bands", self.assemblage != DEFAULT_ASSEMBLAGE),
-                ("continuum", "continuum", self.continuum != DEFAULT_CONTINUUM),
-            )),
-        )  # fmt: skip
-
-    def model(self, assemblage: str, continuum: MgmContinuum) -> MgmModel:
-        """The model of an assemblage under a continuum, with composition and constraints."""
-
-        stated = parse_compositions(self.composition) if self.composition else None
-        return self.held(mgm_model(assemblage, continuum, stated_for(assemblage, stated) if self.automatic else stated))
-
-    def held(self, model: MgmModel) -> MgmModel:
-        """A model with the constraints."""
-
-        return constrained(model, fixed=self.fix, bounds=self.bound, ties=self.tie)
+    stated = parse_compositions(request.composition) if request.composition else None
+    return constrained_by(
+        request, mgm_model(assemblage, continuum, stated_for(assemblage, stated) if request.automatic else stated)
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitRequest(ModelRequest):
-    """The model, and which errors are wanted.
+def constrained_by(request: ModelRequest, model: MgmModel) -> MgmModel:
+    """A model with the constraints."""
 
-    Attributes
-    ----------
-    errors : laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by
-        refitting or by drawing from the posterior; seconds per spectrum.
-    continuum_spread : Fit under all continua but none, and report how far every value goes at most.
-    seed : Seed of `errors` sample.
-    to_fit_file : whether a file of the RELAB MGM program is to be made of the fit, which must be possible then.
-    """
-
-    errors: Literal["laplace", "profile", "sample"] = "laplace"
-    continuum_spread: bool = False
-    seed: int = 0
-    to_fit_file: bool = False
-
-    def _faults(self) -> tuple[tuple[Any, str], ...]:
-        return (
-            (self.to_fit_file and self.continuum == "log-quadratic", "-o FILE.fit has no letter for log-quadratic; "
-             "take another `continuum`"),
-            (self.prior == "damping" and self.errors != "laplace", "`prior` damping has no posterior; use `errors` "
-             "laplace, or `prior` map"),
-            (self.prior == "damping" and self.continuum_spread, "`continuum_spread` needs `prior` map"),
-            (self.start and self.continuum_spread, "`start` brings its own continuum; leave `continuum_spread` out"),
-            (self.continuum == "none" and self.continuum_spread, "`continuum` none is for spectra without one, which "
-             "others are no rivals to; leave `continuum_spread` out"),
-            *ModelRequest._faults(self),
-        )  # fmt: skip
+    return constrained(model, fixed=request.fix, bounds=request.bound, ties=request.tie)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -309,7 +206,7 @@ def fit(
     found = fit_batch_of(batch, asked, progress)
     if asked.continuum_spread:
         how: dict[str, Any] = {"model_error": asked.model_error, "starts": asked.starts, "progress": progress}
-        found["fits"] = spread_over_continua(batch.spectra, found["fits"], asked.model, **how)
+        found["fits"] = spread_over_continua(batch.spectra, found["fits"], partial(model_of, asked), **how)
     more = {
         "intervals": intervals_of(found["fits"], asked.errors, asked.seed, progress),
         "abundances": nbsr_abundances(found["fits"]),
@@ -329,7 +226,7 @@ def fit_batch_of(batch: SpectraBatch, request: ModelRequest, progress: Progress 
         elif request.start:
             found = _from_file(batch.spectra, request, progress)
         else:
-            model = request.model(request.assemblage, request.continuum)
+            model = model_of(request, request.assemblage, request.continuum)
             found = {"fits": _by_prior(batch.spectra, model, request, progress)}
     except ParameterError as error:  # of a model that these options cannot make
         raise RequestError(str(error)) from error
@@ -354,7 +251,7 @@ def _from_file(spectra: Sequence[Spectrum], request: ModelRequest, progress: Pro
     source = read_input(str(request.start))
     model, file = read_start(source, request.band_minerals)
     start = {"file": file, "rms_limit": file.rms_limit, "improvement_limit": file.improvement_limit}
-    return {"fits": _by_prior(spectra, request.held(model), request, progress, **start), "files": [source]}
+    return {"fits": _by_prior(spectra, constrained_by(request, model), request, progress, **start), "files": [source]}
 
 
 def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
@@ -366,7 +263,7 @@ def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progre
     fits: list[Any] = list(found)
     for name in dict.fromkeys(choice.assemblage for choice in choices.values()):
         own = [index for index, choice in choices.items() if choice.assemblage == name]
-        model = request.model(name, request.continuum)
+        model = model_of(request, name, request.continuum)
         for index, item in zip(own, _by_prior([spectra[k] for k in own], model, request, None), strict=True):
             fits[index] = item
             if isinstance(item, MgmFit) and item.converged:

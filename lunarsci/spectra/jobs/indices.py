@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,31 +13,12 @@ from lunarsci.io.records import Codes, Records
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.indices import INDICES, NO_CHANNELS, STATUSES, IndexColumn, index_arrays
+from lunarsci.spectra.jobs.requests import IndicesRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IndicesRequest:
-    """Which indices, and of which spectra.
-
-    Attributes
-    ----------
-    index : Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.
-    smooth_nm : Savitzky-Golay window in nm, of second order, before computing; 0 for none.
-    wavelength_unit : Unit of the wavelengths.
-    reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
-    """
-
-    index: tuple[str, ...] = ()
-    smooth_nm: float = 0.0
-    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
-    reflectance_unit: Literal["fraction", "percent"] | None = None
-    id: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,41 +4,19 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
+from lunarsci.spectra.jobs.requests import ImportRequest
 from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, read_metadata, with_description
 from lunarsci.spectra.library.end_member import EndMember, library_pages, read_library, to_ecsv
 from lunarsci.spectra.readers.batch import expanded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportRequest:
-    """What is known of spectra that become end members.
-
-    Attributes
-    ----------
-    mineral : Mineral of all spectra that `metadata` does not name.
-    metadata : Table by id: mineral, fo, fs, en, wo, an (0 to 1), min_um, max_um, source; or, instead of the mineral,
-        modes vol_ol, vol_opx, vol_cpx, vol_plg and opx_fs, cpx_fs and the like. Mixtures are left out.
-    source : Where spectra come from whose source is unknown.
-    wavelength_unit : Unit of the wavelengths.
-    reflectance_unit : Unit of the reflectance.
-    """
-
-    mineral: Literal["olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other"] | None = (
-        None
-    )
-    metadata: str | Any | None = None
-    source: str = ""
-    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
-    reflectance_unit: Literal["fraction", "percent"] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,13 +17,13 @@ from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
 from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.cubes.blocks import Product, Tally, fetched, measured, warn_of_cost
-from lunarsci.spectra.cubes.cube import FLAGS, Cube
+from lunarsci.spectra.cubes.cube import FLAGS, Cube, Stated
 from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, Layer, MapFile, backplane_layers
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
 from lunarsci.spectra.jobs.fit import Progress
-from lunarsci.spectra.jobs.map_products import products_of
-from lunarsci.spectra.jobs.map_request import MOST_ROWS, ROWS, MapRequest
+from lunarsci.spectra.jobs.map_products import minerals_of, products_of
+from lunarsci.spectra.jobs.requests import MOST_ROWS, ROWS, MapRequest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,7 +166,7 @@ def map(
     asked, target = request_of(MapRequest, request, options), Path(path or "")
     if target.suffix.lower() not in SUFFIXES:
         raise RequestError(f"`path` '{target.name}': a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
-    image = open_cube(str(cube), asked.stated())
+    image = open_cube(str(cube), stated_of(asked))
     region = region_of(image, asked.roi, asked.mask, asked.every)
     products = products_of(asked)
     layers = [PIXEL_FLAGS, *backplane_layers(image), *(layer for product in products for layer in product.layers)]
@@ -211,7 +211,7 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
     if (numbers := re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*", place)) is None:
         raise RequestError(f"`spectrum` {place}: give sample and line, such as 120,3400")
     sample, line = int(numbers[1]), int(numbers[2])
-    image = open_cube(str(cube), asked.stated())
+    image = open_cube(str(cube), stated_of(asked))
     lines, samples = image.shape
     if not (0 <= sample < samples and 0 <= line < lines):
         raise RequestError(
@@ -239,7 +239,7 @@ def unmix_record(request: MapRequest) -> dict[str, Any] | None:
     """How shares of a map were found, for `--json`; None where there are none."""
     if "unmix" not in request.wanted:
         return None
-    return {"method": "learned", "both": request.both, "minerals": request.minerals}
+    return {"method": "learned", "both": request.both, "minerals": minerals_of(request)}
 
 
 def cube_record(cube: Cube) -> dict[str, Any]:
@@ -256,3 +256,15 @@ def cube_record(cube: Cube) -> dict[str, Any]:
         "georeference": "frame" if cube.frame else "pixels" if "longitude" in cube.backplanes else None,
         "remarks": list(cube.remarks),
     }
+
+
+def stated_of(request: MapRequest) -> Stated:
+    """What is said of the cube."""
+    return Stated(
+        wavelength_unit=request.wavelength_unit,
+        scale=request.scale,
+        ignored=request.ignore,
+        saturated=request.saturated,
+        wavelengths=request.wavelengths,
+        locations=request.locations,
+    )

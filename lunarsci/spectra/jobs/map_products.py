@@ -33,10 +33,10 @@ from lunarsci.spectra.cubes.blocks import Product
 from lunarsci.spectra.cubes.output import NO_CODE, Layer
 from lunarsci.spectra.indices import INDICES, index_arrays
 from lunarsci.spectra.jobs.bands import bands
-from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE, fit
-from lunarsci.spectra.jobs.map_request import PRODUCTS, MapRequest
+from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.match import match
-from lunarsci.spectra.jobs.unmix import LAWS, LEARNED, UnmixRequest, mixed_estimate
+from lunarsci.spectra.jobs.requests import DEFAULT_ASSEMBLAGE, PRODUCTS, MapRequest, UnmixRequest
+from lunarsci.spectra.jobs.unmix import LAWS, LEARNED, mixed_estimate, named_minerals
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.batch import NOT_FITTED
 from lunarsci.spectra.mgm.fit import fit_arrays
@@ -295,7 +295,7 @@ class UnmixProduct:
 
     @classmethod
     def of(cls, request: MapRequest) -> "UnmixProduct":
-        return cls(request.kind, tuple(request.minerals), request.both)
+        return cls(request.kind, tuple(minerals_of(request)), request.both)
 
     @property
     def slow(self) -> bool:
@@ -453,3 +453,8 @@ def _spectra(wavelength_nm: FloatArray, reflectance: FloatArray) -> list[Spectru
     """Rows as spectra that are called by their number."""
 
     return [Spectrum(str(row), wavelength_nm, values) for row, values in enumerate(reflectance)]
+
+
+def minerals_of(request: MapRequest) -> list[str]:
+    """Those that unmix weighs."""
+    return named_minerals(request.assemblage) if request.assemblage else list(MINERALS)

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.constants import PAPER
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, ParameterError, RequestError
@@ -15,6 +15,7 @@ from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.parallel.blocks import Progress
 from lunarsci.result import MadeFrom, Result, job
+from lunarsci.spectra.jobs.requests import MatchRequest
 from lunarsci.spectra.origin.assumptions import assumptions
 from lunarsci.spectra.origin.catalogue import (
     TABLE,
@@ -52,91 +53,30 @@ BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MatchRequest:
-    """A rock without a file, the craters, and what the prior is made of.
+def settings_of(request: MatchRequest) -> MatchSettings:
+    """As the formulas take them. Raises ParameterError for a value out of range, RequestError for a text."""
 
-    Attributes
-    ----------
-    modes : Modes of a rock without a file: olivine, orthopyroxene, clinopyroxene, plagioclase (or ol, opx, cpx, plg);
-        two or more, compared as shares of those given.
-    bands : Its band centres, bc1000 and bc2000, in nm.
-    kind : Kind of target of `modes`; errors are raised to those known for this kind. Left out: errors as given.
-    name : Name of that rock.
-    site : Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; `craters` need it.
-    use : Which kind of composition is compared, where a crater has it.
-    systematic : What two methods disagree by in the share of a mineral, one standard deviation.
-    band_systematic : The same for band centres, in nm.
-    craters : Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, olivine,
-        olivine_sigma, …, bc1000_nm, bc1000_sigma_nm, …, source. Left out: the craters around Chang'E-4.
-    mineral_map : GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be
-        repeated. Or a file of `spectra map --products unmix`.
-    annulus : That ring, in rim radii.
-    prior : Prior of the craters. ejecta: by what each left at the site; uniform: all alike.
-    ejecta_law : Law of the ejecta's thickness, from the transient crater.
-    thickness_factor : Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.
-    surface_age : Age of the site's surface in Ma: ejecta of older craters lie below it. Left out: 3600 at Chang'E-4,
-        none elsewhere.
-    other : Prior probability that the rock is from none of the craters.
-    exposure : Rocks are destroyed at the surface.
-    rock_life : Median life of a 2 m boulder, in Ma.
-    rock_size : Size of the rock, in m.
-    life_exponent : Its life goes with this power of its size; assumed.
-    re_excavation : Buried ejecta are brought up again.
-    stirring : Factor on the local ground that falling ejecta stir up (Oberbeck).
-    gardening : Buried rock that small local craters keep at the surface, as a thickness in m; assumed.
-    seed : Seed of the draws for the prior.
-    """
-
-    modes: str | None = None
-    bands: str | None = None
-    kind: Literal["powder-mixture", "dark-rock-powder", "solid-rock"] | None = None
-    name: str = "rock"
-    site: str | tuple[float, ...] | None = None
-    use: Literal["both", "modes", "bands"] = "both"
-    systematic: float = 0.10
-    band_systematic: float = 10.0
-    craters: str | Any | None = None
-    mineral_map: tuple[str, ...] = ()
-    annulus: str = "1:2"
-    prior: Literal["ejecta", "uniform"] = "ejecta"
-    ejecta_law: Literal["mcgetchin", "pike", "housen", "xie"] = "pike"
-    thickness_factor: float = 3.0
-    surface_age: float | None = None
-    other: float = 0.1
-    exposure: bool = True
-    rock_life: str = "40:80"
-    rock_size: float = 2.0
-    life_exponent: float = 0.5
-    re_excavation: bool = True
-    stirring: float = 1.0
-    gardening: str = "0.001:0.1"
-    seed: int = 0
-
-    def settings(self) -> MatchSettings:
-        """As the formulas take them. Raises ParameterError for a value out of range, RequestError for a text."""
-
-        return MatchSettings(
-            systematic=self.systematic,
-            band_systematic_nm=self.band_systematic,
-            use_modes=self.use != "bands",
-            use_bands=self.use != "modes",
-            prior=PriorSettings(
-                kind=self.prior,
-                law=self.ejecta_law,
-                thickness_factor=self.thickness_factor,
-                exposure=self.exposure,
-                rock_life_ma=_span(self.rock_life, "rock_life"),
-                rock_size_m=self.rock_size,
-                life_exponent=self.life_exponent,
-                re_excavation=self.re_excavation,
-                stirring=self.stirring,
-                gardening_m=_span(self.gardening, "gardening"),
-                surface_age_ma=self.surface_age,
-                other_weight=self.other,
-                seed=self.seed,
-            ),
-        )
+    return MatchSettings(
+        systematic=request.systematic,
+        band_systematic_nm=request.band_systematic,
+        use_modes=request.use != "bands",
+        use_bands=request.use != "modes",
+        prior=PriorSettings(
+            kind=request.prior,
+            law=request.ejecta_law,
+            thickness_factor=request.thickness_factor,
+            exposure=request.exposure,
+            rock_life_ma=_span(request.rock_life, "rock_life"),
+            rock_size_m=request.rock_size,
+            life_exponent=request.life_exponent,
+            re_excavation=request.re_excavation,
+            stirring=request.stirring,
+            gardening_m=_span(request.gardening, "gardening"),
+            surface_age_ma=request.surface_age,
+            other_weight=request.other,
+            seed=request.seed,
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +163,7 @@ def match(
     """
 
     asked = request_of(MatchRequest, request, options)
-    settings, stated = asked.settings(), None if asked.site is None else _site(asked.site)
+    settings, stated = settings_of(asked), None if asked.site is None else _site(asked.site)
     if asked.craters is None:
         _check_near(asked.site, stated)
     given = _rocks(list(rocks) if isinstance(rocks, list | tuple) else [rocks], asked)

@@ -3,12 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
+from lunarsci.spectra.jobs.requests import SimulateVnisRequest
 from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
@@ -24,55 +25,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SimulateVnisRequest:
-    """A scene, its light and the instrument's noise.
+def scene_of(request: SimulateVnisRequest) -> Scene:
+    """What is looked at. Raises ParameterError for what there cannot be."""
 
-    Attributes
-    ----------
-    soil : Fractions of ol, opx, cpx, plg that add up to 1.
-    rock : The same for a rock in the image; none if left out.
-    rock_radius : Radius of the rock in px; the SWIR detector sees 53.8.
-    shadow : Share of the image in shadow, 0 to below 1.
-    incidence : Angle of the Sun from the normal in deg.
-    emission : Angle of the view from the normal in deg.
-    phase_angle : Angle between Sun and view in deg.
-    photometry : Disk function that the ground obeys; none for the same reflectance at all angles.
-    phase : Phase function that the ground obeys.
-    noise : Factor on the instrument's noise; 0 for none.
-    time : UTC time of the short-wave scan, ISO 8601.
-    sequence : Number of the observation.
-    seed : Seed of texture, shadows and noise.
-    """
-
-    soil: str = "ol=0.05,opx=0.20,cpx=0.20,plg=0.55"
-    rock: str | None = None
-    rock_radius: float = 54.0
-    shadow: float = 0.0
-    incidence: float = 64.412
-    emission: float = 45.557
-    phase_angle: float = 54.505
-    photometry: Literal["lommel-seeliger", "akimov", "mcewen", "none"] = "akimov"
-    phase: Literal["sp-low", "sp-mid", "sp-high", "flat"] = "sp-high"
-    noise: float = 1.0
-    time: str = "2020-07-16T08:20:00"
-    sequence: int = 1
-    seed: int = 0
-
-    def scene(self) -> Scene:
-        """What is looked at. Raises ParameterError for what there cannot be."""
-
-        rock = self.rock and SceneRock(replace(ROCK, composition=_composition(self.rock)), radius_px=self.rock_radius)
-        return Scene(
-            soil=replace(SOIL, composition=_composition(self.soil)),
-            rock=rock or None,
-            shadow_fraction=self.shadow,
-            geometry=Geometry(self.incidence, self.emission, self.phase_angle),
-            disk=None if self.photometry == "none" else self.photometry,
-            phase=self.phase,
-            time=_moment(self.time),
-            sequence=self.sequence,
-        )
+    rock = request.rock and SceneRock(
+        replace(ROCK, composition=_composition(request.rock)), radius_px=request.rock_radius
+    )
+    return Scene(
+        soil=replace(SOIL, composition=_composition(request.soil)),
+        rock=rock or None,
+        shadow_fraction=request.shadow,
+        geometry=Geometry(request.incidence, request.emission, request.phase_angle),
+        disk=None if request.photometry == "none" else request.photometry,
+        phase=request.phase,
+        time=_moment(request.time),
+        sequence=request.sequence,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +89,7 @@ def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> Simu
     """What VNIS would have measured of a made-up scene. Raises ParameterError for what there cannot be."""
 
     asked = request_of(SimulateVnisRequest, request, options)
-    simulation = simulated(asked.scene(), Instrument(noise=asked.noise), asked.seed)
+    simulation = simulated(scene_of(asked), Instrument(noise=asked.noise), asked.seed)
     return SimulatedVnis(simulation, product_files(simulation))
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.chondrite import chondrite_record, chondrites
 from lunarsci.spectra.jobs.fit import Progress
+from lunarsci.spectra.jobs.requests import UnmixRequest
 from lunarsci.spectra.library.end_member import EndMember, read_library
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.spectrum import Spectrum
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Target: TypeAlias = Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
 LAWS = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
 SOILS = (
     "Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1999JE001117",
@@ -54,68 +54,6 @@ LEARNED = "Korda et al. (2023), Astron. Astrophys. 669, A101, 10.1051/0004-6361/
 MODES = "Meyer (2012), Lunar Sample Compendium, NASA Johnson Space Center (modes of returned rocks)"
 MOST_NAMED = 5
 REFUSED = "a soil that space has weathered, whose glass and iron no mixture of powders stands for"
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnmixRequest:
-    """What is looked at, what is known of it, and how end members are mixed.
-
-    Attributes
-    ----------
-    assemblage : The minerals that there are, and no others, joined by hyphens: OL, OPX, CPX, PLG. Shares are then
-        better by a fifth, since mixtures of end members take part. Without it all four are weighed.
-    kind : What is looked at: powder-mixture, minerals ground and mixed; dark-rock-powder, a rock with opaques, ground,
-        such as a chondrite; weathered-soil, which is not unmixed; solid-rock, which must be stated, since a rock looks
-        like the soil beside it. auto weighs each kind by its probability.
-    method : How end members mix: hapke, in the albedo of single scattering; absorbance, in -ln R; both, by evidence.
-    library : End members instead of the embedded ones; see `spectra library`.
-    together : With `assemblage` or `library`: take all spectra as mixtures of the same powders of minerals, which are
-        then found far better than one by one. Of rocks it changes nothing.
-    known : Table of id and one column per mineral, in shares of 1, of mixtures whose shares are known; an empty cell is
-        solved for, 0 means that the mineral is absent. Implies `together`.
-    opaque : There may be an opaque phase beside the end members, such as ilmenite.
-    iron : There may be nanophase iron on all grains: space weathering.
-    prior : What is expected before the spectrum is seen: powders, mixtures as the networks learned from; lunar-rocks,
-        rocks as were returned from the Moon, of which a solid rock (`kind` solid-rock) is likely one.
-    wavelength_unit : Unit of the wavelengths.
-    reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
-
-    Raises
-    ------
-    RequestError for options that exclude each other.
-    """
-
-    assemblage: str | None = None
-    kind: Target = "auto"
-    method: Literal["both", "hapke", "absorbance"] = "both"
-    library: str | None = None
-    together: bool = False
-    known: str | None = None
-    opaque: bool = False
-    iron: bool = False
-    prior: Literal["powders", "lunar-rocks"] = "powders"
-    wavelength_unit: Literal["nm", "um", "angstrom", "1/cm"] | None = None
-    reflectance_unit: Literal["fraction", "percent"] | None = None
-    id: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.method == "absorbance" and self.iron:
-            raise RequestError("`iron` needs `method` hapke or both")
-        if (self.opaque or self.iron) and not self.mixes:
-            raise RequestError("`opaque` and `iron` are of mixtures of end members; name the minerals (`assemblage`)")
-        if self.assemblage is not None:
-            named_minerals(self.assemblage)
-
-    @property
-    def mixes(self) -> bool:
-        """Whether end members are mixed: networks alone are better where nothing is known of the minerals."""
-        return bool(self.assemblage or self.library or self.known)
-
-    @property
-    def in_series(self) -> bool:
-        """Whether the spectra are taken together."""
-        return bool(self.together or self.known)
 
 
 def named_minerals(assemblage: str) -> list[str]:

@@ -21,7 +21,16 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, parsed_fixes
 from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
-from lunarsci.twin.jobs.plan_request import PlanRequest, check_start, limits_at, made_for_on
+from lunarsci.twin.jobs.plan_request import (
+    check_start,
+    final_heading_deg,
+    limits_at,
+    made_for_on,
+    on_terrain,
+    places_of,
+    planned_power,
+)
+from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import least_drives
@@ -192,12 +201,12 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
     site.check.law(given.name, given.verdict)
     check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
-    asked, site = asked.on(site.terrain), local.site
-    ends = np.array([place[:2] for place in asked.places])
+    asked, site = on_terrain(asked, site.terrain), local.site
+    ends = np.array([place[:2] for place in places_of(asked)])
     surface, ground = local.searched(ends), local.driven(ends)
     check_soils(asked, given)
-    (x0, y0, heading), (x, y, *_) = asked.places
-    search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
+    (x0, y0, heading), (x, y, *_) = places_of(asked)
+    search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), final_heading_deg(asked))
     plans = candidates_of(asked, site, search, given, progress, ground)
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
     choice = choose(plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, progress=progress)
@@ -214,7 +223,7 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
 
 def check_asked(asked: PlanRequest) -> None:
     """Raises RequestError where so few drives can never promise the risk, and for a target that is too far away."""
-    (x0, y0, _), (x, y, *_) = asked.places
+    (x0, y0, _), (x, y, *_) = places_of(asked)
     if (far := math.hypot(x - x0, y - y0)) > LONG_M:
         raise RequestError(
             f"`target` is {far:.0f} m away, and `risk` compares drives of up to {LONG_M:g} m; give a nearer one"
@@ -246,7 +255,7 @@ def candidates_of(
 
     `ground` is what they are driven on instead of the site's terrain.
     """
-    (x0, y0, heading), (x, y, *_) = asked.places
+    (x0, y0, heading), (x, y, *_) = places_of(asked)
     limits = limits_at(site, asked)
     if asked.tolerance is not None:
         end = Limit("endpoint_miss_m", "m", asked.tolerance, "tolerance of the end from the target", False)
@@ -256,7 +265,7 @@ def candidates_of(
         site.rover,
         (x0, y0, heading),
         (x, y),
-        final_heading_deg=asked.final_heading_deg,
+        final_heading_deg=final_heading_deg(asked),
         speed_m_s=asked.speed,
         limits=limits,
         fixes=None if asked.fixes is None else parsed_fixes(asked.fixes),
@@ -309,7 +318,7 @@ def drive_conditions(
         discrepancy=soils.discrepancy,
         ruts=of["ruts"],
         seed=seed,
-        power=asked.power(),
+        power=planned_power(asked),
     )
     return soils, conditions, members if total > members else total
 

@@ -33,6 +33,7 @@ from lunarsci.twin.comparison.forecast import (
 from lunarsci.twin.comparison.scores import ALL, BandCheck, EndCheck, Standing
 from lunarsci.twin.comparison.verdict import DriveComparison
 from lunarsci.twin.jobs.given_soil import doubt_of
+from lunarsci.twin.jobs.requests import CompareRequest
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.rover import Rover, build_rover, rover_questions
@@ -48,29 +49,6 @@ SOURCES = [
     "Gneiting & Raftery (2007), J. Am. Stat. Assoc. 102, 359, 10.1198/016214506000001437",
     "Sokal (1997), Monte Carlo methods in statistical mechanics, 10.1007/978-1-4899-0319-8_6",
 ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareRequest:
-    """What to hold a prediction against, beside the wheel states.
-
-    Attributes
-    ----------
-    positions : Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2.
-    plan : Plan that was driven (TOML): refused if another was predicted.
-    belief : Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.
-    rover : Rover: a name (yutu2, husky, rosey) or a TOML file.
-    seed : Seed of everything random.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
-    """
-
-    positions: str | Any | None = None
-    plan: str | Any | None = None
-    belief: str | Any | None = None
-    rover: str | None = None
-    seed: int = 0
-    as_written: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

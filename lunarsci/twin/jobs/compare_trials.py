@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, RequestError
-from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
@@ -19,11 +18,12 @@ from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
 from lunarsci.twin.ground.driven_soil import read_soil_samples
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.jobs.compare import CompareRequest, whole_record
+from lunarsci.twin.jobs.compare import whole_record
 from lunarsci.twin.jobs.drive_inputs import soil_hashes
 from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
+from lunarsci.twin.jobs.requests import StatesRequest, TrialsRequest
 from lunarsci.twin.jobs.soils import OF_A_BELIEF
-from lunarsci.twin.jobs.states import MeasuredStates, StatesRequest, states
+from lunarsci.twin.jobs.states import MeasuredStates, states
 from lunarsci.twin.plans.motion import read_motion
 
 if TYPE_CHECKING:
@@ -38,33 +38,6 @@ SOURCES = [
     "Lamarre et al. (2020), Int. J. Robot. Res. 39, 641, 10.1177/0278364920908922",
     "Gneiting & Raftery (2007), J. Am. Stat. Assoc. 102, 359, 10.1198/016214506000001437",
 ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrialsRequest(CompareRequest):
-    """How trials are predicted. What belongs to a prediction made before (positions, plan, belief) is refused.
-
-    Attributes
-    ----------
-    terrain : Terrain of the trials: a file, as of `twin states`.
-    height_unit : Unit of the terrain's heights, in place of what its file states.
-    gravity : Gravity: moon, mars, earth, or a number in m/s².
-    interpolation : Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).
-    soil : Soil that trials are predicted on: a name or a TOML file; or a belief (JSON) or samples (CSV), from which
-        every drive has its own. Repeatable.
-    members : Number of drives for each trial.
-    """
-
-    terrain: str | None = None
-    height_unit: HeightUnit | None = None
-    gravity: str | None = None
-    interpolation: str = "smooth"
-    soil: tuple[str, ...] = ()
-    members: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.members is not None and self.members < 1:
-            raise RequestError(f"`members` is {self.members}; give 1 or more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,7 +11,8 @@ from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
-from lunarsci.twin.jobs.predict import DriveRequest, predict_drives
+from lunarsci.twin.jobs.predict import predict_drives
+from lunarsci.twin.jobs.requests import DriveRequest
 from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement.load_check import WheelLoads, wheel_loads
 from lunarsci.twin.judgement.quantities import abscissa

@@ -20,6 +20,7 @@ from lunarsci.regolith.belief_history import (
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.result import MadeFrom, Result
 from lunarsci.twin.jobs.given_soil import doubt_of
+from lunarsci.twin.jobs.requests import HistoryRequest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,20 +42,6 @@ KEPT = (
     "values",
     "outliers",
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HistoryRequest:
-    """What to look for in a belief's history.
-
-    Attributes
-    ----------
-    against : Another belief (JSON) to set beside it, parameter by parameter.
-    rollback : Go back to what was believed after N drives; 0: the priors.
-    """
-
-    against: str | Any | None = None
-    rollback: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

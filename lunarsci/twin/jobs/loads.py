@@ -18,7 +18,7 @@ from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.forces import load_record
 from lunarsci.twin.jobs.given_soil import doubt_of
-from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.jobs.requests import LoadsRequest
 from lunarsci.twin.judgement.load_check import WheelLoads, force_table, wheel_loads
 from lunarsci.twin.judgement.tables import held_table
 from lunarsci.twin.lanes import FINISHED
@@ -47,51 +47,6 @@ if TYPE_CHECKING:
 
 
 METHODS = ["Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552", "Rahimi & Recht (2007), NIPS 20, 1177"]
-UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoadsRequest(RoverOnGround):
-    """What a motion is held with; `states`, `belief` and the options after them make soil and motion uncertain.
-
-    Attributes
-    ----------
-    member : Which member of the motion's file, where it has several.
-    soil : One soil, in place of the terrain's: a name or a TOML file.
-    states : Measured wheel states (CSV: time_s, wheel, sinkage_m, slip_ratio, ...) that get the forces.
-    belief : What is believed of the soil (JSON of `twin update`); the priors if left out.
-    draws : Soils and motions to draw; 64 if left out.
-    correlation : Distance in m over which the motion's errors stay alike; from the slips' errors, or 0.5, if left out.
-    balance_error : Error of the balance of forces as a share of the weight; 0.005 if left out.
-    iterate : Rounds, at most, of forces and soil in turn: needs `states` with sinkages.
-    seed : Seed of everything random; 0 if left out.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
-    """
-
-    member: int | None = None
-    soil: str | None = None
-    states: str | Any | None = None
-    belief: str | Any | None = None
-    draws: int | None = None
-    correlation: float | None = None
-    balance_error: float | None = None
-    iterate: int | None = None
-    seed: int | None = None
-    as_written: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.uncertain and self.seed is not None:
-            raise RequestError("`seed` draws nothing here; give `draws` or `belief`, or leave it out")
-        if self.uncertain and self.soil is not None:
-            raise RequestError("`soil` has no use beside soils drawn from `belief` or the priors; leave it out")
-        if self.iterate is not None and self.states is None:
-            raise RequestError("`iterate` learns from measured sinkages and slips; give `states`")
-
-    @property
-    def uncertain(self) -> bool:
-        """Whether soils and motions are drawn."""
-        return any(getattr(self, name) is not None for name in UNCERTAIN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,8 +12,8 @@ from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, length
 from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.jobs.plan_request import PlanRequest
-from lunarsci.twin.jobs.terrain import GroundRequest, Progress, SurveyedSite, read_site
+from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest
+from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, read_site
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, search_margin_m
 

@@ -12,8 +12,16 @@ from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.jobs.chosen_drive import chosen_drive
 from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround
-from lunarsci.twin.jobs.plan_request import PlanRequest, check_start, limits_at, made_for_on
+from lunarsci.twin.jobs.plan_request import (
+    check_start,
+    final_heading_deg,
+    limits_at,
+    made_for_on,
+    on_terrain,
+    places_of,
+)
 from lunarsci.twin.jobs.planned_mission import planned_mission
+from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.routes.long_way import way_to
 from lunarsci.twin.routes.planner import PlannedPath
@@ -49,7 +57,7 @@ def plan(
 
     check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
-    path = _path(asked.on(site.terrain), local.site, local.surface, local.finer, progress)
+    path = _path(on_terrain(asked, site.terrain), local.site, local.surface, local.finer, progress)
     return TerrainSurvey(site=local.site, surface=local.surface, path=path, checked=local.checked(path))
 
 
@@ -58,13 +66,13 @@ def _path(
     progress: Progress | None,
 ) -> PlannedPath:  # fmt: skip
 
-    (x0, y0, heading), (x, y, *_) = asked.places
+    (x0, y0, heading), (x, y, *_) = places_of(asked)
     found = way_to(
         surface,
         site.rover,
         (x0, y0, heading),
         (x, y),
-        final_heading_deg=asked.final_heading_deg,
+        final_heading_deg=final_heading_deg(asked),
         speed_m_s=asked.speed,
         limits=limits_at(site, asked),
         name=f"path to x {x:g} m, y {y:g} m on {site.terrain.name}",

@@ -1,8 +1,6 @@
 """What `lunarsci.plan` is asked: where to, with what rover, on what ground, at what risk."""
 
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,178 +11,44 @@ from lunarsci.regolith.written_names import GROUND, written_in
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, SurveyedSite
+from lunarsci.twin.jobs.requests import PlanRequest, _numbers
+from lunarsci.twin.jobs.terrain import SurveyedSite, light_of
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.made_for_check import limits_of_rover
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import read_limits
 from lunarsci.twin.simulation.ensemble import PowerState
 
-Place = str | tuple[float, ...]
-PLACE = ("X", "Y", "HEADING")
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
-"""Options that ask for something only beside `risk`."""
-IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
-"""Options that a mission has in its file, or no use for."""
+
+def final_heading_deg(request: PlanRequest) -> float | None:
+    """The heading at the target, None where any will do. [deg]"""
+    return places_of(request)[1][2] if len(places_of(request)[1]) == 3 else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanRequest(GroundRequest):
-    """Where to plan a path to, with what rover, and on what ground.
+def places_of(request: PlanRequest) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Start and target as numbers. [m, m, deg]"""
+    start = last_pose(request.start_files[0]) if request.start_files else _numbers("start", request.start, (3,))
+    return start, _numbers("target", request.target, (2, 3))
 
-    Attributes
-    ----------
-    target : Where to plan a path to, in m; with the heading there, in deg.
-    start : Pose of the rover, in m and deg; or where a drive ended: the folder of `twin states` or `twin predict`, or a
-        motion.csv.
-    speed : Speed in m/s; the rover's highest if left out.
-    turning_radius : Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.
-    hazard_distance : Distance to keep from hazards and holes, in m.
-    lonlat : Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.
-    soil : Soil, in place of the terrain's: a name or a TOML file. With `risk` a file from which each drive has its own,
-        as of `twin predict`: a belief of `twin update` or its map (JSON), or CSV.
-    risk : Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at
-        most this, such as 0.05.
-    prefer : Of drives that keep the risk the one with the least of this.
-    sweep : Uncertain soil parameter, repeatable; those of the embedded plan where no soil is given.
-    members : Soils on which all are driven; the best again on twice as many.
-    tolerance : Distance in m of the end from the target that counts as there.
-    candidates : Drives to compare, at most.
-    fixes : Let drives halt for localisation updates, with these standard errors and the standstill in s that each
-        takes.
-    exact_terrain : Drive on the likely ground, not on one that is drawn for each drive.
-    charge : Charge of the battery at the start, 0 to 1; the battery is a limit then, and `sun` also lights the panels.
-    limits : TOML file with the mission's limits, such as a plan; risk is counted against them, and they go into the
-        plan. What it leaves out is as assumed of the rover.
-    local : Finer terrain in the same coordinates, looked at in place of the first one where it is known; repeatable.
-    mission : Reach several targets by legs: TOML file with tables target, fixes, keep_out and window, and
-        time_budget_s.
-    """
 
-    target: Place = ""
-    start: Place = "0,0,0"
-    speed: float | None = None
-    turning_radius: float | None = None
-    hazard_distance: float | None = None
-    lonlat: bool = False
-    soil: tuple[str, ...] = ()
-    risk: float | None = None
-    prefer: Literal["energy", "length", "time", "risk"] = "energy"
-    sweep: tuple[str, ...] = ()
-    members: int | None = None
-    tolerance: float | None = None
-    candidates: int | None = None
-    fixes: str | None = None
-    exact_terrain: bool = False
-    charge: float | None = None
-    limits: str | None = None
-    local: tuple[str, ...] = ()
-    mission: str | None = None
+def on_terrain(request: PlanRequest, terrain: Terrain) -> "PlanRequest":
+    """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
+    if not request.lonlat:
+        return request
 
-    def __post_init__(self) -> None:
-        if self.charge is not None and not 0 <= self.charge <= 1:
-            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
-        if self.mission is not None:
-            self._check_mission()
-            return
-        if not self.target:
-            raise RequestError("`target` says where the path shall end; give X,Y or X,Y,HEADING")
-        if self.start_files and self.lonlat:
-            raise RequestError(f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude")
-        for name, counts in (("start", (3,)), ("target", (2, 3))):
-            if name == "target" or not self.start_files:
-                object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
-        if self.risk is None:
-            self._check_path()
-        else:
-            self._check_choice(self.risk)
+    projection, moved = projection_of(terrain.crs, terrain.name), []
+    for longitude, latitude, *heading in places_of(request):
+        moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
+    return replace(request, start=moved[0], target=moved[1], lonlat=False)
 
-    def _check_mission(self) -> None:
-        """Of a mission the file says where."""
-        defaults = {field.name: field.default for field in fields(self)}
-        for name in IN_A_MISSION:
-            if getattr(self, name) != defaults[name]:
-                raise RequestError(f"`{name}` and `mission` do not go together: the mission's file says where; "
-                                   "give one of them")  # fmt: skip
-        if self.risk is not None and not 0 < self.risk < 1:
-            raise RequestError(f"`risk` is {self.risk:g}; give a chance above 0 and below 1, such as 0.05")
-        if self.members is not None and self.members < 2:
-            raise RequestError(f"`members` is {self.members}; give 2 or more")
 
-    def _check_path(self) -> None:
-        """Without a risk nothing is chosen."""
-        defaults = {field.name: field.default for field in fields(self)}
-        for name in OF_A_CHOICE:
-            if getattr(self, name) != defaults[name]:
-                raise RequestError(f"`{name}` is for drives that are compared; give `risk`, too")
-        if len(self.soil) > 1:
-            raise RequestError("several soils are for drives that are compared; give `risk`, too, or one `soil`")
+def planned_power(request: PlanRequest) -> PowerState | None:
+    """Battery and light; None where no charge is given. Raises RequestError."""
 
-    def _check_choice(self, risk: float) -> None:
-        if not 0 < risk < 1:
-            raise RequestError(f"`risk` is {risk:g}; give a chance above 0 and below 1, such as 0.05")
-        for name, least in (("members", 2), ("candidates", 1)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise RequestError(f"`{name}` is {value}; give {least} or more")
-        if self.tolerance is not None and not 0 < self.tolerance < float("inf"):
-            raise RequestError(f"`tolerance` is {self.tolerance:g}; give a distance above 0 m")
-
-    @property
-    def final_heading_deg(self) -> float | None:
-        """The heading at the target, None where any will do. [deg]"""
-        return self.places[1][2] if len(self.places[1]) == 3 else None
-
-    @property
-    def start_files(self) -> tuple[str, ...]:
-        """The table that says where the rover stands; none where numbers do."""
-        if not isinstance(self.start, str) or not Path(self.start).exists():
-            return ()
-        if not (folder := Path(self.start)).is_dir():
-            return (self.start,)
-        found = next((name for name in ("motion.csv", "paths.csv") if (folder / name).is_file()), None)
-        if found is None:
-            raise RequestError(
-                f"`start` {self.start}: no motion.csv or paths.csv in it; give a folder of `twin states`"
-            )
-        return (str(folder / found),)
-
-    def input_files(self) -> tuple[str, ...]:
-        limits = () if self.limits is None else (self.limits,)
-        return (*GroundRequest.input_files(self), *self.start_files, *limits)
-
-    @property
-    def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Start and target as numbers. [m, m, deg]"""
-        start = last_pose(self.start_files[0]) if self.start_files else _numbers("start", self.start, (3,))
-        return start, _numbers("target", self.target, (2, 3))
-
-    def on(self, terrain: Terrain) -> "PlanRequest":
-        """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
-        if not self.lonlat:
-            return self
-
-        projection, moved = projection_of(terrain.crs, terrain.name), []
-        for longitude, latitude, *heading in self.places:
-            moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
-        return replace(self, start=moved[0], target=moved[1], lonlat=False)
-
-    def power(self) -> PowerState | None:
-        """Battery and light; None where no charge is given. Raises RequestError."""
-
-        sun = self.light()[0]
-        if self.charge is None:
-            return None
-        return PowerState(charge=self.charge, sun=None if sun is None else SunDirection(*sun))
-
-    def made(self, terrain: str) -> dict[str, Any]:
-        """As of a ground; where soils are drawn the seed is theirs, too."""
-        alone = (self.risk is None and self.mission is None) or terrain in MAKERS
-        return GroundRequest.made(self if alone else replace(self, seed=None), terrain)
-
-    def limits_of_ground(self) -> dict[str, float | None]:
-        of_a_path = {"min_turning_radius_m": self.turning_radius, "hazard_distance_m": self.hazard_distance}
-        return GroundRequest.limits_of_ground(self) | of_a_path
+    sun = light_of(request)[0]
+    if request.charge is None:
+        return None
+    return PowerState(charge=request.charge, sun=None if sun is None else SunDirection(*sun))
 
 
 def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple[Limit, ...]:
@@ -242,14 +106,3 @@ def last_pose(path: str) -> tuple[float, float, float]:
     x, y = (float(np.median(columns[name][last])) for name in ("x_m", "y_m"))
     yaw = np.radians(columns["yaw_deg"][last])
     return x, y, float(np.degrees(np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean())))
-
-
-def _numbers(option: str, place: Place, counts: tuple[int, ...]) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(part) for part in (place.split(",") if isinstance(place, str) else place))
-    except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) not in counts:
-        wanted = " or ".join(",".join(PLACE[:count]) for count in counts)
-        raise RequestError(f"`{option}` '{place}' is not {wanted}, numbers with commas between them")
-    return numbers

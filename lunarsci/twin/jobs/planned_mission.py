@@ -21,7 +21,8 @@ from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditio
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.given_soil import GivenSoil
 from lunarsci.twin.jobs.local_ground import LocalGround
-from lunarsci.twin.jobs.plan_request import PlanRequest, limits_at, made_for_on
+from lunarsci.twin.jobs.plan_request import limits_at, made_for_on, planned_power
+from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95
@@ -237,7 +238,7 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         kept,
         seed=asked.seed or 0,
         goal_of=lambda target: beyond(target, surface, site.rover),
-        power=asked.power(),
+        power=planned_power(asked),
         progress=progress,
     )
     risk = ACCEPTED if asked.risk is None else asked.risk

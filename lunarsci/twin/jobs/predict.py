@@ -19,7 +19,7 @@ from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.illumination import parse_sun
 from lunarsci.twin.ground.unresolved import Unresolved, with_unresolved
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
-from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
 from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement import tables as judged
 from lunarsci.twin.judgement.endpoint import EndpointSensitivity, endpoint_sensitivity, step_error_m
@@ -40,95 +40,16 @@ CORRELATED = ("belief", "samples")
 """Kinds of soils whose parameters go together, so that none of them moves the end by itself."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DriveRequest(RoverOnGround):
-    """How to drive a plan.
+def power_of(request: PoweredRequest) -> PowerState | None:
+    """Battery and light; None where neither is given. Raises RequestError."""
 
-    Attributes
-    ----------
-    soil : Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with
-        a row each, a belief of `twin update` or its map (JSON), from which 64 are drawn unless `members` is given; or
-        `priors`, or a file of `template prior`: what is believed before any drive. Repeatable: a name beside a CSV that
-        lacks parameters.
-    sweep : Uncertain soil parameter, repeatable; replaces the plan's sweeps.
-    members : Number of drives: samples of the ranges instead of the grid of all values, or draws.
-    fixes : Position fixes after each leg: standard errors in position and heading, and the standstill in s that each
-        takes.
-    seed : Seed of everything random.
-    time_step : Longest time step in s.
-    sample : Distance between recorded states in m.
-    """
-
-    soil: tuple[str, ...] = ()
-    sweep: tuple[str, ...] = ()
-    members: int | None = None
-    fixes: str | None = None
-    seed: int | None = None
-    time_step: float = 0.1
-    sample: float = 0.1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoweredRequest(DriveRequest):
-    """How to drive, where battery and light may count.
-
-    Attributes
-    ----------
-    sun : Direction of the Sun in deg, azimuth from x towards y (as headings) and elevation over the horizon; or time
-        (UTC) and place, TIME@LON,LAT, where x is east and y north. Adds panels, shadow of the terrain and the battery.
-    charge : Charge of the battery at the start, 0 to 1; adds electrical power and the battery.
-    """
-
-    sun: str | None = None
-    charge: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.charge is not None and not 0 <= self.charge <= 1:
-            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
-
-    def power(self) -> PowerState | None:
-        """Battery and light; None where neither is given. Raises RequestError."""
-
-        if self.sun is None and self.charge is None:
-            return None
-        try:
-            sun = None if self.sun is None else parse_sun(self.sun)
-        except ParameterError as error:
-            raise RequestError(named_option("sun", error)) from error
-        return PowerState(charge=1.0 if self.charge is None else self.charge, sun=sun)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictRequest(PoweredRequest):
-    """How to drive a plan that is to be judged.
-
-    Attributes
-    ----------
-    ruts : Whether wheels meet the ruts that others, and they themselves, left. With `soil` of a belief as its last
-        drive did, else no, if left out.
-    before : A plan that was driven on the same ground before; its ruts are met, too.
-    exact_terrain : Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an
-        elevation model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes
-        lie wider apart than a wheel is large.
-    keep_out : Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it;
-        repeatable.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
-    risk : Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both
-        95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.
-    """
-
-    ruts: bool | None = None
-    before: str | None = None
-    exact_terrain: bool = False
-    keep_out: tuple[str, ...] = ()
-    as_written: bool = False
-    risk: float | None = None
-
-    def __post_init__(self) -> None:
-        PoweredRequest.__post_init__(self)
-        if self.risk is not None and not 0 < self.risk < 1:
-            raise RequestError(f"`risk` is {self.risk:g}; give a chance above 0 and below 1, such as 0.05")
+    if request.sun is None and request.charge is None:
+        return None
+    try:
+        sun = None if request.sun is None else parse_sun(request.sun)
+    except ParameterError as error:
+        raise RequestError(named_option("sun", error)) from error
+    return PowerState(charge=1.0 if request.charge is None else request.charge, sun=sun)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -325,7 +246,7 @@ def _judged(
     def whole(drives: Prediction) -> Prediction:
         law = soils.discrepancy
         drives = drives if law is None else with_discrepancy(drives, law, soils.seed)
-        return replace(drives, power=asked.power())
+        return replace(drives, power=power_of(asked))
 
     plain = likely_drives(prediction)
     shares = terrain_shares(prediction, plain)

@@ -13,7 +13,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
-from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.jobs.requests import SimulateDriveRequest
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.ensemble import predict
@@ -25,37 +25,6 @@ if TYPE_CHECKING:
 
 XY = ("x_m", "y_m")
 REMARK = b"# synthetic: made up by `lunarsci twin simulate`, not a measurement\n"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SimulateDriveRequest(RoverOnGround):
-    """How to drive, and how well the rover is seen.
-
-    Attributes
-    ----------
-    soil : The true soil, in place of the terrain's: a name or a TOML file.
-    ruts : Whether wheels meet the ruts that others, and they themselves, left. With `soil` of a belief as its last
-        drive did, else no, if left out.
-    before : A plan that was driven on the same ground before; its ruts are met, too.
-    fix_distance : Way between localised positions in m.
-    fix_sigma : Their standard error in m, in x and in y; a third of 4 % of the way between them by default.
-    yaw_sigma : Standard error of the heading in degrees; assumed.
-    track_sigma : Standard error of the track's depth in m.
-    seed : Seed of everything random.
-    time_step : Longest time step in s.
-    sample : Way between rows of telemetry in m.
-    """
-
-    soil: str | None = None
-    ruts: bool | None = None
-    before: str | None = None
-    fix_distance: float = 0.5
-    fix_sigma: float | None = None
-    yaw_sigma: float = 0.1
-    track_sigma: float = 0.00033
-    seed: int = 0
-    time_step: float = 0.05
-    sample: float = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,12 +3,10 @@
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.errors import RequestError
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import Source, open_input, read_input
 from lunarsci.io.tables import csv_bytes
@@ -19,7 +17,7 @@ from lunarsci.twin.drives.layouts import read_public_drive
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import read_terrain
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
-from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.jobs.requests import StatesRequest
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.telemetry.filter import EFFECTS
 from lunarsci.twin.telemetry.positions import with_positions
@@ -33,44 +31,7 @@ if TYPE_CHECKING:
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
 DEEPEST = "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
-LONGEST_LAG_S = 30.0
-"""Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatesRequest(RoverOnGround):
-    """What telemetry is read with.
-
-    Attributes
-    ----------
-    positions : Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or
-        xx_m2, xy_m2, yy_m2, with xx_before_m2 and so on where errors are correlated. They replace the telemetry's.
-    track : Depth of the track: CSV with x_m, y_m, rut_m and rut_m_sigma, points within half a wheel's width of the
-        wheels and as near to each other; or the terrain after the drive. No sinkage without it.
-    since : Rows with a time_s before this are left out, such as those of earlier drives.
-    until : Rows with a time_s after this are left out.
-    start_time : time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970.
-        Rows before it are left out. Without it the start is where the commands are those of the plan.
-    lag : By how much positions, headings and attitude are later than the columns of the wheels, as of another clock or
-        of wheels that follow commands late; they are put back by it. Result and findings say what the drive tells.
-    """
-
-    positions: str | Any | None = None
-    track: str | Any | None = None
-    since: float | None = None
-    until: float | None = None
-    start_time: float | None = None
-    lag: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not abs(self.lag) <= LONGEST_LAG_S:
-            raise RequestError(f"`lag` is {self.lag}; give -{LONGEST_LAG_S:g} to {LONGEST_LAG_S:g} s")
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last time. [s]"""
-        return -inf if self.since is None else self.since, inf if self.until is None else self.until
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

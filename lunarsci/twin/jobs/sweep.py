@@ -20,7 +20,8 @@ from lunarsci.twin.designs.trade import (
     unchanged,
 )
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
-from lunarsci.twin.jobs.predict import PoweredRequest
+from lunarsci.twin.jobs.predict import power_of
+from lunarsci.twin.jobs.requests import SweepRequest
 from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
@@ -31,30 +32,6 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepRequest(PoweredRequest):
-    """Which designs to drive.
-
-    Attributes
-    ----------
-    vary : Number of the rover file, TABLE.KEY (with .x, .y or .z of a vector), or plan.speed_m_s; repeatable: the grid
-        of all values.
-    designs : Number of designs: Latin-hypercube samples of the ranges instead of the grid.
-    exact_terrain : Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an
-        elevation model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes
-        lie wider apart than a wheel is large.
-    """
-
-    vary: tuple[str, ...] = ()
-    designs: int | None = None
-    exact_terrain: bool = False
-
-    def __post_init__(self) -> None:
-        PoweredRequest.__post_init__(self)
-        if not self.vary:
-            raise RequestError("nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,7 +141,7 @@ def sweep(
 
 def _driver(soils: Sequence[Soils], asked: SweepRequest) -> Callable[[int, dict[str, Any]], Prediction]:
 
-    members, power = [one.of_members() for one in soils], asked.power()
+    members, power = [one.of_members() for one in soils], power_of(asked)
 
     def drive(number: int, changes: dict[str, Any]) -> Prediction:
         found = predict(**members[number] | changes, time_step_s=asked.time_step, sample_m=asked.sample)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.heights.projections import lonlat_of, told_of
-from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
@@ -24,6 +23,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, maps_bytes, maps_geotiff, read_terrain_file, terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
 from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
+from lunarsci.twin.jobs.requests import MAKERS, GroundRequest, TerrainRequest
 from lunarsci.twin.plans.made_for_check import MadeForCheck
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.path_geojson import path_geojson
@@ -44,124 +44,36 @@ ROCK_SOURCES = [
     "Di et al. (2016), Planet. Space Sci. 120, 103, 10.1016/j.pss.2015.11.012",
     "Wu et al. (2021), Earth Planet. Sci. Lett. 553, 116666",
 ]
-MADE = {
-    "seed": "seed",
-    "spacing": "spacing_m",
-    "rocks": "rock_share",
-    "roughness": "rms_m",
-    "extent": "extent_m",
-    "ground_slope": "slope_deg",
-    "craters": "craters",
-}
-"""Options of synthetic ground, and what its makers call them."""
-OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
-MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
 LIMITS = ("max_slope_deg", "max_step_m", "max_roughness_m", "min_turning_radius_m", "hazard_distance_m")
 UNSEEN = "rocks and edges smaller than two spacings of the grid are not in it"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundRequest:
-    """With what rover in mind to look at a terrain, and how to make one.
+def light_of(request: GroundRequest) -> tuple[tuple[float, float] | None, float | None]:
+    """Direction of the Sun [deg, deg] and the factor on the cost of a metre in shadow. Raises RequestError."""
 
-    Attributes
-    ----------
-    rover : Rover: a name (yutu2, small-four) or a TOML file.
-    height_unit : Unit of the terrain's heights, in place of what its file states.
-    gravity : Gravity: moon, mars, earth, or a number in m/s².
-    baseline : Side in m of the square whose slope is measured; the rover's by default.
-    max_slope : Steepest slope, in deg.
-    max_step : Highest step, in m.
-    max_roughness : Largest roughness, in m.
-    seed : Seed.
-    spacing : Grid spacing, in m.
-    rocks : Share of ground under rocks; 0.0021 at Chang'E-4.
-    roughness : Rms height of waves of 0.4 to 4 m, in m.
-    extent : Side of the square in m; not of Longji.
-    ground_slope : Slope along x in deg; not of Longji.
-    craters : Number of craters; not of Longji.
-    keep_out : Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it;
-        repeatable.
-    layer : Raster on any grid (GeoTIFF, .asc, .npz, .csv) of factors on the cost of a metre, or with --class of classes
-        of ground; repeatable.
-    classes : What a class of the layers costs: a factor, or forbidden; repeatable.
-    sun : Direction of the Sun in deg, from x towards y and over the horizon: shadows go to the maps.
-    shadow_cost : With `sun`, factor on the cost of a metre in shadow, or forbidden.
-    """
-
-    rover: str | None = None
-    height_unit: HeightUnit | None = None
-    gravity: str | None = None
-    baseline: float | None = None
-    max_slope: float | None = None
-    max_step: float | None = None
-    max_roughness: float | None = None
-    seed: int | None = None
-    spacing: float | None = None
-    rocks: float | None = None
-    roughness: float | None = None
-    extent: float | None = None
-    ground_slope: float | None = None
-    craters: int | None = None
-    keep_out: tuple[str, ...] = ()
-    layer: tuple[str, ...] = ()
-    classes: tuple[str, ...] = ()
-    sun: str | None = None
-    shadow_cost: str | None = None
-
-    def made(self, terrain: str) -> dict[str, Any]:
-        """What the maker of synthetic ground is told. Raises RequestError for what another terrain has no use for."""
-        given = {name: value for name in (*MADE, "height_unit") if (value := getattr(self, name)) is not None}
-        for name in given:
-            if name not in MAKERS.get(terrain, ("height_unit",)):
-                raise RequestError(f"`{name}` does not apply to {terrain}; leave it out")
-        return {MADE[name]: value for name, value in given.items() if name in MADE}
-
-    def light(self) -> tuple[tuple[float, float] | None, float | None]:
-        """Direction of the Sun [deg, deg] and the factor on the cost of a metre in shadow. Raises RequestError."""
-
-        if self.sun is None:
-            if self.shadow_cost is not None:
-                raise RequestError("`shadow_cost` needs the Sun; give `sun` AZIMUTH,ELEVATION, too")
-            return None, None
-        try:
-            azimuth, elevation = (float(part) for part in self.sun.split(","))
-        except ValueError as error:
-            raise RequestError(f"`sun` '{self.sun}' is not AZIMUTH,ELEVATION in deg") from error
-        try:
-            return (azimuth, elevation), None if self.shadow_cost is None else parse_cost(self.shadow_cost)
-        except ParameterError as error:
-            raise RequestError(f"`shadow_cost` {error}") from error
-
-    def costs(self) -> dict[float, float]:
-        """Costs by class of ground. Raises RequestError."""
-
-        if self.classes and not self.layer:
-            raise RequestError("classes are those of a layer; give `layer`, too")
-        try:
-            return parse_classes(self.classes)
-        except ParameterError as error:
-            raise RequestError(f"classes of a `layer`: {error}") from error
-
-    def input_files(self) -> tuple[str, ...]:
-        """Files of the user beside the terrain and the keep-outs."""
-        return tuple(self.layer)
-
-    def limits_of_ground(self) -> dict[str, float | None]:
-        """Limits that were given in place of the rover's, by name."""
-        return {"max_slope_deg": self.max_slope, "max_step_m": self.max_step, "max_roughness_m": self.max_roughness}
+    if request.sun is None:
+        if request.shadow_cost is not None:
+            raise RequestError("`shadow_cost` needs the Sun; give `sun` AZIMUTH,ELEVATION, too")
+        return None, None
+    try:
+        azimuth, elevation = (float(part) for part in request.sun.split(","))
+    except ValueError as error:
+        raise RequestError(f"`sun` '{request.sun}' is not AZIMUTH,ELEVATION in deg") from error
+    try:
+        return (azimuth, elevation), None if request.shadow_cost is None else parse_cost(request.shadow_cost)
+    except ParameterError as error:
+        raise RequestError(f"`shadow_cost` {error}") from error
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TerrainRequest(GroundRequest):
-    """The same, with the soil of the terrain that is written.
+def costs_of(request: GroundRequest) -> dict[float, float]:
+    """Costs by class of ground. Raises RequestError."""
 
-    Attributes
-    ----------
-    soil : With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.
-    """
-
-    soil: str | None = None
+    if request.classes and not request.layer:
+        raise RequestError("classes are those of a layer; give `layer`, too")
+    try:
+        return parse_classes(request.classes)
+    except ParameterError as error:
+        raise RequestError(f"classes of a `layer`: {error}") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -363,7 +275,7 @@ def read_site(
         inputs = {terrain: read_input(terrain).sha256}
         file = read_terrain_file(terrain, own_soil, asked.height_unit, onto=onto)
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
-    (sun, shadow_cost), costs = asked.light(), asked.costs()
+    (sun, shadow_cost), costs = light_of(asked), costs_of(asked)
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)

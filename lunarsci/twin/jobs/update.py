@@ -25,7 +25,7 @@ from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, 
 from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.given_soil import PRIORS, doubt_of
-from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
+from lunarsci.twin.jobs.requests import UpdateRequest
 from lunarsci.twin.telemetry.checks import WheelPace
 
 if TYPE_CHECKING:
@@ -33,42 +33,6 @@ if TYPE_CHECKING:
 
 
 SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UpdateRequest(RoverOnGround):
-    """What was driven and measured beside the wheel states, and what was believed before.
-
-    Attributes
-    ----------
-    plan : Plan that was driven (TOML); the embedded one if left out.
-    positions : Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.
-    soil : What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left
-        out.
-    forget : Share of the way back to the first priors, for ground further on.
-    by_place : whether the soil is kept by place, as it is where `soil` is a map.
-    correlation : Distance in m over which soils are alike; the map's, or 5, if left out.
-    particles : Soils that carry the belief.
-    ruts : Whether wheels met the ruts of others; as explains the drive better, if left out.
-    seed : Seed of everything random.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
-    """
-
-    plan: str | Any | None = None
-    positions: str | Any | None = None
-    soil: str | Any | None = None
-    forget: float = 0.0
-    by_place: bool = False
-    correlation: float | None = None
-    particles: int = 128
-    ruts: bool | None = None
-    seed: int = 0
-    as_written: bool = False
-
-    def __post_init__(self) -> None:
-        if self.forget and self.soil is None:
-            raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
 
 
 NO_MAP = "`correlation` is of a soil map; give one as `soil`, or save one"

@@ -220,7 +220,7 @@ def test_what_cannot_be_mapped(envi: Any, tmp_path: Path) -> None:
 
 def test_names_of_where_a_minimum_was_found_are_those_of_the_fit() -> None:
     from lunarsci.spectra.jobs.map_products import ORIGINS
-    from lunarsci.spectra.jobs.map_request import ROWS
+    from lunarsci.spectra.jobs.requests import ROWS
     from lunarsci.spectra.mgm import region
 
     assert (ORIGINS, ROWS) == (region.ORIGINS, region.TILE)

@@ -1,0 +1,289 @@
+"""What the jobs of this part can be asked: every option with its meaning, its type and its default.
+
+The command line reads it at every start: it imports no module that computes.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lunarsci.errors import RequestError
+from lunarsci.images import LengthUnit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateCamerasRequest:
+    """What the pictures show, and what is to be found.
+
+    Attributes
+    ----------
+    target : What the pictures show.
+    board : Columns x rows: inner corners of a chessboard, circles, or squares of a charuco.
+    square : Side of a square, or distance of circles (asymmetric: half of that in a row), in m.
+    marker : Side of a charuco's markers, in m.
+    circle : Diameter of the circles, in m, which corrects their middles; 0 does not.
+    dictionary : Of a charuco's markers, as OpenCV calls it.
+    square_error : Error of the board's size, as a share; the baseline has it.
+    distortion : Terms to find: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).
+    name : Of the camera or rig.
+    """
+
+    target: Literal["chessboard", "circles", "asymmetric-circles", "charuco"] = "chessboard"
+    board: str = "9x6"
+    square: float = 0.025
+    marker: float = 0.0
+    circle: float = 0.0
+    dictionary: str = "DICT_4X4_50"
+    square_error: float = 0.001
+    distortion: Literal[0, 1, 2, 4, 5] = 5
+    name: str = "calibrated"
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.board):
+            raise RequestError(f"`board` is '{self.board}'; give columns and rows, such as 9x6")
+        if not 0 < self.square < 100:
+            raise RequestError(f"`square` is {self.square:g} m; give a number above 0")
+        if not 0 <= self.square_error < 0.5:
+            raise RequestError(f"`square_error` is {self.square_error:g}; give a share, such as 0.001")
+        if self.distortion not in (0, 1, 2, 4, 5):
+            raise RequestError(f"`distortion` is {self.distortion}; give 0, 1, 2, 4 or 5 terms")
+        if self.target == "charuco" and not 0 < self.marker < self.square:
+            raise RequestError("`marker`: give the side of the markers in m, less than that of `square`")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CamerasRequest:
+    """At what precision of matching ranges are judged.
+
+    Attributes
+    ----------
+    disparity_error : Random error of a disparity, in px, for the ranges' errors.
+    translation_unit : Of T in a file of OpenCV, which does not say it.
+    """
+
+    disparity_error: float = 0.2
+    translation_unit: LengthUnit | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.disparity_error < 100:
+            raise RequestError(f"`disparity_error` is {self.disparity_error:g} px; give a number above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemRequest:
+    """How a pair is to be read.
+
+    Attributes
+    ----------
+    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.
+    pose : Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.
+    spacing : Distance of the nodes, in m.
+    nearest : Smallest distance along the axis that is matched, in m.
+    farthest : Largest range that is gridded, in m.
+    """
+
+    rig: str = "yutu2-navcam"
+    pose: str | None = None
+    spacing: float = 0.02
+    nearest: float | None = None
+    farthest: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("spacing", "nearest", "farthest"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 1e4:
+                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
+        if self.nearest is not None and self.farthest is not None and self.nearest >= self.farthest:
+            raise RequestError("`nearest` must be below `farthest`")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocateRequest:
+    """How stations are to be found.
+
+    Attributes
+    ----------
+    rig : The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.
+    mast : Middle between both cameras in the rover's frame, in m ahead, left and up: positions are then the rover's.
+    drift : Error of dead reckoning as a share of the way between stations (assumed).
+    heading_error : Error of the headings in pose.toml, in deg (assumed).
+    tilt_error : Error of down_deg and roll_deg in pose.toml, in deg (assumed).
+    """
+
+    rig: str = "yutu2-navcam"
+    mast: str | None = None
+    drift: float = 0.03
+    heading_error: float = 1.0
+    tilt_error: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, top in (("drift", 1.0), ("heading_error", 45.0), ("tilt_error", 20.0)):
+            if not 0 < getattr(self, name) <= top:
+                raise RequestError(f"`{name}` is {getattr(self, name):g}; give a number above 0, at most {top:g}")
+        self.mast_m()
+
+    def mast_m(self) -> tuple[float, ...] | None:
+        """`mast` as numbers."""
+        if self.mast is None:
+            return None
+        try:
+            found = tuple(map(float, self.mast.split(",")))
+        except ValueError:
+            found = ()
+        if len(found) != 3 or not all(map(math.isfinite, found)):
+            raise RequestError(f"`mast` is '{self.mast}'; give x,y,z in m, ahead, left and up from the rover's origin")
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MergeRequest:
+    """How models are laid together.
+
+    Attributes
+    ----------
+    positions : Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or
+        sigma_m. Without it they share a frame.
+    spacing : Distance of the map's nodes, in m; that of the finest model by default.
+    """
+
+    positions: str | Any | None = None
+    spacing: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.spacing is not None and not 0 < self.spacing < 1000:
+            raise RequestError(f"`spacing` is {self.spacing:g} m; give a number above 0")
+
+
+Law = Literal["lommel-seeliger", "hapke"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderRequest:
+    """What is looked at, with what, and from where.
+
+    Attributes
+    ----------
+    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, or a TOML file.
+    x : Where the left camera is, along x, in m.
+    y : Where the left camera is, along y, in m.
+    heading : Where it looks, from x towards y, in deg.
+    down : How far below the horizon, in deg.
+    roll : Turned clockwise about its axis, in deg.
+    height : Over the ground, in m.
+    spacing : Side of the ground's triangles, in m.
+    rocks : Rocks of 4 cm and more on a square metre.
+    roughness : Factor on the roughness assumed of regolith; 0 leaves the terrain as it is.
+    track : What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
+    track_width : Width of the wheels, in m.
+    sun_azimuth : Where the Sun is, from x towards y, in deg.
+    sun_elevation : Over the horizon, in deg.
+    law : How the ground scatters light.
+    samples : Rays along each side of a pixel.
+    exact : Take the rig as it is, not a draw from its covariance.
+    seed : Seed of ground, noise and the rig's draw.
+    """
+
+    rig: str = "yutu2-navcam"
+    x: float = 0.0
+    y: float = 0.0
+    heading: float = 0.0
+    down: float = 25.0
+    roll: float = 0.0
+    height: float | None = None
+    spacing: float = 0.01
+    rocks: float = 0.5
+    roughness: float = 1.0
+    track: str | None = None
+    track_width: float = 0.15
+    sun_azimuth: float = 60.0
+    sun_elevation: float = 30.0
+    law: Law = "lommel-seeliger"
+    samples: int = 2
+    exact: bool = False
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.spacing <= 1 or not 0 <= self.rocks <= 100 or not 0 <= self.roughness <= 10:
+            raise RequestError("`spacing` is 0.001 to 1 m, `rocks` 0 to 100 a square metre, `roughness` 0 to 10")
+        if not 0.01 <= self.track_width <= 2:
+            raise RequestError(f"`track_width` is {self.track_width:g} m; give 0.01 to 2")
+        if not 0 < self.sun_elevation <= 90:
+            raise RequestError(f"`sun_elevation` is {self.sun_elevation:g} deg; give 0 to 90, over the horizon")
+        if not 1 <= self.samples <= 8:
+            raise RequestError(f"`samples` is {self.samples}; give 1 to 8")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RocksRequest:
+    """What rocks are looked for.
+
+    Attributes
+    ----------
+    largest : Diameter of the largest rock, in m; what is wider is ground.
+    false_share : Share of the finds that may be no rocks.
+    sizes : Diameters in m for which it is said how many are found: numbers with commas.
+    margin : Further distance to keep from a rock, in m.
+    seed : Seed of the rocks put in for trial.
+    """
+
+    largest: float = 0.5
+    false_share: float = 0.05
+    sizes: str = "0.05,0.1,0.2"
+    margin: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.02 <= self.largest <= 5:
+            raise RequestError(f"`largest` is {self.largest:g} m; give 0.02 to 5")
+        if not 0 < self.false_share < 1:
+            raise RequestError(f"`false_share` is {self.false_share:g}; give a share between 0 and 1")
+        if not 0 <= self.margin < 100:
+            raise RequestError(f"`margin` is {self.margin:g} m; give 0 or more")
+        if not all(0.01 <= size <= self.largest for size in self.diameters()):
+            raise RequestError(f"`sizes` '{self.sizes}' are not between 0.01 m and `largest`")
+
+    def diameters(self) -> tuple[float, ...]:
+        """`sizes` as numbers. Raises RequestError."""
+        try:
+            return tuple(float(part) for part in self.sizes.split(",") if part.strip())
+        except ValueError as error:
+            raise RequestError(f"`sizes` '{self.sizes}' are no numbers with commas between them") from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackRequest:
+    """Where the track is and what left it.
+
+    Attributes
+    ----------
+    line : Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.
+    rover : Whose wheel it was: a name (yutu2, small-four) or a TOML file.
+    width : Width of the wheel in m, in place of the rover's.
+    window : Length of track in m that gives one depth.
+    step : Distance of the depths, in m.
+    search : How far from the line the middle of the track may lie, in m; 0 keeps to the line.
+    disparity_bias : Bias of the disparity between the floor and the ground beside it, in px; assumed.
+    rebound : Share of the sinkage by which the ground rose again after the wheel; assumed.
+    """
+
+    line: str = ""
+    rover: str = "yutu2"
+    width: float | None = None
+    window: float = 0.5
+    step: float = 0.1
+    search: float = 0.05
+    disparity_bias: float = 0.05
+    rebound: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.line:
+            raise RequestError("`line` says where the track is; give x1,y1,x2,y2,... or a GeoJSON file")
+        for name in ("width", "window", "step"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 100:
+                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
+        if not 0 <= self.search <= 1 or not 0 <= self.disparity_bias <= 10:
+            raise RequestError("`search` is 0 to 1 m, `disparity_bias` 0 to 10 px")
+        if not 0 <= self.rebound < 0.9:
+            raise RequestError(f"`rebound` is {self.rebound:g}; give a share of 0 to 0.9")
