@@ -5,7 +5,6 @@ become null, so that any JSON reader takes it.
 """
 
 import hashlib
-import json
 import math
 import platform
 import re
@@ -16,8 +15,13 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import orjson
+
+JSON = orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
 _MARK = r"\\u0000"
 """What JSON makes of the sign that stands before the number of some records; no text that is read has it."""
+LONGEST_INTEGER = 63
+"""Bits of a whole number that every reader of JSON takes; a longer one, such as a seed, is text."""
 _PACKAGES = ("numpy", "scipy", "lmfit", "astropy", "pandas", "numba", "matplotlib")
 
 
@@ -97,6 +101,8 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
+    if isinstance(value, int) and value.bit_length() > LONGEST_INTEGER:
+        return str(value)
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value)
@@ -104,7 +110,7 @@ def plain(value: Any) -> Any:
 
 def to_text(value: Any) -> str:
     """JSON of a value with sorted keys and no NaN."""
-    return json.dumps(plain(value), sort_keys=True, indent=2, allow_nan=False, ensure_ascii=False)
+    return orjson.dumps(plain(value), option=JSON).decode()
 
 
 def to_json(content: Any) -> str:

@@ -18,7 +18,6 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "cubes": ("rasterio", "xarray", "h5netcdf"),
     "cluster": ("distributed",),
     "images": ("cv2",),
-    "parquet": ("pyarrow",),
     "excel": ("openpyxl",),
     "report": ("jinja2",),
 }

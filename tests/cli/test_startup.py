@@ -16,7 +16,7 @@ Run = Callable[..., Any]
 
 HELP_MAY_IMPORT = {
     "lunarsci", "typer", "rich", "click", "shellingham", "annotated_doc", "annotated_types", "pydantic",
-    "pydantic_core", "typing_extensions", "typing_inspection", "pygments", "markdown_it", "mdurl", "attr",
+    "pydantic_core", "orjson", "typing_extensions", "typing_inspection", "pygments", "markdown_it", "mdurl", "attr",
 }  # fmt: skip
 """`attr` comes with the maps' reader; rich imports it where it is there."""
 LIST_MODULES = (

@@ -51,7 +51,6 @@ def test_long_telemetry_is_read_in_pieces_and_is_the_same(
     made = template("telemetry")
     path = written(tmp_path, "sent.csv", made.text)
     if suffix == "parquet":
-        pytest.importorskip("pyarrow")
         pd.read_csv(path, comment="#").to_parquet(path := tmp_path / "sent.parquet")
     whole = info(path)
     monkeypatch.setattr("lunarsci.guide.info.LONG", 0)
