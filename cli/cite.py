@@ -9,11 +9,15 @@ from .shared.report import Report
 from .shared.table import TextTable
 
 Results = Annotated[list[str], typer.Argument(metavar="RESULT…", help="Files of --json, or folders of -o.")]
+EXAMPLES = (
+    "lunarsci cite fit.json",
+    "lunarsci cite fit.json predicted > references.bib",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "cite")(cite)
+    command(app, "cite", examples=EXAMPLES)(cite)
 
 
 def cite(results: Results) -> Report:

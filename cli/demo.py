@@ -15,11 +15,15 @@ from .shared.talk import say
 
 FOLDER = "lunarsci-demo"
 NO_PAGE = "left out: a page of all of it needs jinja2; pip install 'lunarsci[report]'"
+EXAMPLES = (
+    "lunarsci demo",
+    "lunarsci demo --seed 1 -o other-demo",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "demo", folder=True, default_path=FOLDER)(demo)
+    command(app, "demo", examples=EXAMPLES, folder=True, default_path=FOLDER)(demo)
 
 
 def demo(

@@ -14,11 +14,15 @@ from .shared.table import TextTable
 
 if TYPE_CHECKING:
     from lunarsci.guide.doctor import HealthReport
+EXAMPLES = (
+    "lunarsci doctor",
+    "lunarsci doctor --field trouble",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "doctor")(doctor)
+    command(app, "doctor", examples=EXAMPLES)(doctor)
 
 
 def doctor(output: Output) -> Report:

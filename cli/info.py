@@ -12,11 +12,15 @@ if TYPE_CHECKING:
     from lunarsci.guide.info import FileInfo
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="Any file, or the folder of a result; - is stdin.")]
+EXAMPLES = (
+    "lunarsci info belief.json",
+    "lunarsci info lunarsci-demo/rock.ecsv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "info")(info)
+    command(app, "info", examples=EXAMPLES)(info)
 
 
 def info(file: File) -> Report:

@@ -26,11 +26,15 @@ Results = Annotated[
         metavar="RESULT…", help="Files of --json, folders of -o, beliefs, soil maps, pictures (.png, .svg) of --plot."
     ),
 ]
+EXAMPLES = (
+    "lunarsci report fit.json predicted -o report.html",
+    "lunarsci report soil.json",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "report", request=ReportRequest, options=OPTIONS)(report)
+    command(app, "report", examples=EXAMPLES, request=ReportRequest, options=OPTIONS)(report)
 
 
 def report(results: Results, request: ReportRequest) -> Report:

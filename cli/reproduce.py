@@ -24,11 +24,15 @@ OPTIONS = {
     "rover": option(show_default="yutu2"),
 }
 TITLES = {"spectra": "The rock", "soil": "The soil", "drive": "The drive"}
+EXAMPLES = (
+    "lunarsci reproduce --part soil",
+    "lunarsci reproduce --part soil -v",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "reproduce", request=ReproduceRequest, options=OPTIONS, blocks=SPREAD)(reproduce)
+    command(app, "reproduce", examples=EXAMPLES, request=ReproduceRequest, options=OPTIONS, blocks=SPREAD)(reproduce)
 
 
 def reproduce(request: ReproduceRequest, output: Output) -> Report:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
@@ -16,37 +17,14 @@ from .shared.table import TextTable
 if TYPE_CHECKING:
     from lunarsci.result import Result
 
-COMMAND_OF = {
-    "Calibrations": "spectra.calibrate",
-    "MeasuredBands": "spectra.bands",
-    "FoundIndices": "spectra.indices",
-    "UnmixedSpectra": "spectra.unmix",
-    "MgmFits": "spectra.fit",
-    "Matches": "spectra.match",
-    "ForcesOnWheel": "regolith.forces",
-    "InferredSoil": "regolith.infer",
-    "IdentifiedSoil": "regolith.identify",
-    "ComparedSoils": "regolith.compare",
-    "CameraSheet": "images.cameras",
-    "CalibratedCameras": "images.calibrate",
-    "SyntheticPair": "images.render",
-    "StereoTerrain": "images.dem",
-    "LocatedStations": "images.locate",
-    "MergedStations": "images.merge",
-    "TrackSinkage": "images.track",
-    "RockList": "images.rocks",
-    "ChosenDrive": "twin.plan",
+SHOWN_BY = {
     "PlannedMission": "twin.plan",
     "TerrainSurvey": "twin.plan",
-    "PredictedDrives": "twin.predict",
-    "DesignTrade": "twin.sweep",
-    "MeasuredStates": "twin.states",
+    "InferredSoil": "regolith.infer",
     "MotionLoads": "twin.loads",
     "UncertainLoads": "twin.loads",
-    "LearnedSoil": "twin.update",
-    "ComparedDrive": "twin.compare",
 }
-"""Whose `result_tables` a result has, by its class or one that it extends."""
+"""Results whose `result_tables` are not those of the command that their schema names."""
 
 
 def as_text(result: Result) -> str:
@@ -68,11 +46,14 @@ def as_html(result: Result) -> str:
 
 
 def _tables(result: Result) -> Sequence[TextTable] | None:
-    command = next((COMMAND_OF[kind.__name__] for kind in type(result).__mro__ if kind.__name__ in COMMAND_OF), None)
-    if command is None:
+    kinds = (kind.__name__ for kind in type(result).__mro__)
+    named = result.schema.partition("/")[0].replace("-", ".", 1)
+    command = next((SHOWN_BY[kind] for kind in kinds if kind in SHOWN_BY), named)
+    if find_spec(f"{__package__}.{command}") is None:
         return None
-    found: Sequence[TextTable] = import_module(f".{command}", __package__).result_tables(result)
-    return found
+    tables: Callable[[Result], Sequence[TextTable]] | None
+    tables = getattr(import_module(f"{__package__}.{command}"), "result_tables", None)
+    return None if tables is None else tables(result)
 
 
 def _html_of(table: TextTable) -> str:

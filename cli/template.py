@@ -16,11 +16,15 @@ Kind = Annotated[
         "mission, craters, telemetry, or states of wheels.",
     ),
 ]
+EXAMPLES = (
+    "lunarsci template plan > plan.toml",
+    "lunarsci template rover > rover.toml",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "template")(template)
+    command(app, "template", examples=EXAMPLES)(template)
 
 
 def template(kind: Kind) -> Report:

@@ -45,11 +45,15 @@ Right = Annotated[
         help="Those of the right camera: a pattern in quotes, such as 'right*.png'. Numbers in names tell moments.",
     ),
 ]
+EXAMPLES = (
+    "lunarsci images calibrate left*.png --board 9x6 --square 0.03",
+    "lunarsci images calibrate left*.png --right 'right*.png' --board 9x6 \\\n  --square 0.03 -o rig.toml",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "calibrate", request=CalibrateCamerasRequest, options=OPTIONS)(calibrate)
+    command(app, "calibrate", examples=EXAMPLES, request=CalibrateCamerasRequest, options=OPTIONS)(calibrate)
 
 
 def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasRequest, right: Right = None) -> Report:

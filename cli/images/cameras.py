@@ -32,11 +32,15 @@ Sources = Annotated[
     ),
 ]
 SHOWN = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
+EXAMPLES = (
+    "lunarsci images cameras yutu2-pancam",
+    "lunarsci images cameras lunarsci-demo/rig.toml --disparity-error 0.2",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "cameras", request=CamerasRequest, options=OPTIONS)(cameras)
+    command(app, "cameras", examples=EXAMPLES, request=CamerasRequest, options=OPTIONS)(cameras)
 
 
 def cameras(output: Output, request: CamerasRequest, sources: Sources = None) -> Report:

@@ -32,11 +32,18 @@ Terrain = Annotated[
     Path | None,
     typer.Option("--save-terrain", metavar="FILE", help="The elevation model: .npz or .tif, for `twin terrain`."),
 ]
+EXAMPLES = (
+    "lunarsci images dem lunarsci-demo/left.png lunarsci-demo/right.png \\\n"
+    "  --rig lunarsci-demo/rig.toml --pose lunarsci-demo/pose.toml \\\n"
+    "  --save-terrain dem.npz",
+    "lunarsci images dem lunarsci-demo/left.png lunarsci-demo/right.png \\\n"
+    "  --rig lunarsci-demo/rig.toml --spacing 0.05 --save-terrain coarse.npz",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "dem", request=DemRequest, options=OPTIONS)(dem)
+    command(app, "dem", examples=EXAMPLES, request=DemRequest, options=OPTIONS)(dem)
 
 
 def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: Terrain = None) -> Report:

@@ -32,11 +32,15 @@ Folders = Annotated[
         help="Two or more folders in the order of the drive, each with left.png, right.png and pose.toml.",
     ),
 ]
+EXAMPLES = (
+    "lunarsci images locate lunarsci-demo station-2 --rig lunarsci-demo/rig.toml",
+    "lunarsci images locate lunarsci-demo station-2 --rig lunarsci-demo/rig.toml \\\n  --drift 0.1 --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "locate", folder=True, request=LocateRequest, options=OPTIONS)(locate)
+    command(app, "locate", examples=EXAMPLES, folder=True, request=LocateRequest, options=OPTIONS)(locate)
 
 
 def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:

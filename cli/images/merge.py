@@ -26,11 +26,15 @@ Elevations = Annotated[
     list[str],
     typer.Argument(help="Two or more files of heights with errors: .npz, GeoTIFF, ASCII or CSV.", metavar="DEM..."),
 ]
+EXAMPLES = (
+    "lunarsci images merge dem.npz coarse.npz",
+    "lunarsci images merge dem.npz coarse.npz --spacing 0.1 -o map.npz",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "merge", request=MergeRequest, options=OPTIONS)(merge)
+    command(app, "merge", examples=EXAMPLES, request=MergeRequest, options=OPTIONS)(merge)
 
 
 def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:

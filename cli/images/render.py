@@ -39,11 +39,15 @@ OPTIONS = {
     "law": option("--scattering", panel=LIGHT),
 }
 Terrain = Annotated[str | None, typer.Argument(metavar="[TERRAIN]", help="Ground; level where it is left out.")]
+EXAMPLES = (
+    "lunarsci images render --rig lunarsci-demo/rig.toml --rays 1 -o pair",
+    "lunarsci images render --rig lunarsci-demo/rig.toml --rays 1 \\\n  --x 0.5 -o station-2",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "render", folder=True, request=RenderRequest, options=OPTIONS)(render)
+    command(app, "render", examples=EXAMPLES, folder=True, request=RenderRequest, options=OPTIONS)(render)
 
 
 def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> Report:

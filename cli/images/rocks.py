@@ -27,11 +27,15 @@ OPTIONS = {
     "seed": option(),
 }
 SHOWN = 20
+EXAMPLES = (
+    "lunarsci images rocks ground/terrain.npz",
+    "lunarsci images rocks ground/terrain.npz -o rocks.geojson",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "rocks", request=RocksRequest, options=OPTIONS)(rocks)
+    command(app, "rocks", examples=EXAMPLES, request=RocksRequest, options=OPTIONS)(rocks)
 
 
 def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:

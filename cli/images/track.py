@@ -34,11 +34,15 @@ Elevation = Annotated[
         help="Heights with their errors as layers: .npz, GeoTIFF, ESRI ASCII .asc, or CSV of nodes.", metavar="DEM"
     ),
 ]
+EXAMPLES = (
+    "lunarsci images track ground/terrain.npz --line 0,1,2.5,1.2",
+    "lunarsci images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "track", request=TrackRequest, options=OPTIONS)(track)
+    command(app, "track", examples=EXAMPLES, request=TrackRequest, options=OPTIONS)(track)
 
 
 def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:

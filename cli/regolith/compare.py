@@ -34,11 +34,15 @@ Found = Annotated[
         help="A result of `regolith infer` or `identify`, by --json, or a belief of `twin update`; - is stdin.",
     ),
 ]
+EXAMPLES = (
+    "lunarsci regolith compare soil.json",
+    "lunarsci regolith compare --stiffness 1443 --exponent 1 \\\n  --cohesion 520 --friction-angle 42",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "compare", request=CompareSoilsRequest, options=OPTIONS)(compare)
+    command(app, "compare", examples=EXAMPLES, request=CompareSoilsRequest, options=OPTIONS)(compare)
 
 
 def compare(request: CompareSoilsRequest, result: Found = None) -> Report:

@@ -47,11 +47,15 @@ OPTIONS = {
     "reece_cohesive": option(panel=SOIL),
     "reece_frictional": option(panel=SOIL),
 }
+EXAMPLES = (
+    "lunarsci regolith forces --sinkage 0.008 --slip 0.1",
+    "lunarsci regolith forces --load 36.5 --slip 0:0.6:13 --plot pull.png",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "forces", request=WheelForcesRequest, options=OPTIONS)(forces)
+    command(app, "forces", examples=EXAMPLES, request=WheelForcesRequest, options=OPTIONS)(forces)
 
 
 def forces(request: WheelForcesRequest) -> Report:

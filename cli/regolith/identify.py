@@ -69,11 +69,15 @@ OPTIONS = {
     "side_slip_error": option(panel=ERRORS, show_default="4/300"),
     "sensitivity": option(panel=ERRORS),
 }
+EXAMPLES = (
+    "lunarsci regolith identify lunarsci-demo/wheel_states.csv --exponent 1",
+    "lunarsci regolith identify lunarsci-demo/wheel_states.csv \\\n  --lateral-modulus 13,40 --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "identify", request=IdentifyRequest, options=OPTIONS)(identify)
+    command(app, "identify", examples=EXAMPLES, request=IdentifyRequest, options=OPTIONS)(identify)
 
 
 def identify(states: States, request: IdentifyRequest, output: Output) -> Report:

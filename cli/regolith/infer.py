@@ -63,11 +63,15 @@ Posterior = Annotated[
 ]
 
 OTHERS = "values are those of this wheel with this law: a plate or a shear box may find others"
+EXAMPLES = (
+    "lunarsci regolith infer lunarsci-demo/wheel_states.csv -o soil.json",
+    "lunarsci regolith infer lunarsci-demo/wheel_states.csv --model-error 0.05",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "infer", request=InferRequest, options=OPTIONS)(infer)
+    command(app, "infer", examples=EXAMPLES, request=InferRequest, options=OPTIONS)(infer)
 
 
 def infer(states: States, request: InferRequest, output: Output, posterior: Posterior = None) -> Report:

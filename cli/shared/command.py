@@ -22,7 +22,6 @@ from lunarsci.io.atomic import written
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit, emit_failed
-from .examples import epilog
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
 from .talk import interrupted, say
@@ -38,6 +37,7 @@ def command(
     options: Mapping[str, RequestOption] | None = None,
     blocks: Sequence[str] = (),
     batch: bool = False,
+    examples: Sequence[str] = (),
 ) -> Callable[[Callable[..., Report]], Callable[..., None]]:
     """Register a function that returns a `Report` as a command with the shared output options.
 
@@ -48,7 +48,8 @@ def command(
     With `request`, a frozen dataclass of a job, and `options`, what the command line says of its fields, the function
     is handed a `request` made of them; names, types and defaults are those of the dataclass. What it refuses is wrong
     usage. `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
-    `BLOCKS`. A command of a `batch` of inputs, which goes on past a bad one, can list these in a file.
+    `BLOCKS`. A command of a `batch` of inputs, which goes on past a bad one, can list these in a file. `examples` stand
+    below the help; a line that ends in a backslash goes on in the next one, as in a shell.
     """
     shared = shared_options(folder, default_path, batch) | computing_options(blocks)
     asked = [] if request is None else request_parameters(request, options or {})
@@ -93,7 +94,8 @@ def command(
         extended = _extended(signature, asked, shared)
         run.__signature__ = extended  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
-        app.command(name, help=paragraphs(function), epilog=epilog(function.__module__, name))(run)
+        epilog = "\n  ".join(["Examples:", *examples]).replace("\n  --", "\n      --") if examples else ""
+        app.command(name, help=paragraphs(function), epilog=epilog)(run)
         return run
 
     return register

@@ -33,11 +33,15 @@ Plane = Annotated[
     typer.Option(metavar="FILE", help="Draw the 2 µm centre over the 1 µm centre among the pyroxenes (.png, …)."),
 ]
 AT_A_GLANCE = ("fs_gaffey", "wo_gaffey", "en_gaffey", "fs_trend_bc2000", "fo_bc1000", "opx_cloutis")
+EXAMPLES = (
+    "lunarsci spectra bands lunarsci-demo/rock.ecsv",
+    "lunarsci spectra bands lunarsci-demo/rock.ecsv --continuum hull \\\n  --plot bands.png",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "bands", batch=True, request=BandsRequest, options=OPTIONS, blocks=BLOCKS)(bands)
+    command(app, "bands", examples=EXAMPLES, batch=True, request=BandsRequest, options=OPTIONS, blocks=BLOCKS)(bands)
 
 
 def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = None) -> Report:

@@ -35,11 +35,15 @@ OPTIONS = {
     "vnir_steps": option(panel=DETECTOR),
     "calibration": option(kind=str | None, metavar="FILE", panel=DETECTOR),
 }
+EXAMPLES = (
+    "lunarsci spectra calibrate lunarsci-demo/*.2BL -o rock.ecsv",
+    "lunarsci spectra calibrate scene --photometry akimov --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "calibrate", batch=True, request=CalibrateRequest, options=OPTIONS)(calibrate)
+    command(app, "calibrate", examples=EXAMPLES, batch=True, request=CalibrateRequest, options=OPTIONS)(calibrate)
 
 
 def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Report:

@@ -46,11 +46,15 @@ OPTIONS = MODEL_OPTIONS | {
 }
 WAVELENGTHS_NM, STRENGTHS = (0.0, 3000.0), (-5.0, 5.0)
 """Between these lie bands; an error as wide says that nothing is known."""
+EXAMPLES = (
+    "lunarsci spectra fit lunarsci-demo/rock.ecsv",
+    "lunarsci spectra fit lunarsci-demo/rock.ecsv --assemblage OPX-CPX -o fit.json",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "fit", batch=True, request=FitRequest, options=OPTIONS, blocks=BLOCKS)(fit_spectra)
+    command(app, "fit", examples=EXAMPLES, batch=True, request=FitRequest, options=OPTIONS, blocks=BLOCKS)(fit_spectra)
 
 
 def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:

@@ -28,11 +28,15 @@ WHY_NOT = {
     "undefined": "the formula has no value for such reflectances",
     "beyond_range": "beyond what it was made for: see --json",
 }
+EXAMPLES = (
+    "lunarsci spectra indices lunarsci-demo/rock.ecsv",
+    "lunarsci spectra indices lunarsci-demo/rock.ecsv --index ibd1000 --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "indices", batch=True, request=IndicesRequest, options=OPTIONS)(indices)
+    command(app, "indices", examples=EXAMPLES, batch=True, request=IndicesRequest, options=OPTIONS)(indices)
 
 
 def indices(files: Files, request: IndicesRequest) -> Report:

@@ -43,7 +43,17 @@ def add_to(group: typer.Typer) -> None:
     group.add_typer(app, name="library")
 
 
-@command(app, "import", batch=True, request=ImportRequest, options=OPTIONS)
+@command(
+    app,
+    "import",
+    examples=(
+        "lunarsci spectra library import lunarsci-demo/rock.ecsv --mineral other \\\n  -o library.ecsv",
+        "lunarsci spectra library import lunarsci-demo/rock.ecsv --source here --csv",
+    ),
+    batch=True,
+    request=ImportRequest,
+    options=OPTIONS,
+)
 def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     """Make a library from RELAB, USGS splib07, ENVI .sli, CSV, ECSV or FITS files: -o LIBRARY.ecsv writes it.
 
@@ -58,13 +68,29 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     return Report.of(library, [_listing(library)], formats={".ecsv": library.to_ecsv})
 
 
-@command(app, "list", batch=True)
+@command(
+    app,
+    "list",
+    examples=(
+        "lunarsci spectra library list library.ecsv",
+        "lunarsci spectra library list library.ecsv --columns id,mineral",
+    ),
+    batch=True,
+)
 def list_(files: Libraries) -> Report:
     """What a library holds."""
     return _list(files)
 
 
-@command(app, "check", batch=True)
+@command(
+    app,
+    "check",
+    examples=(
+        "lunarsci spectra library check library.ecsv",
+        "lunarsci spectra library check library.ecsv --json",
+    ),
+    batch=True,
+)
 def check(files: Libraries) -> Report:
     """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
 
@@ -74,7 +100,15 @@ def check(files: Libraries) -> Report:
     return Report.of(checked, [_findings(checked)])
 
 
-@command(app, "plot", batch=True)
+@command(
+    app,
+    "plot",
+    examples=(
+        "lunarsci spectra library plot library.ecsv -o library.png",
+        "lunarsci spectra library plot library.ecsv -o library.pdf",
+    ),
+    batch=True,
+)
 def plot(files: Libraries, output: Output) -> Report:
     """Draw a library, one panel for each mineral: -o FILE.png, .svg or .pdf."""
     if output.plot is None and (output.path is None or output.path.suffix.lower() not in PICTURES):

@@ -60,11 +60,15 @@ OPTIONS = {
     "saturated": option(panel=FILE),
     "locations": option(panel=FILE, metavar="FILE"),
 }
+EXAMPLES = (
+    "lunarsci spectra map lunarsci-demo/*VD_SCI*.2B --spectrum 128,128",
+    "lunarsci spectra map lunarsci-demo/*VD_SCI*.2B --products indices \\\n  --every 16 -o map.nc",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "map", request=MapRequest, options=OPTIONS, blocks=BLOCKS)(map_cube)
+    command(app, "map", examples=EXAMPLES, request=MapRequest, options=OPTIONS, blocks=BLOCKS)(map_cube)
 
 
 def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spectrum = None) -> Report:

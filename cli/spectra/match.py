@@ -56,11 +56,15 @@ OPTIONS = {
     "gardening": option(panel=EXPOSURE, metavar="LOW:HIGH"),
     "seed": option(panel=PRIOR, min=0),
 }
+EXAMPLES = (
+    "lunarsci spectra match --modes ol=0.25:0.05,opx=0.35:0.05,cpx=0.4:0.05",
+    "lunarsci spectra match shares.json --site=-45.44,177.56",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "match", batch=True, request=MatchRequest, options=OPTIONS, blocks=SPREAD)(match)
+    command(app, "match", examples=EXAMPLES, batch=True, request=MatchRequest, options=OPTIONS, blocks=SPREAD)(match)
 
 
 def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:

@@ -29,11 +29,15 @@ OPTIONS = {
     "sequence": option(min=1, max=9999, panel=OBSERVATION),
     "seed": option(min=0, panel=OBSERVATION),
 }
+EXAMPLES = (
+    "lunarsci spectra simulate --rock ol=0.1,opx=0.4,cpx=0.2,plg=0.3 -o scene",
+    "lunarsci spectra simulate --minerals ol=0.2,opx=0.3,cpx=0.3,plg=0.2 --noise 0",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "simulate", folder=True, request=SimulateVnisRequest, options=OPTIONS)(simulate)
+    command(app, "simulate", examples=EXAMPLES, folder=True, request=SimulateVnisRequest, options=OPTIONS)(simulate)
 
 
 def simulate(request: SimulateVnisRequest) -> Report:

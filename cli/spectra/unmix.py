@@ -35,11 +35,15 @@ OPTIONS = {
     **UNITS,
     **ONLY,
 }
+EXAMPLES = (
+    "lunarsci spectra unmix lunarsci-demo/rock.ecsv --kind solid-rock",
+    "lunarsci spectra unmix lunarsci-demo/rock.ecsv --kind solid-rock \\\n  -o shares.json",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "unmix", batch=True, request=UnmixRequest, options=OPTIONS)(unmix_spectra)
+    command(app, "unmix", examples=EXAMPLES, batch=True, request=UnmixRequest, options=OPTIONS)(unmix_spectra)
 
 
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:

@@ -62,11 +62,15 @@ UNITS = {
     "drawbar_pull_n": ("N", 1.0),
     "lateral_force_n": ("N", 1.0),
 }
+EXAMPLES = (
+    "lunarsci twin compare predicted states/states.csv --plan plan.toml",
+    "lunarsci twin compare predicted states/states.csv \\\n  --positions states/positions.csv --json",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "compare", batch=True, request=TrialsRequest, options=OPTIONS)(compare)
+    command(app, "compare", examples=EXAMPLES, batch=True, request=TrialsRequest, options=OPTIONS)(compare)
 
 
 def compare(inputs: Inputs, request: TrialsRequest, output: Output, save: SavedBelief = None) -> Report:

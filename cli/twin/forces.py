@@ -29,11 +29,15 @@ COLUMNS = {
     "slip_ratio": ("slip [-]", 1.0),
     "side_slip_deg": ("side slip [deg]", 1.0),
 }
+EXAMPLES = (
+    "lunarsci twin forces plan.toml",
+    "lunarsci twin forces plan.toml --soil lunar-typical --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "forces", request=DriveRequest, options=DRIVE, blocks=SPREAD)(forces)
+    command(app, "forces", examples=EXAMPLES, request=DriveRequest, options=DRIVE, blocks=SPREAD)(forces)
 
 
 def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Report:

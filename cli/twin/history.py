@@ -38,11 +38,15 @@ SHORT = {
     "external_friction_angle_deg": "φ_y",
     "lateral_modulus_mm": "K_y",
 }
+EXAMPLES = (
+    "lunarsci twin history belief.json",
+    "lunarsci twin history second.json --against belief.json",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "history", request=HistoryRequest, options=OPTIONS)(history)
+    command(app, "history", examples=EXAMPLES, request=HistoryRequest, options=OPTIONS)(history)
 
 
 def history(

@@ -52,11 +52,15 @@ SavedBelief = Annotated[
 ]
 SYMBOLS = {"normal_force_n": "F_N", "drawbar_pull_n": "F_DP", "lateral_force_n": "F_L"}
 UNITS = {"ahead": "N", "left": "N", "moment": "N m"}
+EXAMPLES = (
+    "lunarsci twin loads --motion states/motion.csv",
+    "lunarsci twin loads --motion states/motion.csv --states states/states.csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "loads", folder=True, request=LoadsRequest, options=OPTIONS)(loads)
+    command(app, "loads", examples=EXAMPLES, folder=True, request=LoadsRequest, options=OPTIONS)(loads)
 
 
 def loads(

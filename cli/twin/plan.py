@@ -56,11 +56,15 @@ SHORT = {
 }  # fmt: skip
 SHOWN = 12
 """Candidates in the table for people."""
+EXAMPLES = (
+    "lunarsci twin plan --target 8.5,2.5 -o site",
+    "lunarsci twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "plan", folder=True, request=PlanRequest, options=OPTIONS, blocks=SPREAD)(plan)
+    command(app, "plan", examples=EXAMPLES, folder=True, request=PlanRequest, options=OPTIONS, blocks=SPREAD)(plan)
 
 
 def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geotiff: GeoTiff = False) -> Report:

@@ -30,11 +30,17 @@ OPTIONS = DRIVE | {
     "sun": SUN,
     "charge": CHARGE,
 }
+EXAMPLES = (
+    "lunarsci twin predict plan.toml --soil lunar-typical",
+    "lunarsci twin predict plan.toml --sweep friction_angle_deg=30:50:3 \\\n  -o predicted",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "predict", folder=True, request=PredictRequest, options=OPTIONS, blocks=SPREAD)(predict)
+    command(app, "predict", examples=EXAMPLES, folder=True, request=PredictRequest, options=OPTIONS, blocks=SPREAD)(
+        predict
+    )
 
 
 def predict(

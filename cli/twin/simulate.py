@@ -36,11 +36,15 @@ OPTIONS = {
     "time_step": TIME_STEP,
     "sample": option(panel=TELEMETRY),
 }
+EXAMPLES = (
+    "lunarsci twin simulate plan.toml --seed 5 -o drive",
+    "lunarsci twin simulate plan.toml --soil lunar-typical --fix-distance 1",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "simulate", folder=True, request=SimulateDriveRequest, options=OPTIONS)(simulate)
+    command(app, "simulate", examples=EXAMPLES, folder=True, request=SimulateDriveRequest, options=OPTIONS)(simulate)
 
 
 def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = None) -> Report:

@@ -43,11 +43,15 @@ DrivenPlan = Annotated[
     str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock, commands and speed with.")
 ]
 FACTORS = {"slip_ratio": 1.0, "side_slip_deg": 1.0, "sinkage_m": 1e3}
+EXAMPLES = (
+    "lunarsci twin states drive/telemetry.csv plan.toml \\\n  --track drive/track.csv -o states",
+    "lunarsci twin states drive/telemetry.csv --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "states", folder=True, request=StatesRequest, options=OPTIONS)(states)
+    command(app, "states", examples=EXAMPLES, folder=True, request=StatesRequest, options=OPTIONS)(states)
 
 
 def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None) -> Report:

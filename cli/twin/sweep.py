@@ -29,11 +29,15 @@ Plans = Annotated[
     list[str] | None,
     typer.Argument(metavar="PLAN", help="Plans of the mission (TOML); the embedded one if left out."),
 ]
+EXAMPLES = (
+    "lunarsci twin sweep plan.toml --vary wheel.radius_m=0.13:0.17:2",
+    "lunarsci twin sweep plan.toml --vary mass.body_kg=90:120:2 --csv",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "sweep", request=SweepRequest, options=OPTIONS)(sweep)
+    command(app, "sweep", examples=EXAMPLES, request=SweepRequest, options=OPTIONS)(sweep)
 
 
 def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:

@@ -46,11 +46,15 @@ TERRAIN = "synthetic-longji, synthetic, or a file (.npz, GeoTIFF, PDS3, PDS4, IS
 TerrainFile = Annotated[str, typer.Argument(help=TERRAIN, metavar="TERRAIN")]
 NamedTerrain = Annotated[str | None, typer.Argument(help=TERRAIN, metavar="TERRAIN", show_default="synthetic-longji")]
 GeoTiff = Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")]
+EXAMPLES = (
+    "lunarsci twin terrain",
+    "lunarsci twin terrain synthetic --extent 4 --spacing 0.02 --rocks 0.03 \\\n  --seed 2 -o ground",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "terrain", folder=True, request=TerrainRequest, options=OPTIONS)(terrain)
+    command(app, "terrain", examples=EXAMPLES, folder=True, request=TerrainRequest, options=OPTIONS)(terrain)
 
 
 def terrain(

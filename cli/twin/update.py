@@ -73,11 +73,17 @@ EFFECTIVE = (
     "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "
     "another law or instrument would find, are known less well, and cohesion least: friction makes up for it"
 )
+EXAMPLES = (
+    "lunarsci twin update states/states.csv --plan plan.toml --particles 32 \\\n"
+    "  --positions states/positions.csv --save belief.json",
+    "lunarsci twin update states/states.csv --plan plan.toml --particles 32 \\\n"
+    "  --positions states/positions.csv --seed 2 --save second.json",
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "update", request=UpdateRequest, options=OPTIONS, blocks=SPREAD)(update)
+    command(app, "update", examples=EXAMPLES, request=UpdateRequest, options=OPTIONS, blocks=SPREAD)(update)
 
 
 def update(

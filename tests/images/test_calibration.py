@@ -17,7 +17,7 @@ pytest.importorskip("cv2", reason="needs the extra images")
 import boards
 import cv2
 from lunarsci.cli import main
-from lunarsci.cli.shared.examples import EXAMPLES
+from lunarsci.cli.images.calibrate import EXAMPLES
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.images.calibration import (
@@ -215,7 +215,7 @@ def test_examples_of_the_help_run(shown: tuple[list[str], list[str]], tmp_path: 
     for picture in (*shown[0], *shown[1]):
         (tmp_path / Path(picture).name).symlink_to(picture)
     environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}"}
-    for line in EXAMPLES["images calibrate"]:
+    for line in EXAMPLES:
         done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     assert read_rig(str(tmp_path / "rig.toml")).baseline_m == pytest.approx(0.12 * 0.03 / SQUARE, rel=0.02)
