@@ -7,10 +7,22 @@ from typing import Any
 
 from lunarsci.errors import DataError
 from lunarsci.names import some_of
-from lunarsci.pages import drive_answers, image_answers, rock_answers
+from lunarsci.pages import drive_answers, rock_answers
 from lunarsci.pages.documents import Document
-from lunarsci.pages.sentences import DOUBT, GO, MOST, STOP, Result, ResultAnswer, trust
-from lunarsci.pages.words import counted, measured, number, quantity, unit
+from lunarsci.pages.words import (
+    DOUBT,
+    GO,
+    MOST,
+    STOP,
+    Result,
+    ResultAnswer,
+    counted,
+    measured,
+    number,
+    quantity,
+    trust,
+    unit,
+)
 
 
 def answer(document: Document) -> ResultAnswer:
@@ -168,14 +180,14 @@ def shown(result: Result) -> ResultAnswer:
 
 ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {
     "demo": shown,
-    "images-calibrate": image_answers.calibrated_cameras,
-    "images-cameras": image_answers.cameras,
-    "images-dem": image_answers.heights,
-    "images-locate": image_answers.located,
-    "images-merge": image_answers.merged,
-    "images-render": image_answers.rendered,
-    "images-rocks": image_answers.rocks,
-    "images-track": image_answers.ruts,
+    "images-calibrate": drive_answers.calibrated_cameras,
+    "images-cameras": drive_answers.cameras,
+    "images-dem": drive_answers.heights,
+    "images-locate": drive_answers.located,
+    "images-merge": drive_answers.merged,
+    "images-render": drive_answers.rendered,
+    "images-rocks": drive_answers.rocks,
+    "images-track": drive_answers.ruts,
     "regolith-compare": like,
     "regolith-forces": wheel_forces,
     "regolith-identify": soil,

@@ -15,7 +15,7 @@ from lunarsci.pages.answers import answer, as_written, contradictions, namesakes
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
-from lunarsci.pages.sentences import DOUBT, GO, STOP, ResultAnswer, of_first_page
+from lunarsci.pages.words import DOUBT, GO, STOP, ResultAnswer, of_first_page
 from lunarsci.printable import printable
 from lunarsci.provenance import installed_version
 

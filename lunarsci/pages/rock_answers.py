@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.names import some_of
-from lunarsci.pages.sentences import Result, ResultAnswer, each, sentence
-from lunarsci.pages.words import counted, measured, number, percent
+from lunarsci.pages.words import Result, ResultAnswer, counted, each, measured, number, percent, sentence
 from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict

@@ -115,8 +115,8 @@ def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
     figure = page(8.4)
     parts: Any = figure.subfigures(2, 1, height_ratios=(5.4, 2.8))
     (bearing, shear), lateral = parts[0].subplots(1, 2), parts[1].subplots()
-    named = {bearing: _bearing(bearing, wheel), shear: _shear(shear, wheel)}
-    _lateral(lateral, wheel)
+    named = {bearing: _bearing_panel(bearing, wheel), shear: _shear_panel(shear, wheel)}
+    _lateral_panel(lateral, wheel)
     for axes in (bearing, shear):
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
     parts[1].legend(loc="outside right center", frameon=False)
@@ -153,7 +153,7 @@ def _typical(axes: "Axes", x: float, y: float, label: str) -> None:
     axes.axhline(y, label=label, **look)
 
 
-def _bearing(axes: "Axes", wheel: Wheel) -> Named:
+def _bearing_panel(axes: "Axes", wheel: Wheel) -> Named:
     """Pairs (N, K_s) that carry the load at each sinkage; returns the soils to be named."""
     named: Named = []
     stiffness = [dot[0] for dot in BEARING_DOTS]
@@ -195,7 +195,7 @@ def _short(name: str) -> str:
     return "\n".join(textwrap.wrap(name.replace(" % water", "\u00a0%"), 22))
 
 
-def _shear(axes: "Axes", wheel: Wheel) -> Named:
+def _shear_panel(axes: "Axes", wheel: Wheel) -> Named:
     """Pairs (c, phi) of both curves with a published point, each with the drawbar pull that puts it there."""
     named: Named = []
     corners = ((COHESION_PA, PHI_DEG, SLIP), (CORNER[1], CORNER[0], -1e-6))
@@ -246,7 +246,7 @@ def _missions(axes: "Axes") -> None:
     _finish(axes, title, "cohesion c [Pa]", "internal friction angle φ [°]")
 
 
-def _lateral(axes: "Axes", wheel: Wheel) -> None:
+def _lateral_panel(axes: "Axes", wheel: Wheel) -> None:
     """Pairs (K_y, phi_y) at both ends of the side slip, each with the lateral force that puts it through its dot."""
     moduli, angles = zip(*LATERAL_CORNERS, strict=True)
     _region(axes, moduli, angles, LATERAL_CORNERS)

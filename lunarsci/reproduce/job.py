@@ -63,7 +63,7 @@ class Reproduction(Result):
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.regolith.wheel import read_wheel
-        from lunarsci.reproduce.figure_drive import drive_pages
+        from lunarsci.reproduce.drive import drive_pages
         from lunarsci.reproduce.figure_soil import soil_pages
         from lunarsci.reproduce.spectra import spectra_pages
 

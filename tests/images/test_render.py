@@ -13,7 +13,7 @@ from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covarian
 from lunarsci.images.render import Landscape, World, _scattered, landscape_on, read_track, render, seen_by, with_track
 from lunarsci.images.rig_files import read_pose, read_rig
 from lunarsci.io.inputs import InputFile
-from lunarsci.pages.image_answers import rendered
+from lunarsci.pages.drive_answers import rendered
 
 LENS = Camera(name="l", width_px=120, height_px=90, fx_px=130.0, fy_px=130.0, cx_px=60.0, cy_px=44.0, k1=-0.05)
 RIG = StereoRig(

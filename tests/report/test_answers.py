@@ -14,10 +14,8 @@ from lunarsci.figure import FIRST_PAGE
 from lunarsci.pages.answers import ANSWERS, answer, contradictions, namesakes
 from lunarsci.pages.documents import Document, _first_pages, document_of, read_results
 from lunarsci.pages.page import TITLES, Page
-from lunarsci.pages.parts import apart, assumed, budget, tables, unknown
-from lunarsci.pages.quantities import quantities
-from lunarsci.pages.sentences import DOUBT, GO, STOP
-from lunarsci.pages.words import counted, measured, number, percent, words
+from lunarsci.pages.parts import apart, assumed, budget, quantities, tables, unknown
+from lunarsci.pages.words import DOUBT, GO, STOP, counted, measured, number, percent, words
 from lunarsci.regolith.belief import first_belief
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict

@@ -294,5 +294,5 @@ def test_the_function_is_one_of_the_others() -> None:
     """No package of its name stands in its way, and its help names its options."""
     assert inspect.isfunction(lunarsci.report) and lunarsci.report is report
     told = inspect.getdoc(lunarsci.report) or ""
-    assert "terrain : `synthetic-longji` or a file" in told and "force : whether" in told
+    assert "terrain : Ground to turn in the page" in told and "force : whether" in told
     assert str(inspect.signature(lunarsci.report)).startswith("(results")

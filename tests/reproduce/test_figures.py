@@ -11,8 +11,7 @@ from matplotlib.text import Text
 
 from lunarsci.figure import name_points
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.reproduce.drive import Drives
-from lunarsci.reproduce.figure_drive import drive_pages
+from lunarsci.reproduce.drive import Drives, drive_pages
 from lunarsci.reproduce.figure_soil import histograms, soil_pages
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.soil import soil_numbers

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lunarsci
-from lunarsci.pages.quantities import quantities
+from lunarsci.pages.parts import quantities
 from lunarsci.spectra.jobs.verdicts import fit_verdict
 from lunarsci.spectra.mgm.compositions import compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
