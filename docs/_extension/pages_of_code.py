@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import importlib
+import inspect
 import re
 import tomllib
 from collections.abc import Iterator
@@ -191,9 +192,9 @@ def requests_text() -> str:
     for area, names in lunarsci.JOBS.items():
         for name in names:
             module = importlib.import_module(f"lunarsci.{area}.jobs.{name}")
-            own = [thing for thing in vars(module).values() if dataclasses.is_dataclass(thing)]
-            kind = next(thing for thing in own if thing.__module__.startswith(module.__name__)
-                        and thing.__name__.endswith("Request"))  # fmt: skip
+            annotation = str(inspect.signature(getattr(module, name)).parameters["request"].annotation)
+            kind = next(kind for kind in vars(module).values() if isinstance(kind, type)
+                        and re.search(rf"\b{kind.__name__}\b", annotation))  # fmt: skip
             path = f"{kind.__module__}.{kind.__name__}"
             parts.append(f"### `{kind.__name__}`\n\nof `lunarsci.{name}`\n\n{fields_text(path)}")
     return "\n\n".join(parts)

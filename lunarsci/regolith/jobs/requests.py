@@ -137,7 +137,7 @@ class IdentifyRequest:
     seed : Seed of the random numbers.
     sinkage_error : 1σ of the sinkage, in m.
     force_error : 1σ of the forces, relative.
-    travel_error : 1σ of the travelled distance, relative; slip errs by it times 1 - |s|.
+    travel_error : 1σ of the travelled distance, relative; slip errs by it times 1 - abs(s).
     side_slip_error : 1σ of the side slip, relative.
     sensitivity : How much of each variance comes from each measured quantity.
     units : Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the
