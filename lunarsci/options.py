@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from lunarsci.errors import RequestError
 from lunarsci.names import one_of
+from lunarsci.ranges import in_words, is_within
 
 Request = TypeVar("Request")
 _ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
@@ -113,3 +114,12 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
     for name, value in given.items():
         check_option(name, value, hints[name])
     return kind(**meant) if request is None else dataclasses.replace(request, **meant)  # type: ignore[type-var]
+
+
+def check_intervals(request: object, intervals: Mapping[str, str]) -> None:
+    """Raises RequestError for a number outside its interval; by interval the names of options with blanks between."""
+    for interval, names in intervals.items():
+        for name in names.split():
+            value = getattr(request, name)
+            if value is not None and not is_within(value, interval):
+                raise RequestError(f"`{name}` is {value:g}; give {in_words(interval)}")

@@ -21,6 +21,7 @@ SHARED = {
     "result",
     "names",
     "options",
+    "ranges",
     "printable",
     "sun",
     "io",

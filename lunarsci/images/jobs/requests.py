@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.images import LengthUnit
+from lunarsci.options import check_intervals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,10 +43,7 @@ class CalibrateCamerasRequest:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.board):
             raise RequestError(f"`board` is '{self.board}'; give columns and rows, such as 9x6")
-        if not 0 < self.square < 100:
-            raise RequestError(f"`square` is {self.square:g} m; give a number above 0")
-        if not 0 <= self.square_error < 0.5:
-            raise RequestError(f"`square_error` is {self.square_error:g}; give a share, such as 0.001")
+        check_intervals(self, {"(0, 100)": "square", "[0, 0.5)": "square_error"})
         if self.distortion not in (0, 1, 2, 4, 5):
             raise RequestError(f"`distortion` is {self.distortion}; give 0, 1, 2, 4 or 5 terms")
         if self.target == "charuco" and not 0 < self.marker < self.square:
@@ -66,8 +64,7 @@ class CamerasRequest:
     translation_unit: LengthUnit | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.disparity_error < 100:
-            raise RequestError(f"`disparity_error` is {self.disparity_error:g} px; give a number above 0")
+        check_intervals(self, {"(0, 100)": "disparity_error"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,10 +87,7 @@ class DemRequest:
     farthest: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("spacing", "nearest", "farthest"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < 1e4:
-                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
+        check_intervals(self, {"(0, 10000)": "spacing nearest farthest"})
         if self.nearest is not None and self.farthest is not None and self.nearest >= self.farthest:
             raise RequestError("`nearest` must be below `farthest`")
 
@@ -118,9 +112,7 @@ class LocateRequest:
     tilt_error: float = 0.3
 
     def __post_init__(self) -> None:
-        for name, top in (("drift", 1.0), ("heading_error", 45.0), ("tilt_error", 20.0)):
-            if not 0 < getattr(self, name) <= top:
-                raise RequestError(f"`{name}` is {getattr(self, name):g}; give a number above 0, at most {top:g}")
+        check_intervals(self, {"(0, 1]": "drift", "(0, 45]": "heading_error", "(0, 20]": "tilt_error"})
         self.mast_m()
 
     def mast_m(self) -> tuple[float, ...] | None:
@@ -151,8 +143,7 @@ class MergeRequest:
     spacing: float | None = None
 
     def __post_init__(self) -> None:
-        if self.spacing is not None and not 0 < self.spacing < 1000:
-            raise RequestError(f"`spacing` is {self.spacing:g} m; give a number above 0")
+        check_intervals(self, {"(0, 1000)": "spacing"})
 
 
 Law = Literal["lommel-seeliger", "hapke"]
@@ -204,14 +195,10 @@ class RenderRequest:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        if not 1e-3 <= self.spacing <= 1 or not 0 <= self.rocks <= 100 or not 0 <= self.roughness <= 10:
-            raise RequestError("`spacing` is 0.001 to 1 m, `rocks` 0 to 100 a square metre, `roughness` 0 to 10")
-        if not 0.01 <= self.track_width <= 2:
-            raise RequestError(f"`track_width` is {self.track_width:g} m; give 0.01 to 2")
-        if not 0 < self.sun_elevation <= 90:
-            raise RequestError(f"`sun_elevation` is {self.sun_elevation:g} deg; give 0 to 90, over the horizon")
-        if not 1 <= self.samples <= 8:
-            raise RequestError(f"`samples` is {self.samples}; give 1 to 8")
+        check_intervals(
+            self, {"[0.001, 1]": "spacing", "[0, 100]": "rocks", "[0, 10]": "roughness", "[1, 8]": "samples"}
+        )
+        check_intervals(self, {"[0.01, 2]": "track_width", "(0, 90]": "sun_elevation"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,12 +221,7 @@ class RocksRequest:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0.02 <= self.largest <= 5:
-            raise RequestError(f"`largest` is {self.largest:g} m; give 0.02 to 5")
-        if not 0 < self.false_share < 1:
-            raise RequestError(f"`false_share` is {self.false_share:g}; give a share between 0 and 1")
-        if not 0 <= self.margin < 100:
-            raise RequestError(f"`margin` is {self.margin:g} m; give 0 or more")
+        check_intervals(self, {"[0.02, 5]": "largest", "(0, 1)": "false_share", "[0, 100)": "margin"})
         if not all(0.01 <= size <= self.largest for size in self.diameters()):
             raise RequestError(f"`sizes` '{self.sizes}' are not between 0.01 m and `largest`")
 
@@ -279,11 +261,5 @@ class TrackRequest:
     def __post_init__(self) -> None:
         if not self.line:
             raise RequestError("`line` says where the track is; give x1,y1,x2,y2,... or a GeoJSON file")
-        for name in ("width", "window", "step"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < 100:
-                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
-        if not 0 <= self.search <= 1 or not 0 <= self.disparity_bias <= 10:
-            raise RequestError("`search` is 0 to 1 m, `disparity_bias` 0 to 10 px")
-        if not 0 <= self.rebound < 0.9:
-            raise RequestError(f"`rebound` is {self.rebound:g}; give a share of 0 to 0.9")
+        check_intervals(self, {"(0, 100)": "width window step", "[0, 1]": "search", "[0, 10]": "disparity_bias"})
+        check_intervals(self, {"[0, 0.9)": "rebound"})

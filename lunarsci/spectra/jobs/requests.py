@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from lunarsci.errors import RequestError
+from lunarsci.options import check_intervals
+from lunarsci.ranges import POSITIVE
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 
@@ -425,14 +427,9 @@ class MapRequest:
             raise RequestError(f"`products` {wrong[0]}: there are {', '.join(PRODUCTS)}")
         if not self.wanted:
             raise RequestError(f"`products` is empty; there are {', '.join(PRODUCTS)}")
-        if self.scale is not None and not 0 < self.scale < float("inf"):
-            raise RequestError(f"`scale` is {self.scale:g}; reflectances are numbers divided by it, so it is above 0")
-        if not 1 <= self.contest_every <= ROWS:
-            raise RequestError(f"`contest_every` is {self.contest_every}; give 1 to {ROWS}")
+        check_intervals(self, {POSITIVE: "scale", f"[1, {ROWS}]": "contest_every", "[1, inf)": "every"})
         if self.both and "unmix" not in self.wanted:
             raise RequestError("`both` is of unmix; name it in `products`")
-        if self.every < 1:
-            raise RequestError(f"`every` is {self.every}; give 1 or more")
 
     @property
     def wanted(self) -> list[str]:

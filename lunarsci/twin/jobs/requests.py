@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.heights.units import HeightUnit
+from lunarsci.options import check_intervals
+from lunarsci.ranges import CHANCE, POSITIVE, SHARE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,8 +209,7 @@ class PlanRequest(GroundRequest):
     mission: str | None = None
 
     def __post_init__(self) -> None:
-        if self.charge is not None and not 0 <= self.charge <= 1:
-            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
+        check_intervals(self, {SHARE: "charge", CHANCE: "risk"})
         if self.mission is not None:
             self._check_mission()
             return
@@ -222,7 +223,7 @@ class PlanRequest(GroundRequest):
         if self.risk is None:
             self._check_path()
         else:
-            self._check_choice(self.risk)
+            check_intervals(self, {"[2, inf)": "members", "[1, inf)": "candidates", POSITIVE: "tolerance"})
 
     def _check_mission(self) -> None:
         """Of a mission the file says where."""
@@ -231,10 +232,7 @@ class PlanRequest(GroundRequest):
             if getattr(self, name) != defaults[name]:
                 raise RequestError(f"`{name}` and `mission` do not go together: the mission's file says where; "
                                    "give one of them")  # fmt: skip
-        if self.risk is not None and not 0 < self.risk < 1:
-            raise RequestError(f"`risk` is {self.risk:g}; give a chance above 0 and below 1, such as 0.05")
-        if self.members is not None and self.members < 2:
-            raise RequestError(f"`members` is {self.members}; give 2 or more")
+        check_intervals(self, {"[2, inf)": "members"})
 
     def _check_path(self) -> None:
         """Without a risk nothing is chosen."""
@@ -244,16 +242,6 @@ class PlanRequest(GroundRequest):
                 raise RequestError(f"`{name}` is for drives that are compared; give `risk`, too")
         if len(self.soil) > 1:
             raise RequestError("several soils are for drives that are compared; give `risk`, too, or one `soil`")
-
-    def _check_choice(self, risk: float) -> None:
-        if not 0 < risk < 1:
-            raise RequestError(f"`risk` is {risk:g}; give a chance above 0 and below 1, such as 0.05")
-        for name, least in (("members", 2), ("candidates", 1)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise RequestError(f"`{name}` is {value}; give {least} or more")
-        if self.tolerance is not None and not 0 < self.tolerance < float("inf"):
-            raise RequestError(f"`tolerance` is {self.tolerance:g}; give a distance above 0 m")
 
     @property
     def start_files(self) -> tuple[str, ...]:
@@ -337,8 +325,7 @@ class PoweredRequest(DriveRequest):
     charge: float | None = None
 
     def __post_init__(self) -> None:
-        if self.charge is not None and not 0 <= self.charge <= 1:
-            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
+        check_intervals(self, {SHARE: "charge"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -370,8 +357,7 @@ class PredictRequest(PoweredRequest):
 
     def __post_init__(self) -> None:
         PoweredRequest.__post_init__(self)
-        if self.risk is not None and not 0 < self.risk < 1:
-            raise RequestError(f"`risk` is {self.risk:g}; give a chance above 0 and below 1, such as 0.05")
+        check_intervals(self, {CHANCE: "risk"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -435,8 +421,7 @@ class StatesRequest(RoverOnGround):
     lag: float = 0.0
 
     def __post_init__(self) -> None:
-        if not abs(self.lag) <= LONGEST_LAG_S:
-            raise RequestError(f"`lag` is {self.lag}; give -{LONGEST_LAG_S:g} to {LONGEST_LAG_S:g} s")
+        check_intervals(self, {f"[-{LONGEST_LAG_S}, {LONGEST_LAG_S}]": "lag"})
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -573,8 +558,7 @@ class TrialsRequest(CompareRequest):
     members: int | None = None
 
     def __post_init__(self) -> None:
-        if self.members is not None and self.members < 1:
-            raise RequestError(f"`members` is {self.members}; give 1 or more")
+        check_intervals(self, {"[1, inf)": "members"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
