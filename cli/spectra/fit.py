@@ -11,7 +11,7 @@ from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
 from lunarsci.spectra.jobs.verdicts import fit_verdict, fits_counted
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 from lunarsci.spectra.mgm.assemblages import SURE
-from lunarsci.spectra.mgm.compositions import compositions
+from lunarsci.spectra.mgm.batch import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 from ..shared.command import command

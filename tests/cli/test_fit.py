@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from lunarsci.io.inputs import read_input
-from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA
+from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA
 from lunarsci.spectra.mgm.fit_file import read_fit_file
 
 Run = Callable[..., Any]

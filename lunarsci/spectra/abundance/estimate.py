@@ -21,8 +21,16 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
-from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
-from lunarsci.spectra.abundance.powders import Powders, loosened, population
+from lunarsci.spectra.abundance.mixing import (
+    HapkeSurface,
+    MixingLaw,
+    Powders,
+    Weathering,
+    iron_absorption,
+    loosened,
+    mixing_laws,
+    population,
+)
 from lunarsci.spectra.abundance.shares import Mixed
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum

@@ -19,9 +19,9 @@ from lunarsci.constants import MGM, NBSR, PAPER, SMOOTHING
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.end_members import KnownModes
 from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
 from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-from lunarsci.spectra.abundance.known_modes import KnownModes
 from lunarsci.spectra.abundance.learned import MINERALS, foretell
 from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION

@@ -14,7 +14,6 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import Progress
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.spectra.origin.assumptions import assumptions
 from lunarsci.spectra.origin.catalogue import (
     TABLE,
     Crater,
@@ -33,7 +32,15 @@ from lunarsci.spectra.origin.composition import (
     stated_composition,
     stated_number,
 )
-from lunarsci.spectra.origin.match import MatchSettings, RockMatch, RockMatches, match_records, match_rocks, match_table
+from lunarsci.spectra.origin.match import (
+    MatchSettings,
+    RockMatch,
+    RockMatches,
+    assumptions,
+    match_records,
+    match_rocks,
+    match_table,
+)
 from lunarsci.spectra.origin.mineral_map import MapReport, minerals_of, with_maps
 from lunarsci.spectra.origin.prior import CHANG_E_4, LAW_SOURCES, SURVIVAL_SOURCE, PriorSettings, Range
 

@@ -15,21 +15,19 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, reaches
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, KnownModes, reaches, read_modes
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
-from lunarsci.spectra.abundance.known_modes import KnownModes, read_modes
 from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each
 from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
 from lunarsci.spectra.abundance.mixing import IRON_TABLE
 from lunarsci.spectra.abundance.normative import TABLE as SOIL
 from lunarsci.spectra.abundance.normative import Normative, normative, normative_pages
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction, refused, share_pages
-from lunarsci.spectra.abundance.rock_prior import PRIOR
-from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
-from lunarsci.spectra.abundance.shares import SOME, Mixed, abundances
+from lunarsci.spectra.abundance.shares import PRIOR, SOME, Mixed, abundances
+from lunarsci.spectra.abundance.shares import ROCK_MODES as ROCKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES

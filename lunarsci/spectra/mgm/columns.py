@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.io.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
 from lunarsci.spectra.mgm import TREND_SIGMA
-from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
+from lunarsci.spectra.mgm.batch import CompositionColumn, compositions_of
 from lunarsci.spectra.mgm.fit import SpectraFits
 from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import ERROR_COVERS

@@ -14,10 +14,19 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
-from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
+from lunarsci.spectra.mgm.forward import (
+    BLOCK,
+    FWHM_OVER_SIGMA,
+    ORIGIN,
+    continuum_rows,
+    damped,
+    factorise,
+    gaussian_rows,
+    invert,
+    matrix_side,
+    prior_pull,
+)
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
-from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, continuum_rows, gaussian_rows
-from lunarsci.spectra.mgm.normal_equations import damped, factorise, invert, matrix_side, prior_pull
 
 MISFIT, USED, WIDE, PIVOT, VARIANCE, BEND, CHI2, ALIVE = range(8)
 """Rows of a workspace's `state` here."""

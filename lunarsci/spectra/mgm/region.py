@@ -37,12 +37,12 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     DescentOptions,
     FitProblem,
     KernelFits,
+    Multistart,
     Workspace,
     descend,
     workspace_for,
 )
 from lunarsci.spectra.mgm.model import MgmModel
-from lunarsci.spectra.mgm.multistart import Multistart
 
 
 def kinds_of(points: FloatArray, model: MgmModel) -> IndexArray:

@@ -6,7 +6,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.abundance.known_modes import read_modes
+from lunarsci.spectra.abundance.end_members import read_modes
 
 
 def table(text: str) -> InputFile:

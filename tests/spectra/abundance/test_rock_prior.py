@@ -8,8 +8,7 @@ import pytest
 import lunarsci
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES
-from lunarsci.spectra.abundance.rock_prior import drawn_powders, drawn_rocks, posterior, rocks
-from lunarsci.spectra.abundance.shares import CalibratedShares, with_rocks
+from lunarsci.spectra.abundance.shares import CalibratedShares, drawn_powders, drawn_rocks, posterior, rocks, with_rocks
 from lunarsci.spectra.spectrum import Spectrum
 
 ALL = (True,) * 4

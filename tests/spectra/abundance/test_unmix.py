@@ -25,19 +25,17 @@ from lunarsci.spectra.abundance.estimate import (
 from lunarsci.spectra.abundance.learned import MINERALS as WEIGHED
 from lunarsci.spectra.abundance.mixing import (
     METHODS,
-    Absorbance,
-    Albedo,
-    HapkeSurface,
-    MixingLaw,
-    Weathering,
-    iron_absorption,
-)
-from lunarsci.spectra.abundance.powders import (
     SAME_SIEVE,
     UNKNOWN_SIZE,
+    Absorbance,
+    Albedo,
     GrainSize,
+    HapkeSurface,
+    MixingLaw,
     Powders,
+    Weathering,
     grains,
+    iron_absorption,
     loosened,
     population,
 )

@@ -10,7 +10,7 @@ import pytest
 import lunarsci
 from lunarsci.pages.quantities import quantities
 from lunarsci.spectra.jobs.verdicts import fit_verdict
-from lunarsci.spectra.mgm.compositions import compositions
+from lunarsci.spectra.mgm.batch import compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit

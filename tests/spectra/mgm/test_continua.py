@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.spectra.mgm.continua import (
+from lunarsci.spectra.mgm.fit import (
     SPREAD_CONTINUA,
     check_continuum_removed,
     fit_continua,
+    fit_spectra,
     with_continuum_spread,
 )
-from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum

@@ -11,7 +11,7 @@ import lunarsci.spectra.mgm.assemblages as tables
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
-from lunarsci.spectra.mgm.compositions import compositions
+from lunarsci.spectra.mgm.batch import compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit

@@ -8,19 +8,27 @@ import pytest
 from lunarsci.compiled import compiled
 from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, exponential, load, logarithm, spread, store
-from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
-from lunarsci.spectra.mgm.model import continuum_basis
-from lunarsci.spectra.mgm.moments import evaluate, update
-from lunarsci.spectra.mgm.multistart import coarsened, correct
-from lunarsci.spectra.mgm.normal_equations import (
+from lunarsci.spectra.mgm.forward import (
     back_substitute,
     clip_to_bounds,
+    evaluate,
     factorise,
     invert,
     matrix_side,
+    model_and_jacobian,
     padded_matrix,
+    update,
 )
+from lunarsci.spectra.mgm.levenberg_marquardt import (
+    Channels,
+    FitProblem,
+    channels_of,
+    coarsened,
+    correct,
+    fill_lane,
+    workspace_for,
+)
+from lunarsci.spectra.mgm.model import continuum_basis
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)
 BANDS = np.array([[0.3, 0.25, -0.5], [0.92, 0.19, -0.35], [1.02, 0.05, -0.20], [1.86, 0.52, -0.25]])
