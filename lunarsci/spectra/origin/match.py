@@ -11,7 +11,7 @@ What a match of rocks and craters assumes, in sentences.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import factorial, sqrt
@@ -20,13 +20,12 @@ from typing import Any, overload
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import ParameterError
 from lunarsci.io.records import Codes, Listed, Records, Same
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import Progress, arrays_in_blocks
 from lunarsci.provenance import sha256
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
-from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, Rock, closed
+from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, Rock, check_ranges, closed
 from lunarsci.spectra.origin.mineral_map import MapReport
 from lunarsci.spectra.origin.prior import (
     CraterPrior,
@@ -158,14 +157,6 @@ class EvidenceRows:
 def _known(rocks: CompositionRows, band: int) -> BoolArray:
     known: BoolArray = np.isfinite(rocks.centers_nm[:, band]) & np.isfinite(rocks.center_sigmas_nm[:, band])
     return known
-
-
-def composition_evidence(
-    rock: Composition, crater: Composition, *, systematic: float, band_systematic_nm: float
-) -> CompositionEvidence:
-    """The same as `evidence_rows` of one rock and one crater."""
-    rows = CompositionRows.of([rock])
-    return evidence_rows(rows, [crater], systematic=systematic, band_systematic_nm=band_systematic_nm).at(0, 0)
 
 
 def evidence_rows(
@@ -324,10 +315,10 @@ class MatchSettings:
     prior: PriorSettings
 
     def __post_init__(self) -> None:
-        if not 0 <= self.systematic <= 1:
-            raise ParameterError(f"systematic is {self.systematic:g}; it is a fraction from 0 to 1")
-        if not 0 <= self.band_systematic_nm <= 500:
-            raise ParameterError(f"systematic of the bands is {self.band_systematic_nm:g} nm; it must be 0 to 500")
+        check_ranges(
+            ("systematic", self.systematic, 0, 1, ""),
+            ("systematic of the bands", self.band_systematic_nm, 0, 500, "nm"),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -479,33 +470,6 @@ def _of_rocks(matches: Sequence[CraterMatch]) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchRows:
-    """n rocks and c craters.
-
-    Attributes
-    ----------
-    priors, evidence : of the craters, and what the compositions say.
-    posterior : of each crater (n, c), and of other sources (n,).
-    """
-
-    priors: Sequence[CraterPrior]
-    evidence: EvidenceRows
-    posterior: FloatArray
-    other_posterior: FloatArray
-
-
-def match_arrays(rocks: CompositionRows, craters: Sequence[Crater], site: Point, settings: MatchSettings) -> MatchRows:
-    """Match many rocks, or pixels of a map, with candidate craters; the same numbers as `match_rocks`.
-
-    Raises ParameterError where no crater can have delivered a rock to the site.
-    """
-    priors, seen = crater_priors(craters, site, settings.prior), _compared(rocks, settings)
-    compositions = [crater.composition for crater in craters]
-    arrays = _columns_of_matches(seen, craters=compositions, weights=_weights(priors, settings), settings=settings)
-    return _rows_of_matches(arrays, priors, seen, compositions)
-
-
 def match_rocks(
     rocks: Sequence[Rock], craters: Sequence[Crater], site: Point, settings: MatchSettings,
     progress: Progress | None = None,
@@ -516,7 +480,8 @@ def match_rocks(
     """
     priors = crater_priors(craters, site, settings.prior)
     seen = _compared(CompositionRows.of([rock.composition for rock in rocks]), settings)
-    compositions, weights = [crater.composition for crater in craters], _weights(priors, settings)
+    compositions = [crater.composition for crater in craters]
+    weights = np.array([*(prior.probability for prior in priors), settings.prior.other_weight])
     arrays = arrays_in_blocks(
         partial(_columns_of_matches, craters=compositions, weights=weights, settings=settings),
         len(rocks),
@@ -530,7 +495,8 @@ def match_rocks(
         fetch=lambda block: seen.part(slice(block.start, block.stop)),
         progress=progress,
     )
-    return RockMatches(rocks, craters, _rows_of_matches(arrays, priors, seen, compositions), site, settings)
+    evidence = EvidenceRows(arrays["ln_modes"], arrays["ln_bands"], seen, compositions)
+    return RockMatches(rocks, craters, priors, evidence, arrays["posterior"], weights, site)
 
 
 def _compared(rocks: CompositionRows, settings: MatchSettings) -> CompositionRows:
@@ -538,11 +504,6 @@ def _compared(rocks: CompositionRows, settings: MatchSettings) -> CompositionRow
     nothing = np.full_like(rocks.modes, np.nan), np.full_like(rocks.centers_nm, np.nan)
     modes = rocks.modes if settings.use_modes else nothing[0]
     return replace(rocks, modes=modes, centers_nm=rocks.centers_nm if settings.use_bands else nothing[1])
-
-
-def _weights(priors: Sequence[CraterPrior], settings: MatchSettings) -> FloatArray:
-    """Prior weights of the craters, and of other sources."""
-    return np.array([*(prior.probability for prior in priors), settings.prior.other_weight])
 
 
 def _columns_of_matches(
@@ -554,27 +515,25 @@ def _columns_of_matches(
     return {"ln_modes": evidence.ln_modes, "ln_bands": evidence.ln_bands, "posterior": posterior}
 
 
-def _rows_of_matches(
-    arrays: Mapping[str, FloatArray], priors: Sequence[CraterPrior], seen: CompositionRows,
-    craters: Sequence[Composition],
-) -> MatchRows:  # fmt: skip
-    evidence, posterior = EvidenceRows(arrays["ln_modes"], arrays["ln_bands"], seen, craters), arrays["posterior"]
-    return MatchRows(priors, evidence, posterior[:, :-1], posterior[:, -1])
-
-
 class RockMatches(Sequence[RockMatch]):
-    """A match of each rock, made of the arrays `found` when it is asked for."""
+    """A match of each rock, made when it is asked for.
+
+    `priors` of the c craters and `evidence` of what the compositions say; `posterior` (n, c + 1) and prior `weights`
+    (c + 1,) of each crater, and last of other sources.
+    """
 
     def __init__(
-        self, rocks: Sequence[Rock], craters: Sequence[Crater], found: MatchRows, site: Point, settings: MatchSettings
-    ) -> None:
-        self.rocks, self.craters, self.found, self.other = rocks, craters, found, settings.prior.other_weight
+        self, rocks: Sequence[Rock], craters: Sequence[Crater], priors: Sequence[CraterPrior], evidence: EvidenceRows,
+        posterior: FloatArray, weights: FloatArray, site: Point,
+    ) -> None:  # fmt: skip
+        self.rocks, self.craters, self.priors, self.evidence = rocks, craters, priors, evidence
+        self.posterior, self.weights = posterior, weights
         self._flight = [
             (azimuth_deg(site, crater.center), launch_speed_m_s(crater.diameter_km, prior.distance_km))
-            for crater, prior in zip(craters, found.priors, strict=True)
+            for crater, prior in zip(craters, priors, strict=True)
         ]
         tested = np.array([not rock.untested for rock in rocks], dtype=bool)
-        self.decided = tested & _decided(found, _weights(found.priors, settings)) & ~_own_crater(found)
+        self.decided = tested & self._speaks() & ~self._fits_own_crater()
 
     def __len__(self) -> int:
         return len(self.rocks)
@@ -586,15 +545,36 @@ class RockMatches(Sequence[RockMatch]):
     def __getitem__(self, index: int | slice) -> RockMatch | list[RockMatch]:
         if isinstance(index, slice):
             return [self[row] for row in range(*index.indices(len(self)))]
-        row, found = range(len(self))[index], self.found
-        own = tuple(
-            CraterMatch(
-                crater, found.priors[k], found.evidence.at(row, k), float(found.posterior[row, k]), *self._flight[k]
-            )
-            for k, crater in enumerate(self.craters)
+        row = range(len(self))[index]
+        *shares, rest = self.posterior[row].tolist()
+        items = zip(self.craters, self.priors, shares, self._flight, strict=True)
+        craters = tuple(
+            CraterMatch(crater, prior, self.evidence.at(row, k), share, *flight)
+            for k, (crater, prior, share, flight) in enumerate(items)
         )
-        rest, decided = float(found.other_posterior[row]), bool(self.decided[row])
-        return RockMatch(self.rocks[row], own, self.other, rest, decided, _status(self.rocks[row], own, rest, decided))
+        decided, rock = bool(self.decided[row]), self.rocks[row]
+        status = _status(rock, craters, rest, decided)
+        return RockMatch(rock, craters, float(self.weights[-1]), rest, decided, status)
+
+    def _speaks(self) -> BoolArray:
+        """Whether of each rock one source is decided: its posterior against all others, and what composition adds.
+
+        ln[p / (1 - p)] of the likeliest, with p its posterior, and the same less that of its prior, are `DECIDES` at
+        least: with a prior of 20 : 1 alone nothing is decided.
+        """
+        first = np.argmax(self.posterior, axis=1)
+        weights = np.broadcast_to(self.weights, self.posterior.shape)
+        odds, before = (_ln_odds(shares, first) for shares in (self.posterior, weights))
+        with np.errstate(invalid="ignore"):
+            return np.asarray((odds >= DECIDES) & (odds - before >= DECIDES))
+
+    def _fits_own_crater(self) -> BoolArray:
+        """Whether composition goes as well with a crater that the site lies in as with the likeliest source."""
+        inside = np.array([prior.ejecta_m is None for prior in self.priors], dtype=bool)
+        factors = np.column_stack([self.evidence.ln_total, np.zeros(len(self))])
+        first = factors[np.arange(len(self)), np.argmax(self.posterior, axis=1)]
+        best = np.where(inside, factors[:, :-1], -np.inf).max(axis=1, initial=-np.inf)
+        return np.asarray((best > 0.0) & (best >= first))
 
 
 def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
@@ -606,36 +586,11 @@ def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
     return found
 
 
-def _decided(found: MatchRows, weights: FloatArray) -> BoolArray:
-    """Whether of each rock one source is decided: its posterior against all others, and what composition adds to that.
-
-    ln[p / (1 - p)] of the likeliest, with p its posterior, and the same less that of its prior, are `DECIDES` at least:
-    with a prior of 20 : 1 alone nothing is decided.
-    """
-    posterior = np.column_stack([found.posterior, found.other_posterior])
-    first = np.argmax(posterior, axis=1)
-    odds, before = (_ln_odds(shares, first) for shares in (posterior, np.broadcast_to(weights, posterior.shape)))
-    with np.errstate(invalid="ignore"):
-        decided: BoolArray = (odds >= DECIDES) & (odds - before >= DECIDES)
-    return decided
-
-
-def _own_crater(found: MatchRows) -> BoolArray:
-    """Whether composition goes at least as well with a crater that the site lies in as with the likeliest source."""
-    inside = np.array([prior.ejecta_m is None for prior in found.priors], dtype=bool)
-    factors = np.column_stack([found.evidence.ln_total, np.zeros(len(found.posterior))])
-    first = np.argmax(np.column_stack([found.posterior, found.other_posterior]), axis=1)
-    own: FloatArray = np.where(inside, factors[:, :-1], -np.inf).max(axis=1, initial=-np.inf)
-    alike: BoolArray = (own > 0.0) & (own >= factors[np.arange(len(first)), first])
-    return alike
-
-
 def _ln_odds(shares: FloatArray, place: IntArray) -> FloatArray:
     """ln of one share (n, s) of each row over the sum of the others."""
-    own = np.arange(shares.shape[1]) == place[:, None]
+    chosen = np.arange(shares.shape[1]) == place[:, None]
     with np.errstate(divide="ignore"):
-        found: FloatArray = np.log(shares[own]) - np.log(np.where(own, 0.0, shares).sum(axis=1))
-    return found
+        return np.asarray(np.log(shares[chosen]) - np.log(np.where(chosen, 0.0, shares).sum(axis=1)))
 
 
 def _remaining(matches: Sequence[CraterMatch], other: float) -> list[tuple[str, float]]:
