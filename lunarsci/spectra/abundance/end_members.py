@@ -13,6 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
+from lunarsci.spectra.abundance.learned import GRID_NM, STEP_NM
 from lunarsci.spectra.library.end_member import EndMember, mineral_named
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
@@ -20,8 +21,7 @@ from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted
 from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 
-STEP_NM, LOWEST_NM, HIGHEST_NM = 20.0, 450.0, 2450.0
-"""Channels that are compared: features of minerals are ten times as wide. Assumed."""
+LOWEST_NM, HIGHEST_NM = map(float, GRID_NM[[0, -1]])
 NEEDED_NM = (750.0, 2300.0)
 """What a spectrum must reach over, from one side of the 1 um band to the 2 um band; assumed."""
 FARTHEST_NM = 5.0
@@ -54,24 +54,17 @@ def on_common_channels(spectra: Sequence[Spectrum]) -> CommonChannels:
     common = sorted(set.intersection(*(set(channels) for channels in binned)))
     table = np.array([[channels[index] for index in common] for channels in binned])
     wavelength = table[..., 0]
-    apart = np.flatnonzero(np.ptp(wavelength, axis=0) <= FARTHEST_NM)
-    if (
-        not apart.size
-        or common[apart[0]] * STEP_NM + LOWEST_NM > NEEDED_NM[0]
-        or _end(common[apart[-1]]) < NEEDED_NM[1]
-    ):
+    alike = np.flatnonzero(np.ptp(wavelength, axis=0) <= FARTHEST_NM)
+    low, high = np.array(common)[alike][[0, -1]] * STEP_NM + LOWEST_NM if alike.size else (np.inf, -np.inf)
+    if low > NEEDED_NM[0] or high + STEP_NM < NEEDED_NM[1]:
         raise DataError("the spectra have too few channels in common to be unmixed together; resample them alike")
-    table = table[:, apart]
+    table = table[:, alike]
     return CommonChannels(table[..., 0].mean(axis=0), table[..., 1], table[..., 2])
 
 
 def reaches(spectrum: Spectrum) -> bool:
     """Whether a spectrum reaches over `NEEDED_NM`."""
     return reaches_over(spectrum.wavelength_nm[spectrum.usable], *NEEDED_NM)
-
-
-def _end(index: float) -> float:
-    return (index + 1) * STEP_NM + LOWEST_NM
 
 
 def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
@@ -83,9 +76,7 @@ def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
             f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, without gaps above "
             f"{WIDEST_GAP_NM:g} nm between usable channels"
         )
-    noise = np.zeros_like(wavelength)
-    if spectrum.uncertainty is not None:
-        noise = spectrum.uncertainty[usable] / reflectance
+    noise = 0.0 * wavelength if spectrum.uncertainty is None else spectrum.uncertainty[usable] / reflectance
     inside = np.flatnonzero((wavelength >= LOWEST_NM) & (wavelength < HIGHEST_NM))
     number, index = np.unique(np.floor((wavelength[inside] - LOWEST_NM) / STEP_NM), return_inverse=True)
     count = np.bincount(index)
@@ -102,8 +93,6 @@ CHEMISTRY = ("fo", "fs", "en", "wo", "an")
 OPAQUE = "opaque"
 OPAQUE_REFLECTANCE = 0.062
 """Flat within 0.007 from 400 to 2500 nm: ilmenite HS231.3B of the USGS library (Kokaly et al. 2017, 10.3133/ds1035)."""
-REACH_NM = (450.0, 2450.0)
-"""Outside, no end member has channels; it is the range of the table, `end_members.csv`, assumed wide enough."""
 KEPT_GRIDS = 8
 
 
@@ -116,7 +105,7 @@ def embedded_end_members(wavelength_nm: FloatArray) -> tuple[EndMember, ...]:
 
     Raises ParameterError for channels outside that range.
     """
-    if wavelength_nm.size and not (wavelength_nm[0] >= REACH_NM[0] and wavelength_nm[-1] <= REACH_NM[1]):
+    if wavelength_nm.size and not (wavelength_nm[0] >= LOWEST_NM and wavelength_nm[-1] <= HIGHEST_NM):
         raise ParameterError("the embedded end members reach from 450 to 2450 nm; give channels within")
     return _on_grid(np.asarray(wavelength_nm, dtype=np.float64).tobytes())
 

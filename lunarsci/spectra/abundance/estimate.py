@@ -22,7 +22,6 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
 from lunarsci.spectra.abundance.mixing import (
-    HapkeSurface,
     MixingLaw,
     Powders,
     Weathering,
@@ -189,10 +188,10 @@ class MixtureSeries:
         stop = self.minerals + len(NEUTRAL)
         own_columns[:, :, self.minerals : stop] = self.neutral.T
         shared_columns = (by_share * effective[:, :, None]).transpose(0, 2, 1) @ self.powders.sections
-        for number, (where, rows) in enumerate(self.powders.by_parameters(slope)):
+        for number, (place, item) in enumerate(zip(self.powders.places, self.powders.minerals, strict=True)):
             weight = by_mixed * effective[:, number, None]
-            shared_columns[:, :, where] += weight[:, :, None] * rows.T
-        shared_columns[:, :, -1] += by_mixed * (effective @ slope) * self.powders.common
+            shared_columns[:, :, place] += weight[:, :, None] * (slope[number] * item.shapes).T
+        shared_columns[:, :, -1] += by_mixed * (effective @ slope)
         ln_model = ln_model + own[:, self.minerals : stop] @ self.neutral
         return ln_model, shared_columns, own_columns, bend
 
@@ -338,7 +337,6 @@ def estimate_series(
     *,
     method: str = "unmix",
     end_members: Sequence[EndMember] | None = None,
-    surface: HapkeSurface | None = None,
     model_error: float = MODEL_ERROR,
     iron: bool = False,
     present: Sequence[Sequence[str] | None] | None = None,
@@ -358,7 +356,6 @@ def estimate_series(
     minerals : two or more of `FAMILY_OF`, or others that `end_members` holds. `opaque` has a flat embedded end member.
     method : `hapke` mixes single-scattering albedos, `absorbance` mixes -ln R, `unmix` weights both by their evidence.
     end_members : instead of the embedded ones; at least one per mineral, over the channels compared.
-    surface : geometry, phase function and filling of `hapke`; 30, 0 deg, isotropic, none by default.
     model_error : standard deviation of ln R at 20 nm, above 0 and below 1. [-]
     iron : whether grains may be darkened by submicroscopic iron (`weathering`); with `hapke` only.
     present : of each spectrum, the minerals that it may hold; None for all.
@@ -375,7 +372,7 @@ def estimate_series(
     13619, 10.1029/JB094iB10p13619.
     """
     _check(spectra, minerals, model_error)
-    laws = mixing_laws(method, surface, iron=iron)
+    laws = mixing_laws(method, iron=iron)
     names = [spectrum.id for spectrum in spectra]
     held = _held(names, minerals, present or [None] * len(names))
     fractions = _known(names, minerals, known or [None] * len(names))
@@ -430,12 +427,11 @@ def _known(names: Sequence[str], minerals: Sequence[str], known: Sequence[Mappin
     for row, name, given in zip(fractions, names, known, strict=True):
         if given is None:
             continue
-        beyond = [mineral for mineral, share in given.items() if share > 0 and mineral not in minerals]
-        if beyond:
-            raise ParameterError(f"{name} holds {beyond[0]}, which is not one of {', '.join(minerals)}; add it to them")
         row[:] = [given.get(mineral, 0.0) for mineral in minerals]
         if not (row.min() >= 0 and abs(row.sum() - 1) <= SUM_TOLERANCE):
-            raise DataError(f"{name}: known fractions of {', '.join(minerals)} sum to {row.sum():g}; give shares of 1")
+            raise DataError(
+                f"{name}: known fractions of {', '.join(minerals)} sum to {row.sum():g}; name all, with shares of 1"
+            )
         row /= row.sum()
     return fractions
 

@@ -2,8 +2,7 @@
 
 Reflectance of a particulate surface from single-scattering albedo, and back.
 
-Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039; filling: Hapke (2008), Icarus 195, 918,
-10.1016/j.icarus.2008.01.003.
+Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039.
 
 Submicroscopic iron on the grains of a mixture, which darkens and reddens it.
 
@@ -26,7 +25,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -75,50 +74,21 @@ TABLE = 4001
 
 @dataclass(frozen=True)
 class HapkeSurface:
-    """A geometry, a phase function and a filling factor.
+    """A powder of grains that scatter alike to all sides, seen without opposition effect and correction for filling.
 
-    Attributes
-    ----------
-    incidence_deg, emission_deg : below 90; the phase angle only enters through `phase` and `opposition`. [deg]
-    phase : single-particle phase function at the phase angle, 1 for isotropic scattering. [-]
-    opposition : backscatter function at the phase angle, 0 beyond some 15 deg. [-]
-    filling : share of the volume that is solid, 0 (no correction) to below 0.75. [-]
-
-    The reflectance factor is  R = K w / (4 (m0 + m)) ((1 + B) P + H(m0 / K) H(m / K) - 1),  m0 and m the cosines of
-    incidence and emission, H(x) = (1 + 2 x) / (1 + 2 x (1 - w)^(1/2)),  K = -ln(1 - q) / q,  q = 1.209 filling^(2/3).
-
-    Raises
-    ------
-    ParameterError for angles or a filling out of range, and a phase function not above 0.
+    The reflectance factor is  R = w H(m0) H(m) / (4 (m0 + m)),  H(x) = (1 + 2 x) / (1 + 2 x (1 - w)^(1/2)),  m0 and m
+    the cosines of incidence and emission, below 90. [deg]
     """
 
     incidence_deg: float = 30.0
     emission_deg: float = 0.0
-    phase: float = 1.0
-    opposition: float = 0.0
-    filling: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.incidence_deg < 90 and 0 <= self.emission_deg < 90):
-            raise ParameterError(f"incidence {self.incidence_deg:g}, emission {self.emission_deg:g} deg: give 0 to 90")
-        if not (self.phase > 0 and self.opposition >= 0):
-            raise ParameterError("the phase function must be above 0, the opposition effect 0 or above")
-        if not 0 <= self.filling < 0.75:
-            raise ParameterError(f"filling {self.filling:g}: give 0 to below 0.75")
-
-    @property
-    def porosity_factor(self) -> float:
-        """K, 1 without filling. [-]"""
-        q = 1.209 * self.filling ** (2 / 3)
-        return -math.log1p(-q) / q if q > 0 else 1.0
 
     def reflectance(self, albedo: FloatArray) -> FloatArray:
         """Reflectance factor of single-scattering albedos, 0 to 1, any shape. [-]"""
-        k = self.porosity_factor
         mu0, mu = (math.cos(math.radians(angle)) for angle in (self.incidence_deg, self.emission_deg))
         gamma = np.sqrt(1.0 - np.asarray(albedo, dtype=np.float64))
-        both = _h(mu0 / k, gamma) * _h(mu / k, gamma)
-        return np.asarray(k * albedo / (4.0 * (mu0 + mu)) * ((1.0 + self.opposition) * self.phase + both - 1.0))
+        both = math.prod((1.0 + 2.0 * x) / (1.0 + 2.0 * x * gamma) for x in (mu0, mu))
+        return np.asarray(albedo / (4.0 * (mu0 + mu)) * both)
 
     @cached_property
     def _table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -139,44 +109,19 @@ class HapkeSurface:
         return np.interp(albedo, table, ln_reflectance), np.interp(albedo, table, slope)
 
 
-def _h(x: float, gamma: FloatArray) -> FloatArray:
-    return np.asarray((1.0 + 2.0 * x) / (1.0 + 2.0 * x * gamma))
-
-
 LEAST, MOST = 1e-5, 1.0 - 1e-5
 BRIGHTEST = 0.999
 """Reflectance from which on a powder counts as this bright: absorbance must stay above 0. Assumed."""
-
-
-class MixingLaw(Protocol):
-    """What `unmix` needs of a law; arrays of any shape."""
-
-    @property
-    def name(self) -> str:
-        """As it stands in results."""
-
-    @property
-    def size_exponent(self) -> float:
-        """By how much t grows with the logarithm of the grain size."""
-
-    @property
-    def section(self) -> float:
-        """By how much the logarithm of cross-section per volume falls with t of grains that are coarser."""
-
-    def element(self, reflectance: FloatArray) -> FloatArray:
-        """t of a powder of one mineral."""
-
-    def mixing(self, element: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x of t, and dx / dt."""
-
-    def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """ln R of x, and d ln R / dx."""
 
 
 @dataclass(frozen=True, eq=False)
 class Albedo:
     """x is the single-scattering albedo w, which adds by cross-section: by volume where grains are of one size;
     t = ln((1 - w) / w).
+
+    `size_exponent` : by how much t grows with the logarithm of the grain size; `section` : by how much the logarithm of
+    cross-section per volume falls with t of coarser grains. `element` is t of the reflectance of one mineral's powder;
+    `mixing` x of t and dx / dt; `ln_reflectance` ln R of x and d ln R / dx; arrays of any shape.
 
     Mustard & Pieters (1989), J. Geophys. Res. 94, 13619, 10.1029/JB094iB10p13619.
     """
@@ -187,23 +132,21 @@ class Albedo:
     section: float = 1.0
 
     def element(self, reflectance: FloatArray) -> FloatArray:
-        """See `MixingLaw`."""
         albedo = np.clip(self.surface.albedo(reflectance), LEAST, MOST)
         return np.asarray(np.log((1.0 - albedo) / albedo))
 
     def mixing(self, element: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MixingLaw`."""
         albedo = 1.0 / (1.0 + np.exp(element))
         return albedo, -albedo * (1.0 - albedo)
 
     def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MixingLaw`."""
         return self.surface.ln_reflectance(np.clip(mixed, LEAST, MOST))
 
 
 @dataclass(frozen=True, eq=False)
 class Absorbance:
-    """x is the apparent absorbance -ln R; t = ln x. No theory of scattering, but near the truth for bright powders.
+    """As `Albedo`: x is the apparent absorbance -ln R; t = ln x. No theory of scattering, but near the truth for bright
+    powders.
 
     Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329 (apparent absorbance).
     """
@@ -213,33 +156,26 @@ class Absorbance:
     section: float = 0.0
 
     def element(self, reflectance: FloatArray) -> FloatArray:
-        """See `MixingLaw`."""
         return np.asarray(np.log(-np.log(np.clip(reflectance, LEAST, BRIGHTEST))))
 
     def mixing(self, element: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MixingLaw`."""
         absorbance = np.exp(element)
         return absorbance, absorbance
 
     def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `MixingLaw`."""
         return -mixed, np.full_like(mixed, -1.0)
 
 
-METHODS = ("unmix", "hapke", "absorbance")
+MixingLaw: TypeAlias = Albedo | Absorbance
 
 
-def mixing_laws(method: str, surface: HapkeSurface | None = None, *, iron: bool = False) -> tuple[MixingLaw, ...]:
-    """The laws that a method compares. Raises ParameterError for an unknown method, and iron without `hapke`."""
-    laws: dict[str, tuple[MixingLaw, ...]] = {
-        "hapke": (Albedo(surface or HapkeSurface()),),
-        "absorbance": (Absorbance(),),
-    }
-    laws["unmix"] = laws["hapke"] if iron else laws["hapke"] + laws["absorbance"]
+def mixing_laws(method: str, *, iron: bool = False) -> tuple[MixingLaw, ...]:
+    """The laws that a method compares; iron needs `hapke`. Raises ParameterError for another method."""
+    hapke, absorbance = Albedo(HapkeSurface()), Absorbance()
+    laws: dict[str, tuple[MixingLaw, ...]] = {"hapke": (hapke,), "unmix": (hapke,) if iron else (hapke, absorbance)}
+    laws |= {} if iron else {"absorbance": (absorbance,)}
     if method not in laws:
-        raise ParameterError(f"method '{method}'; give one of {', '.join(METHODS)}")
-    if iron and method == "absorbance":
-        raise ParameterError("submicroscopic iron needs the method hapke or unmix")
+        raise ParameterError(f"method '{method}'; give one of {', '.join(laws)}")
     return laws[method]
 
 
@@ -405,69 +341,54 @@ def specimen_weights(members: Sequence[EndMember]) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-COMMON_LEVEL = 1.0
-"""Standard deviation of the level that all minerals of a mixture share, their grain size; assumed."""
-
-
 @dataclass(frozen=True, eq=False)
 class Powders:
     """Powders of the minerals as functions of standard normal parameters: shapes of each, grain sizes, then the level.
 
+    The level, which all minerals of a mixture share, is their grain size: a standard deviation of 1 in t, assumed.
     Grains that are coarser by a factor offer less cross-section per volume by the same factor: those of an only end
     member as it states (`grain_size`); and a mineral whose own level is raised by d is coarser by e^d in `Albedo`
     (`section` of the law).
+
+    Attributes
+    ----------
+    places : of the parameters of each mineral's shapes.
+    sections : derivatives of the logarithm of each mineral's cross-section per volume by the parameters, (m, size).
     """
 
     law: MixingLaw
     minerals: Sequence[MineralPopulation]
 
     @cached_property
-    def size(self) -> int:
-        """Number of parameters."""
-        return sum(len(item.shapes) for item in self.minerals) + int(self._grains[1].shape[1]) + 1
+    def places(self) -> list[slice]:
+        ends = np.cumsum([len(item.shapes) for item in self.minerals]).tolist()
+        return [slice(end - len(item.shapes), end) for end, item in zip(ends, self.minerals, strict=True)]
 
     @cached_property
     def _grains(self) -> tuple[FloatArray, FloatArray]:
         return grains([item.grain_size for item in self.minerals])
 
-    @cached_property
-    def starts(self) -> list[int]:
-        """Position of each mineral's first parameter."""
-        counts = [len(item.shapes) for item in self.minerals]
-        return [sum(counts[:i]) for i in range(len(counts))]
-
     @property
-    def common(self) -> float:
-        """Derivative of every t by the last parameter, the level of all."""
-        return COMMON_LEVEL
+    def size(self) -> int:
+        """Number of parameters."""
+        return int(self.places[-1].stop + self._grains[1].shape[1]) + 1
 
     def at(self, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x of each mineral and dx / dt, both (m, n)."""
-        level = shared[-1] * self.common
-        pairs = [
-            self.law.mixing(item.mean + shared[start : start + len(item.shapes)] @ item.shapes + level)
-            for start, item in zip(self.starts, self.minerals, strict=True)
-        ]
-        x, slope = (np.array(part) for part in zip(*pairs, strict=True))
+        pairs = zip(self.places, self.minerals, strict=True)
+        found = [self.law.mixing(item.mean + shared[place] @ item.shapes + shared[-1]) for place, item in pairs]
+        x, slope = (np.array(part) for part in zip(*found, strict=True))
         return x, slope
 
     @cached_property
     def sections(self) -> FloatArray:
-        """Derivative of the logarithm of each mineral's cross-section per volume by the parameters, (m, size)."""
-        rows = np.zeros((len(self.minerals), self.size))
-        for row, start, item in zip(rows, self.starts, self.minerals, strict=True):
-            row[start + len(item.shapes) - 1] = -self.law.section * item.shapes[-1, 0]
         _, apart = self._grains
+        rows = np.zeros((len(self.minerals), self.size))
+        for row, place, item in zip(rows, self.places, self.minerals, strict=True):
+            row[place.stop - 1] = -self.law.section * item.shapes[-1, 0]
         rows[:, self.size - 1 - apart.shape[1] : -1] = -apart
         return rows
 
     def section(self, shared: FloatArray) -> FloatArray:
         """Cross-section per volume of each mineral, 1 for grains of `REFERENCE_UM`, (m,)."""
         return np.asarray(np.exp(self.sections @ shared - self._grains[0]))
-
-    def by_parameters(self, slope: FloatArray) -> list[tuple[slice, FloatArray]]:
-        """Where each mineral's own parameters stand, and dx of that mineral by them, (k, n)."""
-        return [
-            (slice(start, start + len(item.shapes)), row * item.shapes)
-            for start, item, row in zip(self.starts, self.minerals, slope, strict=True)
-        ]

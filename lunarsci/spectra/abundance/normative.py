@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import as_label, headline, page
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import WINDOWS_NM, KindVerdict, spectral_features
+from lunarsci.spectra.abundance.result import Bar, BarPanel, bar_pages
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
@@ -177,35 +177,19 @@ def _unfit(kind: KindVerdict) -> str:
     return told if rock > soil and not kind.stated else ""
 
 
-PER_PAGE = 40
 TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
+COLOR = "#0072B2"
 
 
 def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterator[Figure]":
     """One panel a quantity, one row a soil; a soil that is not determined has an empty row."""
-
-    for start in range(0, len(found), PER_PAGE):
-        part, labels = found[start : start + PER_PAGE], names[start : start + PER_PAGE]
-        figure = page(1.4 + 0.2 * len(part))
-        panels = figure.subplots(1, len(TITLES), sharey=True)
-        for panel, (name, title) in zip(panels, TITLES.items(), strict=True):
-            for row, item in enumerate(part):
-                _draw(panel, row, item.values.get(name))
-            panel.set_xlabel(title)
-            panel.set_xlim(left=0.0)
-            panel.grid(axis="x", color="0.9")
-        panels[0].set_yticks(np.arange(len(part)), [as_label(name, 28) for name in labels])
-        panels[0].set_ylim(len(part) - 0.5, -0.5)
-        headline(
-            figure,
-            "weathered soils: composition by regression, no modes of minerals\n"
-            "bars: 68 and 95 %; an empty row: not determined",
-        )
-        yield figure
-
-
-def _draw(panel: Any, row: int, value: NormativeValue | None) -> None:
-    if value is not None:
-        for low, high, width in ((value.low95, value.high95, 1.0), (value.low, value.high, 3.5)):
-            panel.plot([low, high], [row, row], color="#0072B2", linewidth=width, solid_capstyle="butt")
-        panel.plot(value.value, row, "o", color="#0072B2", markersize=5)
+    panels = []
+    for name, title in TITLES.items():
+        values = [item.values.get(name) for item in found]
+        bars: list[Bar] = [(np.array([*value.to_dict().values()]), COLOR, COLOR) if value else None for value in values]
+        panels.append(BarPanel({"xlabel": title, "xlim": (0.0, None)}, bars))
+    text = (
+        "weathered soils: composition by regression, no modes of minerals\n"
+        "bars: 68 and 95 %; an empty row: not determined"
+    )
+    return bar_pages(names, panels, text)

@@ -15,9 +15,10 @@ from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.kinds import (
     FREEDOM,
     KINDS,
+    Kind,
     KindModel,
+    KindVerdict,
     embedded_kinds,
-    find_kind,
     find_kinds,
     kinds_of_rows,
     spectral_features,
@@ -26,6 +27,10 @@ from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 
 CHANNELS = np.arange(450.0, 2401.0, 5.0)
+
+
+def find_kind(spectrum: Spectrum, stated: Kind | None = None) -> KindVerdict:
+    return find_kinds([spectrum], stated)[0]
 
 
 def red() -> Spectrum:

@@ -24,7 +24,6 @@ from lunarsci.spectra.abundance.estimate import (
 )
 from lunarsci.spectra.abundance.learned import MINERALS as WEIGHED
 from lunarsci.spectra.abundance.mixing import (
-    METHODS,
     SAME_SIEVE,
     UNKNOWN_SIZE,
     Absorbance,
@@ -325,7 +324,7 @@ def test_levels_of_sieved_powders_follow_the_grain_size(law: MixingLaw, powder: 
     assert np.polyfit(size, level, 1)[0] == pytest.approx(law.size_exponent, rel=0.3)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["unmix", "hapke", "absorbance"])
 def test_shares_sum_to_one_and_lie_in_their_intervals(method: str) -> None:
     spectrum = made(SHARES, noise=0.005)
     found = one(spectrum, MINERALS, method=method)
@@ -373,7 +372,7 @@ def test_a_spectrum_of_something_else_is_strange() -> None:
         ({"spectra": []}, ParameterError),
         ({"present": [("plagioclase",)]}, ParameterError),
         ({"known": [{"olivine": 0.5, "orthopyroxene": 0.2}]}, DataError),
-        ({"known": [{"olivine": 0.5, "plagioclase": 0.5}]}, ParameterError),
+        ({"known": [{"olivine": 0.5, "plagioclase": 0.5}]}, DataError),
         ({"known": [{"olivine": 1.5, "orthopyroxene": -0.5}]}, DataError),
         ({"spectra": [Spectrum("short", np.arange(800.0, 1200.0, 5), np.full(80, 0.2))]}, DataError),
     ],
