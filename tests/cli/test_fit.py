@@ -204,7 +204,7 @@ def test_a_result_file_holds_one_spectrum(run: Run, rock: Path, tmp_path: Path) 
         (("--composition", "an=70:5"), "'an' does not belong"),
         (("--model-error", "1"), "above 0 and below 1"),
         (("--assemblage", "OPX-ICE"), "'OPX-ICE' is unknown"),
-        (("--fix", "c0", "--tie", "c0=1*c1+0"), "c0 is constrained 2 times"),
+        (("--fix", "c0", "--tie", "c0=1*c1+0"), "tie 'c0=1*c1+0'"),
     ],
 )
 def test_options_that_exclude_each_other_say_what_to_do(

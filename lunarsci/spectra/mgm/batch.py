@@ -16,11 +16,18 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
 from lunarsci.spectra.mgm import TREND_SIGMA
-from lunarsci.spectra.mgm.assemblages import PYROXENES, Assemblage, CompositionPrior
+from lunarsci.spectra.mgm.assemblages import PYROXENES, Assemblage
 from lunarsci.spectra.mgm.data import MgmData, MgmRows
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
 from lunarsci.spectra.mgm.laplace import LaplaceErrors, laplace_errors
-from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, Channels, FitProblem, KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import (
+    CONVERGED,
+    ITERATION_LIMIT,
+    SIGNIFICANT,
+    Channels,
+    FitProblem,
+    KernelFits,
+)
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel, center_slopes, prior_covariance
 from lunarsci.spectra.mgm.result import (
     REACH_NM,
@@ -156,17 +163,12 @@ def _average(offset: Any, covariance: Any, gain: Any, first: Any, mean: Any, var
 
 NOT_FITTED = 3
 """Status of a row without a fit, beside those of the kernel."""
-AMBIGUOUS_CHI2 = 4.0
-"""Rise of the objective within which another minimum competes, odds of 7 to 1 at most; assumed."""
-AMBIGUOUS_SIGMAS = 2.0
-"""Standard errors apart from which it is another answer; assumed."""
+AMBIGUOUS_CHI2 = SIGNIFICANT**2
+"""Rise of the objective within which another minimum competes, odds of 7 to 1 at most."""
 STRAINED_SIGMAS = 3.0
 """Standard deviations of its prior beyond which a band is strained; assumed."""
-PRESENT_SIGMAS = 2.0
-"""A mineral has a composition to speak of where a band of it is this many standard errors deep; assumed."""
-RATIO_SIGMAS, RATIO_MISS = 2.0, 0.1
-"""NBSR at 1 and 2 um of one mixture agree within so many standard errors, with this much beside them for what the
-method misses; assumed."""
+RATIO_MISS = 0.1
+"""Standard deviation of what the method misses of a mixture, between NBSR at 1 and at 2 um; assumed."""
 MOST_ROWS = 256
 """Rows worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
 
@@ -239,7 +241,7 @@ class FitBatch:
         """(n,) whether a band of the mineral is really there."""
         own = self.model.degrees + 2 + 3 * np.flatnonzero([b.mineral == mineral for b in self.model.assemblage.bands])
         with np.errstate(invalid="ignore"):
-            deep = -self.values[:, own] > PRESENT_SIGMAS * self.sigma[:, own]
+            deep = -self.values[:, own] > SIGNIFICANT * self.sigma[:, own]
         return np.asarray((deep & ~self.at_bound[:, own]).any(axis=1))
 
     @property
@@ -265,7 +267,7 @@ class FitBatch:
         """
         sigma = np.sqrt(self.um1[:, 2] ** 2 + self.um2[:, 2] ** 2 + RATIO_MISS**2)
         with np.errstate(invalid="ignore"):
-            far = np.abs(self.um1[:, 0] - self.um2[:, 0]) > RATIO_SIGMAS * sigma
+            far = np.abs(self.um1[:, 0] - self.um2[:, 0]) > SIGNIFICANT * sigma
         return np.asarray(far, dtype=np.bool_)
 
     def statuses(self) -> list[str]:
@@ -318,7 +320,7 @@ class FitBatch:
             bic=float(one.bic[0]),
             continuum_coefficients=tuple(point[:m].tolist()),
             bands=one.bands(),
-            nbsr={region: _ratio(getattr(one, region)[0]) for region in ("um1", "um2")},
+            nbsr={region: ratio_of(getattr(one, region)[0]) for region in ("um1", "um2")},
             model=self.model,
             data=data,
             parameters=point,
@@ -356,7 +358,7 @@ def channels_of(rows: MgmRows, model: MgmModel, ln_reflectance: FloatArray | Non
 COLUMNS = tuple(item.name for item in fields(FitBatch) if item.name != "model")
 
 
-def _ratio(numbers: FloatArray) -> StrengthRatio | None:
+def ratio_of(numbers: FloatArray) -> StrengthRatio | None:
     opx, cpx, sigma, calibration = numbers.tolist()
     return None if opx != opx else StrengthRatio(opx, cpx, sigma, None if calibration != calibration else calibration)
 
@@ -429,9 +431,9 @@ def _described(rows: MgmRows, model: MgmModel, solved: KernelFits, points: Float
         "model_error": np.asarray(rows.model_error),
         "iterations": solved.iterations,
         "status": solved.status.astype(np.int64),
-        "ambiguous": (solved.competing < AMBIGUOUS_CHI2) & (solved.competing_sigmas > AMBIGUOUS_SIGMAS),
+        "ambiguous": (solved.competing < AMBIGUOUS_CHI2) & (solved.competing_sigmas > SIGNIFICANT),
         "compositions": composition_moments(model, points, covariance),
-        **{region: _ratios(rows, model, points, covariance, moved, region) for region in REACH_NM},
+        **{region: strength_ratios(rows, model, points, covariance, moved, region) for region in REACH_NM},
     }
 
 
@@ -451,10 +453,14 @@ def _moved(rows: MgmRows, model: MgmModel, points: FloatArray) -> FloatArray:
     return found
 
 
-def _ratios(
-    rows: MgmRows, model: MgmModel, points: FloatArray, covariance: FloatArray, moved: FloatArray, region: str
-) -> FloatArray:
-    """NBSR of a region, (n, 4), as in `FitBatch`."""
+def strength_ratios(
+    rows: MgmRows, model: MgmModel, points: FloatArray, covariance: FloatArray, moved: FloatArray, region: str,
+    undetermined: float = UNDETERMINED,
+) -> FloatArray:  # fmt: skip
+    """NBSR of a region, (n, 4), as in `FitBatch`; NaN where its sigma reaches `undetermined`.
+
+    `moved` are the shifts of the parameters by errors that all channels share, (n, k, p).
+    """
     found = np.full((len(points), 4), np.nan)
     pair, (low, high) = pyroxene_pair(model.assemblage.bands, region), REACH_NM[region]
     if pair is None or not reaches_over(rows.wavelength_nm, low, high):
@@ -466,7 +472,7 @@ def _ratios(
         by_opx, by_cpx = cpx / total**2, -opx / total**2
         variance = by_opx**2 * covariance[:, one, one] + by_cpx**2 * covariance[:, other, other]
         sigma = np.sqrt(variance + 2 * by_opx * by_cpx * covariance[:, one, other])
-        told = sigma < UNDETERMINED
+        told = sigma < undetermined
         found[told, 0], found[told, 1] = np.abs(opx / total)[told], np.abs(cpx / total)[told]
         shared = moved[:, :, one] * by_opx[:, None] + moved[:, :, other] * by_cpx[:, None]
     found[told, 2] = sigma[told]
@@ -518,35 +524,17 @@ class MineralComposition:
         return doubt_about(asdict(self)) or ("" if self.told else PRIORS_OWN)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CompositionColumn:
-    """One composition of n fits; NaN where the mineral's bands are not there. [mol %]"""
+def compositions_of(batch: FitBatch) -> FloatArray:
+    """Mean and sigma, (n, k, 2), of the compositions that the fitted centres speak for. [mol %]
 
-    prior: CompositionPrior
-    mean: FloatArray
-    sigma: FloatArray
-
-    @property
-    def in_range(self) -> BoolArray:
-        """(n,) whether the mean lies where the trend is known."""
-        return np.asarray((self.prior.lowest <= self.mean) & (self.mean <= self.prior.highest))
-
-
-def compositions_of(batch: FitBatch) -> tuple[CompositionColumn, ...]:
-    """Compositions that the fitted centres speak for, one per composition of the assemblage. [mol %]
-
-    Those of `composition_moments` where the mineral's bands are there. Beside pyroxene the error of Fo is larger than
-    the fit's: its bands overlap with olivine's, and hardly tell more than the prior.
+    Those of `composition_moments`, NaN where the mineral's bands are not there. Beside pyroxene the error of Fo is
+    larger than the fit's: its bands overlap with olivine's, and hardly tell more than the prior.
     """
-    items = batch.model.assemblage.compositions
-    if not items:
-        return ()
-    mean, variance = batch.compositions[:, :, 0], batch.compositions[:, :, 1]
-    there = np.column_stack([batch.present(item.mineral) for item in items])
-    shown = there & np.isfinite(mean) & np.isfinite(variance)
-    variance = variance + np.column_stack([_hidden(batch, item.key) for item in items]) ** 2
-    mean, sigma = np.where(shown, mean, np.nan), np.where(shown, np.sqrt(np.maximum(variance, 0.0)), np.nan)
-    return tuple(CompositionColumn(item, mean[:, k], sigma[:, k]) for k, item in enumerate(items))
+    found = batch.compositions.copy()
+    for k, item in enumerate(batch.model.assemblage.compositions):
+        found[:, k, 1] = np.sqrt(np.maximum(found[:, k, 1] + _hidden(batch, item.key) ** 2, 0.0))
+        found[~(batch.present(item.mineral) & np.isfinite(found[:, k]).all(axis=1)), k] = np.nan
+    return found
 
 
 def _hidden(batch: FitBatch, key: str) -> FloatArray:
@@ -562,25 +550,14 @@ def _hidden(batch: FitBatch, key: str) -> FloatArray:
 
 def compositions(fit: MgmFit) -> tuple[MineralComposition, ...]:
     """`compositions_of` one fit."""
-    batch = batch_of(fit)
-    return tuple(_composition(one, batch.model.assemblage.domain(one.prior.mineral)) for one in compositions_of(batch))
-
-
-def _composition(column: CompositionColumn, domain: str) -> MineralComposition:
-    item, mean, sigma = column.prior, float(column.mean[0]), float(column.sigma[0])
-    shown = mean == mean
-    return MineralComposition(
-        item.key,
-        item.mineral,
-        mean if shown else None,
-        sigma if shown else None,
-        TREND_SIGMA[item.key],
-        item.sigma,
-        item.lowest,
-        item.highest,
-        bool(column.in_range[0]),
-        domain,
-    )
+    assemblage = fit.model.assemblage
+    found = []
+    for item, (mean, sigma) in zip(assemblage.compositions, compositions_of(batch_of(fit))[0].tolist(), strict=True):
+        values = (mean, sigma) if mean == mean else (None, None)
+        priors = (TREND_SIGMA[item.key], item.sigma, item.lowest, item.highest)
+        inside, domain = item.lowest <= mean <= item.highest, assemblage.domain(item.mineral)
+        found.append(MineralComposition(item.key, item.mineral, *values, *priors, inside, domain))
+    return tuple(found)
 
 
 def beyond_any(fit: MgmFit) -> tuple[str, ...]:

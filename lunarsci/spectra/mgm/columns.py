@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.io.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
 from lunarsci.spectra.mgm import TREND_SIGMA
-from lunarsci.spectra.mgm.batch import CompositionColumn, compositions_of
+from lunarsci.spectra.mgm.batch import compositions_of
 from lunarsci.spectra.mgm.fit import SpectraFits
 from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import ERROR_COVERS
@@ -107,7 +107,7 @@ class FitColumns:
 
     def _compositions(self) -> dict[str, dict[str, Column]]:
         found: dict[str, dict[str, Column]] = {}
-        numbers = self.fits.gathered(lambda batch: _stack(compositions_of(batch), len(batch)))
+        numbers = self.fits.gathered(compositions_of)
         for k, item in enumerate(self.model.assemblage.compositions):
             mean, sigma = numbers[:, k].T
             found[item.key] = {
@@ -128,11 +128,6 @@ class FitColumns:
 def rows_of(fits: SpectraFits) -> IntArray:
     """(n,) rows of `--csv` that each spectrum has."""
     return np.where(fits.there, max(1, len(fits.model.assemblage.bands)), 1)
-
-
-def _stack(columns: Sequence[CompositionColumn], size: int) -> FloatArray:
-    """(n, compositions, 2) means and sigmas."""
-    return np.array([[column.mean, column.sigma] for column in columns]).reshape(-1, 2, size).transpose(2, 0, 1)
 
 
 def _ratio(numbers: FloatArray) -> dict[str, Column]:

@@ -8,17 +8,18 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.mgm.data import MgmData, prepare
-from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH
+from lunarsci.spectra.mgm.batch import ratio_of, strength_ratios
+from lunarsci.spectra.mgm.data import MgmData, MgmRows, prepare
+from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH, check_options
 from lunarsci.spectra.mgm.fit_file import LIMITS, WAVENUMBER_NM, FitFile, ProgramParameters, parameters_of, raw_basis
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel
 from lunarsci.spectra.mgm.result import (
+    REACH_NM,
     FittedBand,
     MgmFailure,
     MgmFit,
     StrengthRatio,
-    band_strength_ratios,
     pyroxene_pair,
 )
 from lunarsci.spectra.spectrum import Spectrum
@@ -84,7 +85,9 @@ def fit_damping(
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955 (model and program);
     Tarantola & Valette (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (step).
     """
-    _check(model_error, rms_limit, improvement_limit)
+    check_options(model_error)
+    if not (0 <= rms_limit < math.inf and 0 <= improvement_limit < math.inf):
+        raise ParameterError(f"limits of the rms are {rms_limit:g} and {improvement_limit:g}; give 0 or above")
     starts = None if start is None else _given(start, len(spectra), model)
     own = parameters_of(model, file)
     results: list[MgmFit | MgmFailure] = []
@@ -103,21 +106,12 @@ def fit_damping(
     return results
 
 
-def _check(model_error: float, rms_limit: float, improvement_limit: float) -> None:
-    if not 0 < model_error < 1:
-        raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
-    for name, limit in (("rms limit", rms_limit), ("improvement limit", improvement_limit)):
-        if not 0 <= limit < math.inf:
-            raise ParameterError(f"{name} is {limit:g}; give a number of 0 or above, such as 1e-6")
-
-
 def _given(start: FloatArray, n_spectra: int, model: MgmModel) -> FloatArray:
+    size = model.prior.size
     start = np.asarray(start, dtype=np.float64)
-    if start.shape not in {(model.prior.size,), (n_spectra, model.prior.size)}:
-        raise ParameterError(f"start has shape {start.shape}; give ({model.prior.size},) or one such row per spectrum")
-    if not np.isfinite(start).all() or not (start[..., model.degrees + 1 :: 3] > 0).all():
-        raise ParameterError("a start is not finite, or a width in it not above 0; correct it")
-    return np.broadcast_to(start, (n_spectra, model.prior.size))
+    if start.shape not in {(size,), (n_spectra, size)} or not (start[..., model.degrees + 1 :: 3] > 0).all():
+        raise ParameterError(f"start, {start.shape}: give ({size},) or a row per spectrum, with widths above 0")
+    return np.broadcast_to(start, (n_spectra, size))
 
 
 def _first(model: MgmModel, data: MgmData) -> FloatArray:
@@ -271,7 +265,7 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
         bic=chi2 + count * math.log(data.reflectance.size),
         continuum_coefficients=tuple(point[:m].tolist()),
         bands=bands,
-        nbsr=_ratios(bands, covariance[m:, m:], shared[:, m:], data),
+        nbsr=_ratios(bands, model, data, point, covariance, shared),
         model=model,
         data=data,
         parameters=point,
@@ -321,13 +315,14 @@ def _remarks(bands: Sequence[FittedBand], covariance: FloatArray, shifted: bool)
 
 
 def _ratios(
-    bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, data: MgmData
-) -> dict[str, StrengthRatio | None]:
+    bands: Sequence[FittedBand], model: MgmModel, data: MgmData, point: FloatArray, covariance: FloatArray,
+    shared: FloatArray,
+) -> dict[str, StrengthRatio | None]:  # fmt: skip
     """Whatever their errors, which know no prior; None where one of the two bands is positive."""
-    ratios = band_strength_ratios(bands, covariance, shared, data.wavelength_nm, undetermined=math.inf)
-    positive = {
-        region
-        for region in ratios
-        if any(bands[position].strength > 0 for position in pyroxene_pair(bands, region) or ())
-    }
-    return {region: None if region in positive else ratio for region, ratio in ratios.items()}
+    ratios: dict[str, StrengthRatio | None] = dict.fromkeys(REACH_NM)
+    for region in ratios:
+        pair = pyroxene_pair(bands, region)
+        if pair and all(bands[position].strength <= 0 for position in pair):
+            fit = (MgmRows.together([data]), model, point[None], covariance[None], shared[None])
+            ratios[region] = ratio_of(strength_ratios(*fit, region, undetermined=math.inf)[0])
+    return ratios

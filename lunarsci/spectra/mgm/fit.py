@@ -147,7 +147,7 @@ def fit_spectra(
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955 (model); Tarantola & Valette
     (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (prior).
     """
-    _check_options(model_error, starts)
+    check_options(model_error, starts)
     collection = SpectrumCollection.of(spectra)
     names = collection.ids
     parts: list[tuple[IndexArray, SpectraRows, FitBatch]] = []
@@ -200,7 +200,7 @@ def _columns_of_fits(spectra: dict[str, Any], *, model: MgmModel, starts: int) -
     return fit_rows(prepare_rows(**spectra), model, starts).columns()
 
 
-def _check_options(model_error: Any, starts: Any) -> None:
+def check_options(model_error: Any, starts: Any = 1) -> None:
     if model_error is not None and not ((np.asarray(model_error) > 0) & (np.asarray(model_error) < 1)).all():
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
     if isinstance(starts, int) and starts < 1:
@@ -236,7 +236,7 @@ def fit_arrays(
     ------
     ParameterError as `fit_spectra`.
     """
-    _check_options(model_error, starts)
+    check_options(model_error, starts)
     usable = np.isfinite(reflectance) & (reflectance > 0)
     parts = []
     for rows in same_channels(usable):

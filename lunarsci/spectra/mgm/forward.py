@@ -383,8 +383,6 @@ def _continuum(
     return True
 
 
-RIDGE = 1e-10
-"""Added to the diagonal of a matrix, relatively, before it is factorised."""
 LEAST_CONTINUUM = 1e-12
 
 
@@ -483,63 +481,6 @@ def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, s
         force[row] = by_centre * strength * inverse
         force[row + 1] = by_fwhm * strength / point[row + 1]
         force[row + 2] = by_strength
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def correct_coarse(target: Any, groups: Any, best: Any, space: Any) -> None:
-    """Set the coarse data so that residuals and slope at `best` are those of all channels.
-
-    Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
-    """
-    channels, coarse, logarithmic, _, precision = target[:5]
-    _chi2(channels, logarithmic, best, space[0])
-    coarse[2][:] = 0.0
-    _chi2(coarse, logarithmic, best, space[1])
-    jacobian, wanted, root_weight, model = space[1][0], np.zeros(space[1][1].size), coarse[3], space[1][1]
-    for i in range(groups.size):
-        wanted[groups[i]] += channels[3][i] * space[0][1][i] / root_weight[groups[i]]
-    size = best.size
-    matrix, missing = np.empty((size, size)), np.zeros(size)
-    for p in range(size):
-        missing[p] = (space[0][0][p] * space[0][1]).sum() - (jacobian[p] * wanted).sum()
-        for q in range(p + 1):
-            matrix[p, q] = (jacobian[p] * jacobian[q]).sum() + precision[p, q]
-        matrix[p, p] *= 1.0 + RIDGE
-    if lower_factor(matrix):
-        solve_lower(matrix, missing)
-        for p in range(size):
-            wanted += missing[p] * jacobian[p]
-    for j in range(root_weight.size):
-        coarse[2][j] = (wanted[j] - model[j]) / root_weight[j]
-
-
-@compiled
-def lower_factor(matrix: Any) -> bool:
-    """Overwrite the lower triangle by its Cholesky factor; False where there is none."""
-    for k in range(matrix.shape[0]):
-        for j in range(k + 1):
-            total = matrix[k, j]
-            for i in range(j):
-                total -= matrix[k, i] * matrix[j, i]
-            if j < k:
-                matrix[k, j] = total / matrix[j, j]
-            elif total > 0.0:
-                matrix[k, k] = math.sqrt(total)
-            else:
-                return False
-    return True
-
-
-@compiled
-def solve_lower(factor: Any, right: Any) -> None:
-    for k in range(right.size):
-        for i in range(k):
-            right[k] -= factor[k, i] * right[i]
-        right[k] /= factor[k, k]
-    for k in range(right.size - 1, -1, -1):
-        for i in range(k + 1, right.size):
-            right[k] -= factor[i, k] * right[i]
-        right[k] /= factor[k, k]
 
 
 BLOCK = 8

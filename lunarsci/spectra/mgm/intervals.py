@@ -27,7 +27,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import VECTORS, compiled, each_in_threads
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.spectra.mgm.fit import fit_batch
-from lunarsci.spectra.mgm.forward import RIDGE, correct_coarse, energies_of, force_of
+from lunarsci.spectra.mgm.forward import energies_of, force_of, residuals
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
 from lunarsci.spectra.spectrum import reaches_over
@@ -43,6 +43,8 @@ AT_A_STEP, SETTLING = Moves(1, 30, 0.8, mirrored=True), Moves(24, 64, 0.12, mirr
 """Trajectories of each particle at a step of beta, and before draws are kept."""
 FIRST_MOVES, FRESH = 10, 8
 """Trajectories before the first step, which tune their length, and with one metric while the population settles."""
+RIDGE = 1e-10
+"""Added to the diagonal of a matrix, relatively, before it is factorised."""
 PARTED = 0.01
 """Particles are labelled when beta passes this; the moves have forgotten by then where they came from."""
 
@@ -135,6 +137,25 @@ def _move_all(
     tuning[1] = accepted / particles.shape[0]
     tuning[0] *= math.exp(TUNING * (tuning[1] - WANTED_ACCEPTANCE))
     tuning[0] = min(max(tuning[0], LEAST_STEP), MOST_STEP)
+
+
+def correct_coarse(target: Any, groups: IntArray, best: FloatArray, space: Any) -> None:
+    """Set the coarse data so that residuals and slope at `best` are those of all channels.
+
+    Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
+    """
+    channels, coarse, logarithmic, _, precision = target[:5]
+    coarse[2][:] = 0.0
+    for spectrum, (jacobian, residual, work) in ((channels, space[0]), (coarse, space[1])):
+        residuals(best, *spectrum[:2], logarithmic, *spectrum[2:], residual, jacobian, work)
+    (all_slopes, all_residuals, _), (slopes, minus_model, _), root = space[0], space[1], coarse[3]
+    wanted = np.bincount(groups, channels[3] * all_residuals, root.size) / root
+    matrix = slopes @ slopes.T + precision
+    matrix[np.diag_indices_from(matrix)] *= 1.0 + RIDGE
+    with suppress(np.linalg.LinAlgError):
+        np.linalg.cholesky(matrix)
+        wanted += np.linalg.solve(matrix, all_slopes @ all_residuals - slopes @ wanted) @ slopes
+    coarse[2][:] = (wanted - minus_model) / root
 
 
 @dataclass(slots=True, eq=False)
@@ -516,7 +537,6 @@ def _end(profile: _Profile, sign: int, bound: float, wanted: float, start: float
 
 DEFAULT_DRAWS = 4000
 DEFAULT_PARTICLES = 256
-LEAST_DRAWS, LEAST_PARTICLES = 100, 128
 GROUPS = 8
 """Into which the families of particles are put for R-hat."""
 LEAST_FAMILIES = 4
@@ -527,8 +547,6 @@ CONTINUUM_SPREAD = 0.5
 MOST_R_HAT, LEAST_EFFECTIVE, LEAST_ACCEPTANCE = 1.1, 100.0, 0.3
 """Beyond which draws are doubted; R-hat as of Gelman & Rubin (1992), Stat. Sci. 7, 457, 10.1214/ss/1177011136; the
 others assumed."""
-SAMPLED_LOWER_BY = 1.0
-"""By how much an objective below the fit's says that the fit is not the minimum; assumed."""
 SAMPLED_PROBABILITIES = (0.5, 0.15865, 0.84135, 0.025, 0.975)
 
 
@@ -570,13 +588,13 @@ def sample_posterior(
     Parameters
     ----------
     fit : a result of `fit_spectra`.
-    draws : how many, 100 or more; they are those of all particles after each of the last trajectories.
+    draws : how many; they are those of all particles after each of the last trajectories.
     seed : 0 or above.
-    particles : 128 or more; more find rarer minima and weigh them better, in proportion to the time.
+    particles : more find rarer minima and weigh them better, in proportion to the time.
 
     Raises
     ------
-    ParameterError for numbers below these.
+    ParameterError for a seed below 0.
 
     References
     ----------
@@ -584,9 +602,6 @@ def sample_posterior(
     (2018), Biometrika 105, 609, 10.1093/biomet/asy028 (error from families); Vehtari et al. (2021), Bayesian Anal. 16,
     667, 10.1214/20-BA1221 (R-hat).
     """
-    for what, value, least in (("draws", draws, LEAST_DRAWS), ("particles", particles, LEAST_PARTICLES)):
-        if value < least:
-            raise ParameterError(f"{value} {what}; give {least} or more")
     if seed < 0:
         raise ParameterError(f"seed {seed}; give 0 or above")
     generator = np.random.default_rng(seed)
@@ -712,7 +727,7 @@ def _remarks(fit: MgmFit, lowest: float) -> list[str]:
     remarks, above = [], lowest - fit.objective
     if above > fit.parameters.size:
         remarks.append(f"the minimum of the fit was not found again: no draw comes nearer than {above:.0f} to it")
-    if above < -SAMPLED_LOWER_BY:
+    if above < -LOWER_BY:
         remarks.append(f"a draw lies {-above:.1f} below the objective of the fit: fit with more starts")
     if fit.reduced_chi2 > MISFIT:
         remarks.append(f"reduced chi-square is {fit.reduced_chi2:.1f}: errors are larger than stated to the fit")

@@ -67,32 +67,6 @@ def laplace_errors(spectra: Channels, problem: FitProblem, points: FloatArray, c
     return found
 
 
-def bounded_covariances(
-    curvature: FloatArray, gradient: FloatArray, points: FloatArray, problem: FitProblem
-) -> FloatArray:
-    """Covariances, (n, p, p), of given curvatures of half the objective, (n, p, p), and descents along it, (n, p)."""
-    rows, size = points.shape
-    space, found = workspace_for(size, size, 1), np.empty((rows, size, size))
-    _bound_all(curvature, gradient, points, problem, space, _rooms(size), found)
-    return found
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _bound_all(
-    curvature: Any, gradient: Any, points: Any, problem: Any, space: Any, rooms: Any, covariance: Any
-) -> None:
-    rows, size = points.shape
-    for first in range(0, rows, LANES):
-        for lane in range(LANES):
-            row = min(first + lane, rows - 1)
-            for p in range(size):
-                space.point[p, lane], space.slope[p, lane] = points[row, p], gradient[row, p]
-                for q in range(p, size):
-                    space.curvature[p * size + q, lane] = curvature[row, p, q]
-        _bounded(problem, space, rooms)
-        _hand_over(space, rooms[1], first, covariance)
-
-
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, found: Any) -> None:
     rows, size = points.shape

@@ -576,8 +576,10 @@ COARSE_DOUBT = 3.0
 """By how much the order of two minima may differ between coarse and full spectrum."""
 MAX_ROUNDS = 4
 FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
-COMPETING_CHI2 = 5.0
-"""A minimum higher by this or more is no competing of the best; assumed."""
+SIGNIFICANT = 2.0
+"""Standard errors from which a difference counts, and a band, as in 19 of 20 cases of a normal law; assumed."""
+COMPETING_CHI2 = SIGNIFICANT**2 + COARSE_TOLERANCE
+"""A minimum higher by this or more on the coarse spectrum is no competitor of the best."""
 SAME_SIGMAS = 0.5
 """Minima within this of each other, in posterior standard deviations, are one; assumed."""
 

@@ -150,10 +150,11 @@ class _Objective:
 def _check_names(model: MgmModel, parameters: "Parameters") -> None:
     missing = [name for name in model.names if name not in parameters]
     unknown = [name for name in parameters if name not in model.names and parameters[name].vary]
-    if missing:
-        raise ParameterError(f"the parameters lack {', '.join(missing)}; start from those of to_lmfit")
-    if unknown:
-        raise ParameterError(f"{', '.join(unknown)} vary but do not belong to the model; fix them or use expressions")
+    if missing or unknown:
+        raise ParameterError(
+            f"the parameters lack {', '.join(missing) or 'none'}, and {', '.join(unknown) or 'no others'} vary beside "
+            "the model's; start from those of to_lmfit, fix others or use expressions"
+        )
 
 
 def _released(model: MgmModel, parameters: "Parameters") -> "Parameters":

@@ -18,8 +18,8 @@ from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, BandPrior, chances, standing, told
-from lunarsci.spectra.mgm.data import MgmData, deepest_absorption, prepare
-from lunarsci.spectra.mgm.fit import SpectraFits, fit_data, model_digest
+from lunarsci.spectra.mgm.data import MISFIT_FLOOR, MgmData, deepest_absorption, prepare
+from lunarsci.spectra.mgm.fit import SpectraFits, check_options, fit_data, model_digest
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, stated_for
 from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
@@ -28,34 +28,6 @@ from lunarsci.spectra.spectrum import Spectrum
 NODES = 80
 FIRST_DAMPING, STEPS = 1e-3, 8
 LN_2PI = math.log(2.0 * math.pi)
-
-
-def ln_evidence(fit: MgmFit) -> float:
-    """ln of the probability of the spectrum given the assemblage, to a constant of the data and the continuum.
-
-    The posterior is taken as normal about the fit: with f the objective there, Q the prior's precision, H half the
-    Hessian of the objective (Gauss-Newton) and k the number of band parameters,
-
-        ln Z = -f/2 + ln det(Q)/2 - ln P - ln det(H)/2 + ln T,
-
-    powers of 2 pi cancelling but for the continuum's. Strengths are 0 or below: P is the share of the prior there and
-    T that of the normal posterior. A parameter that the data press against a bound has the integral of a one-sided
-    normal law instead. Comparable between assemblages under the same continuum, data and model error, and dependent on
-    the widths of the priors. Against sampling it is right to 0.02 where the data tell the bands, off by 0.1-0.4 where
-    strengths are within their errors of 0, and by up to 1.4 where errors are a hundredth of the bands or less.
-
-    Raises
-    ------
-    ParameterError for a model with fixed parameters, whose prior is not normalised here. NaN where the fit has no
-    finite curvature.
-
-    References
-    ----------
-    Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
-    """
-    if fit.model.fixed.any():
-        raise ParameterError(f"{fit.id}: the evidence of a model with fixed parameters is not defined; free them")
-    return EvidencePlace.at(fit.parameters, fit.model, fit.data, np.diag(np.sqrt(fit.data.weight))).ln_evidence()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +75,24 @@ class EvidencePlace:
         return here
 
     def ln_evidence(self) -> float:
-        """See `ln_evidence`."""
+        """ln of the probability of the spectrum given the assemblage, to a constant of the data and the continuum.
+
+        The posterior is taken as normal about the fit: with f the objective there, Q the prior's precision, H half the
+        Hessian of the objective (Gauss-Newton) and k the number of band parameters,
+
+            ln Z = -f/2 + ln det(Q)/2 - ln P - ln det(H)/2 + ln T,
+
+        powers of 2 pi cancelling but for the continuum's. Strengths are 0 or below: P is the share of the prior there
+        and T that of the normal posterior. A parameter that the data press against a bound has the integral of a
+        one-sided normal law instead. Comparable between assemblages under the same continuum, data and model error, and
+        dependent on the widths of the priors; of models without fixed parameters. Against sampling it is right to 0.02
+        where the data tell the bands, off by 0.1-0.4 where strengths are within their errors of 0, and by up to 1.4
+        where errors are a hundredth of the bands or less. NaN where the fit has no finite curvature.
+
+        References
+        ----------
+        Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
+        """
         if not math.isfinite(self.objective):
             return math.nan
         model, m = self.model, self.model.degrees
@@ -174,8 +163,8 @@ TEMPER, PENALTY = 0.57, 2.04
 `python tests/benchmarks/choices.py` learns them: 0.57 and 2.02 from the priors and fits as they are now."""
 CREDIBLE, MOST_TOGETHER = SURE, 4
 """Probability that the assemblages named together hold, and how many of them still say something; assumed."""
-LEAST_DEPTH, LEAST_ERROR = 0.03, 0.003
-"""Depth of the deepest absorption that is reckoned with at least, and error of ln R; assumed."""
+LEAST_DEPTH = 0.03
+"""Depth of the deepest absorption that is reckoned with at least; assumed."""
 DEFAULT_CHOICE_STARTS = 3
 TOGETHER = 16
 """Spectra of a block: some seconds of work."""
@@ -312,10 +301,7 @@ def choose(
     names = [model.assemblage.name for model in models]
     if len(names) < 2 or len(set(names)) < len(names):
         raise ParameterError("a choice needs two or more assemblages, each once")
-    if model_error is not None and not 0 < model_error < 1:
-        raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.05")
-    if starts < 1:
-        raise ParameterError(f"{starts} starts; give 1 or more")
+    check_options(model_error, starts)
     collection = SpectrumCollection.of(spectra)
     found = arrays_in_blocks(
         partial(_compared, models=models, model_error=model_error, starts=starts),
@@ -354,9 +340,9 @@ def _compared(
 
 
 def _scores(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> FloatArray:
-    fine = prepare(spectrum, LEAST_ERROR)
+    fine = prepare(spectrum, MISFIT_FLOOR)
     depth = max(LEAST_DEPTH, float(deepest_absorption(fine.wavelength_nm, fine.reflectance[None])[0]))
-    data = _coarse(fine, math.hypot(LEAST_ERROR, START_ERROR * depth))
+    data = _coarse(fine, math.hypot(MISFIT_FLOOR, START_ERROR * depth))
     error = math.hypot(DETAIL_FLOOR, DETAIL_SHARE * depth) if model_error is None else model_error
     whiten = _whitening(data, error)
     found = np.array([_score(data, _deepened(model, depth), whiten, starts) for model in models])
