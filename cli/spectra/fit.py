@@ -177,7 +177,7 @@ def _composition_notes(fit: MgmFit) -> list[str]:
                 else ""
             )
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
-            value = with_trend(value, item.trend_sigma) if item.in_range and item.told else value
+            value = with_trend(value, item.trend_sigma) if item.in_range and item.determined else value
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
     return notes
 

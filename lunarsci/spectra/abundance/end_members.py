@@ -93,7 +93,7 @@ CHEMISTRY = ("fo", "fs", "en", "wo", "an")
 OPAQUE = "opaque"
 OPAQUE_REFLECTANCE = 0.062
 """Flat within 0.007 from 400 to 2500 nm: ilmenite HS231.3B of the USGS library (Kokaly et al. 2017, 10.3133/ds1035)."""
-KEPT_GRIDS = 8
+CACHED_GRIDS = 8
 
 
 def embedded_end_members(wavelength_nm: FloatArray) -> tuple[EndMember, ...]:
@@ -110,7 +110,7 @@ def embedded_end_members(wavelength_nm: FloatArray) -> tuple[EndMember, ...]:
     return _on_grid(np.asarray(wavelength_nm, dtype=np.float64).tobytes())
 
 
-@lru_cache(KEPT_GRIDS)
+@lru_cache(CACHED_GRIDS)
 def _on_grid(channels: bytes) -> tuple[EndMember, ...]:
     wavelength = np.frombuffer(channels)
     models = {mineral: mgm_model(family) for mineral, family in FAMILY_OF.items()}
@@ -120,8 +120,8 @@ def _on_grid(channels: bytes) -> tuple[EndMember, ...]:
 
 def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArray) -> EndMember:
     point = np.array([float(values[name]) / unit_of(name) for name in model.names])
-    found = model_and_jacobian(point, wavelength_nm / 1e3, model.basis(wavelength_nm), model.logarithmic)
-    if found is None:
+    modelled = model_and_jacobian(point, wavelength_nm / 1e3, model.basis(wavelength_nm), model.logarithmic)
+    if modelled is None:
         raise ParameterError(f"{TABLE}: {values['id']} has a continuum that is not above 0")
     chemistry = {key: float(values[key]) / 100 for key in CHEMISTRY if values[key]}
     sizes = {key: float(values[key]) for key in ("min_um", "max_um") if values[key]}
@@ -129,7 +129,7 @@ def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArr
         values["id"],
         values["mineral"],
         wavelength_nm,
-        np.exp(found[0]),
+        np.exp(modelled[0]),
         source=values["source"],
         specimen=values["specimen"],
         **chemistry,
@@ -142,20 +142,20 @@ PREFIX = "vol_"
 
 
 @dataclass(frozen=True, slots=True)
-class KnownModes:
+class StatedModes:
     """By id of the spectrum.
 
     Attributes
     ----------
-    known : shares by volume of all minerals, where every one is stated. [-]
+    shares : by volume of all minerals, where every one is stated. [-]
     absent : minerals stated as 0 where others are sought.
     """
 
-    known: Mapping[str, Mapping[str, float]]
+    shares: Mapping[str, Mapping[str, float]]
     absent: Mapping[str, Sequence[str]]
 
 
-def read_modes(source: InputFile) -> KnownModes:
+def read_modes(source: InputFile) -> StatedModes:
     """Read a table with the column `id` and one per mineral, named as in `MINERALS` or `vol_ol` and the like.
 
     A row of numbers is a mixture whose modes are known; an empty cell is sought, and a 0 beside it says that a mineral
@@ -166,7 +166,7 @@ def read_modes(source: InputFile) -> KnownModes:
     """
     rows = rows_by_id(source)
     minerals = _minerals(next(iter(rows.values()))[1], source.name)
-    known: dict[str, dict[str, float]] = {}
+    stated: dict[str, dict[str, float]] = {}
     absent: dict[str, list[str]] = {}
     for id, (line, row) in rows.items():
         place = f"{source.name}: line {line}"
@@ -176,29 +176,29 @@ def read_modes(source: InputFile) -> KnownModes:
             if row[column]
         }
         if len(shares) == len(minerals):
-            known[id] = shares
+            stated[id] = shares
         elif any(shares.values()):
             raise DataError(f"{place}: some shares are stated, others are not; state all, or leave those sought empty")
         else:
             absent[id] = list(shares)
-    return KnownModes(known, absent)
+    return StatedModes(stated, absent)
 
 
 def _minerals(row: Mapping[str, str], file: str) -> dict[str, str]:
     """Mineral by column."""
-    found: dict[str, str] = {}
+    columns: dict[str, str] = {}
     for column in row:
         try:
             mineral = mineral_named(column.removeprefix(PREFIX))
         except DataError:
             continue
-        if mineral in found.values():
+        if mineral in columns.values():
             raise DataError(f"{file}: {mineral} has two columns; keep one")
         if mineral:
-            found[column] = mineral
-    if not found:
+            columns[column] = mineral
+    if not columns:
         raise DataError(f"{file}: has no column named after a mineral, such as olivine or vol_ol; add one")
-    return found
+    return columns
 
 
 def _share(cell: str, place: str) -> float:

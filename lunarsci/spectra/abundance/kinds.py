@@ -63,7 +63,7 @@ class KindVerdict:
     kind : one of `KINDS`, or `NOT_DETERMINED`.
     probabilities : by kind, before anything is known of the target, each as likely as the others; they sum to 1. [-]
     weathered : probability of a surface that space has weathered, soil or rock. [-]
-    stranger : whether the spectrum is unlike all that is known of its kind, and where that is open, of every kind; or
+    outlier : whether the spectrum is unlike all that is known of its kind, and where that is open, of every kind; or
         far likelier of another kind than stated; or no reflectance, but scaled.
     stated : whether the kind was stated, not found.
     reasons : sentences; empty where there is nothing to say.
@@ -72,7 +72,7 @@ class KindVerdict:
     kind: str
     probabilities: Mapping[str, float]
     weathered: float
-    stranger: bool
+    outlier: bool
     stated: bool = False
     reasons: tuple[str, ...] = ()
 
@@ -86,7 +86,7 @@ class KindVerdict:
         return {
             "name": self.kind,
             "stated": self.stated,
-            "stranger": self.stranger,
+            "stranger": self.outlier,
             "probabilities": dict(self.probabilities),
             "weathered": self.weathered,
             "reasons": list(self.reasons),
@@ -128,9 +128,9 @@ class KindModel:
         """Squared distance from each component, and the logarithm of the determinant, (n, k) each."""
         there = np.isfinite(features)
         both = there[:, None, :, None] & there[:, None, None, :]
-        own = np.where(there, noise**2, 0.0)[:, None, :, None] * np.eye(features.shape[1])
+        of_noise = np.where(there, noise**2, 0.0)[:, None, :, None] * np.eye(features.shape[1])
         absent = np.where(there, 0.0, 1.0)[:, None, :, None] * np.eye(features.shape[1])
-        covariance = np.where(both, self.covariance[None] + own, 0.0) + absent
+        covariance = np.where(both, self.covariance[None] + of_noise, 0.0) + absent
         apart = np.where(there, features, 0.0)[:, None, :] - np.where(there[:, None, :], self.mean[None], 0.0)
         solved = np.linalg.solve(covariance, apart[..., None])[..., 0]
         return np.sum(apart * solved, axis=-1), np.linalg.slogdet(covariance)[1]
@@ -151,8 +151,8 @@ def embedded_kinds() -> KindModel:
 
 def spectral_features(spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
     """`features_of_rows` of the usable channels of one spectrum, (9,) each."""
-    usable, own = spectrum.usable, spectrum.uncertainty
-    errors = None if own is None else own[usable][None]
+    usable, uncertainty = spectrum.usable, spectrum.uncertainty
+    errors = None if uncertainty is None else uncertainty[usable][None]
     features, noise = features_of_rows(spectrum.wavelength_nm[usable], spectrum.reflectance[usable][None], errors)
     return features[0], noise[0]
 
@@ -199,7 +199,7 @@ def find_kinds(
     Parameters
     ----------
     spectra : reflectance; features outside of their channels are left out, and with fewer than 6 of 9 the kind is open.
-    stated : the kind where it is known; then only `stranger` is judged, by that kind.
+    stated : the kind where it is known; then only `outlier` is judged, by that kind.
     model : instead of the embedded one.
 
     Raises

@@ -184,7 +184,7 @@ SPARE = 3
 """Shapes are fewer than the end members by this many."""
 LEADING_SHAPES, RIDGE = 5, 0.1
 """Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them. Assumed."""
-OWN_LEVEL = 0.5
+MINERAL_LEVEL = 0.5
 """Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
 SINGLE_LEVEL = 0.05
 """The same where one end member is given, which then is the powder itself; assumed."""
@@ -195,7 +195,7 @@ mixtures of known modes (XP-CMP of 0-45 and 75-125 um, MIX210), 0.14 by the squa
 members of known size."""
 REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
 """Grain size that end members are brought to, and the one taken where none is stated; the latter assumed."""
-SMOOTH, SMOOTH_NM, SMOOTH_KEPT = 0.05, 150.0, 0.999
+SMOOTH, SMOOTH_NM, SMOOTH_SHARE = 0.05, 150.0, 0.999
 """Standard deviation, width and share kept of what t of a real powder has beside its shapes; assumed."""
 UNUSUAL_WEIGHT = 0.3
 """Weight of such an end member; assumed."""
@@ -240,22 +240,24 @@ def population(
 
     t of every end member is brought to `REFERENCE_UM` first. Then follows a principal component analysis of t less its
     mean over the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture
-    share: `powders` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`.
+    share: `powders` has a level common to all. Here stay the part that goes with the first shapes, and `MINERAL_LEVEL`.
     One end member alone is taken as the powder itself, of its own grain size: only its level varies, a little.
 
     Raises
     ------
     ParameterError where no end member of the mineral reaches over all channels.
     """
-    own = [item for item in end_members if item.mineral == mineral]
-    values = np.array([reflectance_at(item, wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
+    powders = [item for item in end_members if item.mineral == mineral]
+    values = np.array([reflectance_at(item, wavelength_nm) for item in powders]).reshape(
+        len(powders), wavelength_nm.size
+    )
     there = np.isfinite(values).all(axis=1)
     if not there.any():
         raise ParameterError(
             f"no end member of {mineral} reaches from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm; give a library "
             "that has one, or leave the mineral out"
         )
-    members = [item for item, usable in zip(own, there, strict=True) if usable]
+    members = [item for item, usable in zip(powders, there, strict=True) if usable]
     coarser = np.array([0.0 if len(members) == 1 else ln_size(item) for item in members])
     element = law.element(values[there]) - law.size_exponent * coarser[:, None]
     weight = specimen_weights(members)
@@ -271,20 +273,20 @@ def population(
         scores = centred @ directions[:lead].T / sizes[:lead]
         normal = scores.T @ (weight[:, None] * scores) + RIDGE * np.eye(lead)
         shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
-    flat = np.full((1, wavelength_nm.size), OWN_LEVEL if len(level) > 1 else SINGLE_LEVEL)
+    flat = np.full((1, wavelength_nm.size), MINERAL_LEVEL if len(level) > 1 else SINGLE_LEVEL)
     return MineralPopulation(
         mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]), grain_size(members)
     )
 
 
-def loosened(found: MineralPopulation, wavelength_nm: FloatArray) -> MineralPopulation:
+def loosened(law: MineralPopulation, wavelength_nm: FloatArray) -> MineralPopulation:
     """The law with smooth shapes beside those of its end members: many spectra show what one cannot."""
     apart = (wavelength_nm[:, None] - wavelength_nm) / SMOOTH_NM
     sizes, directions = np.linalg.eigh(SMOOTH**2 * np.exp(-0.5 * apart**2))
     sizes, directions = sizes[::-1], directions[:, ::-1]
-    count = int(np.searchsorted(np.cumsum(sizes), SMOOTH_KEPT * sizes.sum())) + 1
+    count = int(np.searchsorted(np.cumsum(sizes), SMOOTH_SHARE * sizes.sum())) + 1
     smooth = np.sqrt(sizes[:count, None]) * directions[:, :count].T
-    return replace(found, shapes=np.concatenate([found.shapes[:-1], smooth, found.shapes[-1:]]))
+    return replace(law, shapes=np.concatenate([law.shapes[:-1], smooth, law.shapes[-1:]]))
 
 
 def ln_size(item: EndMember) -> float:
@@ -330,8 +332,8 @@ def reflectance_at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
 
 def usual_weight(item: EndMember) -> float:
     """1, or `UNUSUAL_WEIGHT` for a composition that is rare on the Moon."""
-    known = {key: value for key in USUAL if (value := getattr(item, key)) is not None}
-    return 1.0 if all(USUAL[key][0] <= value <= USUAL[key][1] for key, value in known.items()) else UNUSUAL_WEIGHT
+    given = {key: value for key in USUAL if (value := getattr(item, key)) is not None}
+    return 1.0 if all(USUAL[key][0] <= value <= USUAL[key][1] for key, value in given.items()) else UNUSUAL_WEIGHT
 
 
 def specimen_weights(members: Sequence[EndMember]) -> FloatArray:
@@ -376,8 +378,8 @@ class Powders:
     def at(self, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x of each mineral and dx / dt, both (m, n)."""
         pairs = zip(self.places, self.minerals, strict=True)
-        found = [self.law.mixing(item.mean + shared[place] @ item.shapes + shared[-1]) for place, item in pairs]
-        x, slope = (np.array(part) for part in zip(*found, strict=True))
+        mixed = [self.law.mixing(item.mean + shared[place] @ item.shapes + shared[-1]) for place, item in pairs]
+        x, slope = (np.array(part) for part in zip(*mixed, strict=True))
         return x, slope
 
     @cached_property

@@ -113,18 +113,20 @@ BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8
 """What is published of solid rocks seen by a rover, to be set beside their ratios."""
 
 
-def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
+def share_pages(abundances: Sequence[Abundance]) -> "Iterator[Figure]":
     """Shares in per cent; spectra outside the domain of the method have open circles, what is not determined none."""
     panels = []
-    for mineral in dict.fromkeys(item.mineral for one in found for item in one.fractions):
+    for mineral in dict.fromkeys(item.mineral for one in abundances for item in one.fractions):
         color, bars = COLORS.get(mineral, OTHER), []
-        for one in found:
+        for one in abundances:
             shares = [item for item in one.fractions if item.mineral == mineral]
             face = color if one.in_domain else "white"
             bars.append((100 * np.array([getattr(shares[0], end) for end in ENDS]), color, face) if shares else None)
         panels.append(BarPanel({"title": mineral, "xlabel": "share [%]", "xlim": (-3, 103)}, bars))
-    text = f"mineral shares by {found[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
-    return bar_pages([one.id for one in found], panels, text)
+    text = (
+        f"mineral shares by {abundances[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
+    )
+    return bar_pages([one.id for one in abundances], panels, f"mineral shares by {abundances[0].method}; {text}")
 
 
 ENDS = ("fraction", "low", "high", "low95", "high95")

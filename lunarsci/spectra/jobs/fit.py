@@ -255,7 +255,7 @@ class MgmFits(Result):
 
         if not self._as_arrays:
             return rows_one_by_one(self.records, self.abundances, bands=bands)
-        shown = self.abundances.any_told  # type: ignore[attr-defined]
+        shown = self.abundances.any_determined  # type: ignore[attr-defined]
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)

@@ -39,7 +39,7 @@ from lunarsci.spectra.mgm.result import (
 )
 from lunarsci.spectra.spectrum import reaches_over
 
-LEAST_KEPT = 0.1
+LEAST_CURVATURE = 0.1
 """Share of the curvature that must be left for the first order to be believed; assumed."""
 
 
@@ -59,7 +59,7 @@ def follow_shifts(
     pull = data.weight * (ln_model - np.log(data.reflectance))
     curvature = fisher + misfit_curvature(data, model, point, jacobian, pull)
     free = (point > model.lower) & (point < model.upper)
-    if not _mostly_kept(curvature[np.ix_(free, free)], fisher[np.ix_(free, free)]):
+    if not _is_mostly_left(curvature[np.ix_(free, free)], fisher[np.ix_(free, free)]):
         curvature = fisher
     response = np.zeros_like(curvature)
     response[np.ix_(free, free)] = _inverse(curvature[np.ix_(free, free)])
@@ -73,30 +73,30 @@ def misfit_curvature(
 
     Bands do not bend each other, nor the continuum; its coefficients bend ln R only where they are of C, not of ln C.
     """
-    found = np.zeros((point.size, point.size))
+    bend = np.zeros((point.size, point.size))
     m = model.degrees
     if not model.logarithmic:
         slopes = jacobian[:m]
-        found[:m, :m] = -(slopes * pull) @ slopes.T
+        bend[:m, :m] = -(slopes * pull) @ slopes.T
     wavelength = data.wavelength_nm / 1e3
     for row in range(m, point.size, 3):
         centre, fwhm, strength = point[row : row + 3]
         sigma = fwhm / FWHM_OVER_SIGMA
         x = (wavelength - centre) / sigma
         sums = np.vander(x, 5, increasing=True).T @ (pull * jacobian[row + 2])
-        block = found[row : row + 3, row : row + 3]
+        block = bend[row : row + 3, row : row + 3]
         block[0, 0] = strength / sigma**2 * (sums[2] - sums[0])
         block[0, 1] = block[1, 0] = strength / (sigma * fwhm) * (sums[3] - 2 * sums[1])
         block[1, 1] = strength / fwhm**2 * (sums[4] - 3 * sums[2])
         block[0, 2] = block[2, 0] = sums[1] / sigma
         block[1, 2] = block[2, 1] = sums[2] / fwhm
-    return found
+    return bend
 
 
-def _mostly_kept(curvature: FloatArray, fisher: FloatArray) -> bool:
-    """Whether `curvature` exceeds `LEAST_KEPT` times `fisher` in every direction."""
+def _is_mostly_left(curvature: FloatArray, fisher: FloatArray) -> bool:
+    """Whether `curvature` exceeds `LEAST_CURVATURE` times `fisher` in every direction."""
     try:
-        np.linalg.cholesky(curvature - LEAST_KEPT * fisher)
+        np.linalg.cholesky(curvature - LEAST_CURVATURE * fisher)
     except np.linalg.LinAlgError:
         return False
     return True
@@ -129,11 +129,11 @@ def composition_moments(model: MgmModel, values: FloatArray, covariance: FloatAr
     Meteorit. Planet. Sci. 42, 235, 10.1111/j.1945-5100.2007.tb00230.x (pyroxene).
     """
     m, items = model.degrees, model.assemblage.compositions
-    found = np.empty((len(values), len(items), 2))
+    result = np.empty((len(values), len(items), 2))
     if items:
         centres, gain, first = _composition_law(model.assemblage)
-        _average(values[:, m::3] - centres, covariance[:, m:, m:], gain, first, found[:, :, 0], found[:, :, 1])
-    return found
+        _average(values[:, m::3] - centres, covariance[:, m:, m:], gain, first, result[:, :, 0], result[:, :, 1])
+    return result
 
 
 @lru_cache(maxsize=32)
@@ -239,10 +239,11 @@ class FitBatch:
 
     def present(self, mineral: str) -> BoolArray:
         """(n,) whether a band of the mineral is really there."""
-        own = self.model.degrees + 2 + 3 * np.flatnonzero([b.mineral == mineral for b in self.model.assemblage.bands])
+        of_mineral = np.flatnonzero([band.mineral == mineral for band in self.model.assemblage.bands])
+        at = self.model.degrees + 2 + 3 * of_mineral
         with np.errstate(invalid="ignore"):
-            deep = -self.values[:, own] > SIGNIFICANT * self.sigma[:, own]
-        return np.asarray((deep & ~self.at_bound[:, own]).any(axis=1))
+            deep = -self.values[:, at] > SIGNIFICANT * self.sigma[:, at]
+        return np.asarray((deep & ~self.at_bound[:, at]).any(axis=1))
 
     @property
     def beyond_trend(self) -> BoolArray:
@@ -367,7 +368,7 @@ def batch_of(fit: MgmFit) -> FitBatch:
     """A fit as the only row of a batch; what is known of other minima is not."""
     empty = {name: np.full(1, np.nan) for name in COLUMNS}
     ratios = {region: np.array([_numbers(fit.nbsr.get(region))]) for region in REACH_NM}
-    known: dict[str, Any] = {
+    columns: dict[str, Any] = {
         "values": fit.parameters[None],
         "sigma": np.sqrt(np.diag(fit.covariance))[None],
         "compositions": composition_moments(fit.model, fit.parameters[None], fit.covariance[None]),
@@ -375,7 +376,7 @@ def batch_of(fit: MgmFit) -> FitBatch:
         "status": np.array([CONVERGED if fit.converged else ITERATION_LIMIT]),
         "ambiguous": np.zeros(1, dtype=bool),
     }
-    return FitBatch(**(empty | known | ratios), model=fit.model)
+    return FitBatch(**(empty | columns | ratios), model=fit.model)
 
 
 def _numbers(ratio: StrengthRatio | None) -> list[float]:
@@ -401,15 +402,15 @@ def describe_rows(rows: MgmRows, model: MgmModel, solved: KernelFits, points: Fl
 
     In all threads, so many rows at a time that covariances, the bulk of it all, are few.
     """
-    found: list[Any] = [None] * -(-len(rows) // MOST_ROWS)
+    result: list[Any] = [None] * -(-len(rows) // MOST_ROWS)
 
     def some(part: int) -> None:
-        own = slice(part * MOST_ROWS, (part + 1) * MOST_ROWS)
-        ended = KernelFits(*(getattr(solved, name)[own] for name in KernelFits.__dataclass_fields__))
-        found[part] = _described(rows.part(own), model, ended, points[own])
+        some_rows = slice(part * MOST_ROWS, (part + 1) * MOST_ROWS)
+        ended = KernelFits(*(getattr(solved, name)[some_rows] for name in KernelFits.__dataclass_fields__))
+        result[part] = _described(rows.part(some_rows), model, ended, points[some_rows])
 
-    each_in_threads(some, len(found))
-    return FitBatch(model=model, **{name: np.concatenate([one[name] for one in found]) for name in COLUMNS})
+    each_in_threads(some, len(result))
+    return FitBatch(model=model, **{name: np.concatenate([one[name] for one in result]) for name in COLUMNS})
 
 
 def _described(rows: MgmRows, model: MgmModel, solved: KernelFits, points: FloatArray) -> dict[str, Any]:
@@ -444,13 +445,13 @@ def _errors(rows: MgmRows, model: MgmModel, points: FloatArray, chi2: FloatArray
 def _moved(rows: MgmRows, model: MgmModel, points: FloatArray) -> FloatArray:
     """Moves of the minima by each error that all channels share, (n, k, p); NaN without a continuum."""
     count = rows.shifts.shape[1]
-    found = np.full((len(points), count, points.shape[1]), np.nan)
+    result = np.full((len(points), count, points.shape[1]), np.nan)
     wavelength_um, basis = rows.wavelength_nm / 1e3, model.basis(rows.wavelength_nm)
     for row, point in enumerate(points if count else ()):
         at = model_and_jacobian(point, wavelength_um, basis, model.logarithmic)
         if at is not None:
-            found[row] = follow_shifts(rows.at(row, ""), model, point, *at)
-    return found
+            result[row] = follow_shifts(rows.at(row, ""), model, point, *at)
+    return result
 
 
 def strength_ratios(
@@ -461,10 +462,10 @@ def strength_ratios(
 
     `moved` are the shifts of the parameters by errors that all channels share, (n, k, p).
     """
-    found = np.full((len(points), 4), np.nan)
+    result = np.full((len(points), 4), np.nan)
     pair, (low, high) = pyroxene_pair(model.assemblage.bands, region), REACH_NM[region]
     if pair is None or not reaches_over(rows.wavelength_nm, low, high):
-        return found
+        return result
     one, other = (model.degrees + 3 * position + 2 for position in pair)
     opx, cpx = points[:, one], points[:, other]
     total = opx + cpx
@@ -472,13 +473,13 @@ def strength_ratios(
         by_opx, by_cpx = cpx / total**2, -opx / total**2
         variance = by_opx**2 * covariance[:, one, one] + by_cpx**2 * covariance[:, other, other]
         sigma = np.sqrt(variance + 2 * by_opx * by_cpx * covariance[:, one, other])
-        told = sigma < undetermined
-        found[told, 0], found[told, 1] = np.abs(opx / total)[told], np.abs(cpx / total)[told]
+        determined = sigma < undetermined
+        result[determined, 0], result[determined, 1] = np.abs(opx / total)[determined], np.abs(cpx / total)[determined]
         shared = moved[:, :, one] * by_opx[:, None] + moved[:, :, other] * by_cpx[:, None]
-    found[told, 2] = sigma[told]
+    result[determined, 2] = sigma[determined]
     if moved.shape[1]:
-        found[told, 3] = np.sqrt((shared**2).sum(axis=1))[told]
-    return found
+        result[determined, 3] = np.sqrt((shared**2).sum(axis=1))[determined]
+    return result
 
 
 FO_HIDDEN = 60.0
@@ -514,14 +515,14 @@ class MineralComposition:
     domain: str = ""
 
     @property
-    def told(self) -> bool:
+    def determined(self) -> bool:
         """Whether the spectrum, and not the prior alone, says what it is."""
         return not from_prior(self.sigma, self.prior_sigma)
 
     @property
     def doubt(self) -> str:
         """Why it should not be used, or that it is the prior's; '' where it may be."""
-        return doubt_about(asdict(self)) or ("" if self.told else PRIORS_OWN)
+        return doubt_about(asdict(self)) or ("" if self.determined else PRIORS_OWN)
 
 
 def compositions_of(batch: FitBatch) -> FloatArray:
@@ -530,11 +531,11 @@ def compositions_of(batch: FitBatch) -> FloatArray:
     Those of `composition_moments`, NaN where the mineral's bands are not there. Beside pyroxene the error of Fo is
     larger than the fit's: its bands overlap with olivine's, and hardly tell more than the prior.
     """
-    found = batch.compositions.copy()
+    result = batch.compositions.copy()
     for k, item in enumerate(batch.model.assemblage.compositions):
-        found[:, k, 1] = np.sqrt(np.maximum(found[:, k, 1] + _hidden(batch, item.key) ** 2, 0.0))
-        found[~(batch.present(item.mineral) & np.isfinite(found[:, k]).all(axis=1)), k] = np.nan
-    return found
+        result[:, k, 1] = np.sqrt(np.maximum(result[:, k, 1] + _hidden(batch, item.key) ** 2, 0.0))
+        result[~(batch.present(item.mineral) & np.isfinite(result[:, k]).all(axis=1)), k] = np.nan
+    return result
 
 
 def _hidden(batch: FitBatch, key: str) -> FloatArray:
@@ -551,13 +552,13 @@ def _hidden(batch: FitBatch, key: str) -> FloatArray:
 def compositions(fit: MgmFit) -> tuple[MineralComposition, ...]:
     """`compositions_of` one fit."""
     assemblage = fit.model.assemblage
-    found = []
+    result = []
     for item, (mean, sigma) in zip(assemblage.compositions, compositions_of(batch_of(fit))[0].tolist(), strict=True):
         values = (mean, sigma) if mean == mean else (None, None)
         priors = (TREND_SIGMA[item.key], item.sigma, item.lowest, item.highest)
         inside, domain = item.lowest <= mean <= item.highest, assemblage.domain(item.mineral)
-        found.append(MineralComposition(item.key, item.mineral, *values, *priors, inside, domain))
-    return tuple(found)
+        result.append(MineralComposition(item.key, item.mineral, *values, *priors, inside, domain))
+    return tuple(result)
 
 
 def beyond_any(fit: MgmFit) -> tuple[str, ...]:

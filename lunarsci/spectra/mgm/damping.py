@@ -71,14 +71,14 @@ def fit_damping(
     file : start file whose uncertainties damp; without one, the standard deviations of the model's prior do, as if
         they were written to a file.
     rms_limit, improvement_limit : of ln R, 0 or above. [-]
-    start : (p,) or (n_spectra, p), in the units of `MgmModel`; by default the values of the file, or the prior's mean
+    start : (p,) in the units of `MgmModel`, with widths above 0; by default the values of the file, or the prior's mean
         with strengths of -0.1 where that is 0 and a level continuum at the upper end of the spectrum.
     model_error : of ln R, in the weights of chi-square, above 0 and below 1. [-]
     progress : called with (done, total).
 
     Raises
     ------
-    ParameterError for limits, a model error or a start out of range.
+    ParameterError for limits or a model error out of range.
 
     References
     ----------
@@ -88,30 +88,21 @@ def fit_damping(
     check_options(model_error)
     if not (0 <= rms_limit < math.inf and 0 <= improvement_limit < math.inf):
         raise ParameterError(f"limits of the rms are {rms_limit:g} and {improvement_limit:g}; give 0 or above")
-    starts = None if start is None else _given(start, len(spectra), model)
-    own = parameters_of(model, file)
+    parameters = parameters_of(model, file)
     results: list[MgmFit | MgmFailure] = []
     for index, spectrum in enumerate(spectra):
         try:
             data = prepare(spectrum, model_error, whole=model.whole)
-            first = own.of_kernel(_first(model, data) if starts is None else starts[index])
-            if file is not None and starts is None:
-                first = own.on_planes(own.values)
-            problem = _DampedProblem(data, own, raw_basis(model.continuum, data.wavelength_nm))
+            first = parameters.of_kernel(_first(model, data) if start is None else start)
+            if file is not None and start is None:
+                first = parameters.on_planes(parameters.values)
+            problem = _DampedProblem(data, parameters, raw_basis(model.continuum, data.wavelength_nm))
             results.append(_described(problem, _descent(problem, first, rms_limit, improvement_limit)))
         except DataError as error:
             results.append(MgmFailure(spectrum.id, model.assemblage.name, model.continuum, f"no result: {error}"))
         if progress:
             progress(index + 1, len(spectra))
     return results
-
-
-def _given(start: FloatArray, n_spectra: int, model: MgmModel) -> FloatArray:
-    size = model.prior.size
-    start = np.asarray(start, dtype=np.float64)
-    if start.shape not in {(size,), (n_spectra, size)} or not (start[..., model.degrees + 1 :: 3] > 0).all():
-        raise ParameterError(f"start, {start.shape}: give ({size},) or a row per spectrum, with widths above 0")
-    return np.broadcast_to(start, (n_spectra, size))
 
 
 def _first(model: MgmModel, data: MgmData) -> FloatArray:
@@ -151,23 +142,23 @@ class _DampedProblem:
     """One spectrum, and the program's parameters with their basis of the continuum, (n, m)."""
 
     data: MgmData
-    own: ProgramParameters
+    parameters: ProgramParameters
     basis: FloatArray
 
     def at(self, point: FloatArray) -> _State | None:
         """None where the continuum is not above 0, or a width or wavenumber is 0."""
-        model, m, point = self.own.model, self.own.model.degrees, point.copy()
-        if not self.own.tied:
+        model, m, point = self.parameters.model, self.parameters.model.degrees, point.copy()
+        if not self.parameters.tied:
             point[m + 1 :: 3] = np.abs(point[m + 1 :: 3])
         if not ((point[m + 1 :: 3] > 0).all() and point[m::3].all()):
             return None
         wavelengths = point.copy()
         wavelengths[m::3] = WAVENUMBER_NM / point[m::3] / NM_PER_UM
         wavelengths[m + 1 :: 3] /= NM_PER_UM
-        found = model_and_jacobian(wavelengths, self.data.wavelength_nm / NM_PER_UM, self.basis, model.logarithmic)
-        if found is None or not np.abs(found[1]).max(initial=0.0) < STEEPEST:
+        modelled = model_and_jacobian(wavelengths, self.data.wavelength_nm / NM_PER_UM, self.basis, model.logarithmic)
+        if modelled is None or not np.abs(modelled[1]).max(initial=0.0) < STEEPEST:
             return None
-        ln, jacobian = found
+        ln, jacobian = modelled
         jacobian[m::3] *= (-wavelengths[m::3] / point[m::3])[:, None]
         jacobian[m + 1 :: 3] /= NM_PER_UM
         residual = np.log(self.data.reflectance) - ln
@@ -175,14 +166,14 @@ class _DampedProblem:
 
     def step(self, here: _State) -> FloatArray:
         """(G'G + P)^-1 G'r along the directions that are free."""
-        directions = self.own.directions(here.point)
+        directions = self.parameters.directions(here.point)
         slopes = directions.T @ here.jacobian
-        matrix = slopes @ slopes.T + (directions.T * self.own.precision) @ directions
+        matrix = slopes @ slopes.T + (directions.T * self.parameters.precision) @ directions
         return np.asarray(directions @ _solved(matrix, slopes @ here.residual), dtype=np.float64)
 
     def covariance(self, here: _State) -> FloatArray:
         """(G'G)^-1 of the kernel's parameters; NaN where the data leave a direction undetermined."""
-        directions = self.own.directions(here.point)
+        directions = self.parameters.directions(here.point)
         slopes = (directions.T @ here.jacobian).T
         scale = np.linalg.norm(slopes, axis=0)
         scale[scale == 0] = 1.0
@@ -191,7 +182,7 @@ class _DampedProblem:
         if len(singular) < scale.size or not singular.min(initial=1.0) > RANK_TOLERANCE:
             return unknown
         with np.errstate(over="ignore", invalid="ignore"):
-            along = self.own.kernel_slopes(here.point) @ directions
+            along = self.parameters.kernel_slopes(here.point) @ directions
             root = along @ ((vectors / singular[:, None]).T / scale[:, None])
             inverse = root @ root.T
         return inverse if np.isfinite(inverse).all() else unknown
@@ -237,21 +228,21 @@ def _shortened(problem: _DampedProblem, here: _State) -> tuple[_State | None, bo
     """The longest of the step, its half, ... that lowers the rms; if none, whether the shortest was off limits."""
     step, there = problem.step(here), None
     for halving in range(HALVINGS + 1):
-        there = problem.at(problem.own.on_planes(here.point + step / 2**halving))
+        there = problem.at(problem.parameters.on_planes(here.point + step / 2**halving))
         if there is not None and there.rms < here.rms:
             return there, False
     return None, there is None
 
 
 def _described(problem: _DampedProblem, end: _End) -> MgmFit:
-    data, model, state = problem.data, problem.own.model, end.state
-    m, inverse, point = model.degrees, problem.covariance(state), problem.own.to_kernel(state.point)
+    data, model, state = problem.data, problem.parameters.model, end.state
+    m, inverse, point = model.degrees, problem.covariance(state), problem.parameters.to_kernel(state.point)
     covariance = inverse * state.rms**2
-    by_kernel = np.linalg.solve(problem.own.kernel_slopes(state.point).T, state.jacobian)
+    by_kernel = np.linalg.solve(problem.parameters.kernel_slopes(state.point).T, state.jacobian)
     shared = data.shifts @ by_kernel.T @ inverse
     shared = _where_determined(covariance, shared, m)
     bands = _bands(model, point[m:], covariance[m:, m:], shared[:, m:])
-    chi2, count = float(data.weight @ state.residual**2), problem.own.directions(state.point).shape[1]
+    chi2, count = float(data.weight @ state.residual**2), problem.parameters.directions(state.point).shape[1]
     return MgmFit(
         id=data.id,
         assemblage=model.assemblage.name,
@@ -280,13 +271,13 @@ def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int) 
     They are of first order: where the data hold a band nowhere within the spectrum, the order says nothing, and its
     digits are those of the rounding.
     """
-    found = shared.copy()
+    moves = shared.copy()
     together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.zeros(len(covariance))
     with np.errstate(invalid="ignore"):
         widest = np.maximum(np.sqrt(np.diag(covariance)), together)[degrees:].reshape(-1, 3)[:, :2].max(axis=1)
     for band in np.flatnonzero(~(widest * NM_PER_UM <= MEANINGLESS_NM)):
-        found[:, degrees + 3 * band : degrees + 3 * band + 3] = np.nan
-    return found
+        moves[:, degrees + 3 * band : degrees + 3 * band + 3] = np.nan
+    return moves
 
 
 def _bands(model: MgmModel, point: FloatArray, covariance: FloatArray, shared: FloatArray) -> tuple[FittedBand, ...]:

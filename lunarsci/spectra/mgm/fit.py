@@ -70,10 +70,10 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
         """Those of some spectra, next to each other."""
         parts = []
         for positions, rows, batch in self.parts:
-            own = slice(*np.searchsorted(positions, (block.start, block.stop)).tolist())
-            if own.stop > own.start:
-                parts.append((positions[own] - block.start, rows.part(own), batch.part(own)))
-        failures = {k - block.start: found for k, found in self.failures.items() if k in block}
+            rows_here = slice(*np.searchsorted(positions, (block.start, block.stop)).tolist())
+            if rows_here.stop > rows_here.start:
+                parts.append((positions[rows_here] - block.start, rows.part(rows_here), batch.part(rows_here)))
+        failures = {k - block.start: failure for k, failure in self.failures.items() if k in block}
         return SpectraFits(self.names[block.start : block.stop], self.model, parts, failures)
 
     @property
@@ -84,19 +84,19 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
     @property
     def statuses(self) -> list[str]:
         """A sentence about each."""
-        found = [self.failures[k].status if k in self.failures else "" for k in range(len(self))]
+        result = [self.failures[k].status if k in self.failures else "" for k in range(len(self))]
         for positions, _, batch in self.parts:
             for position, text in zip(positions.tolist(), batch.statuses(), strict=True):
-                found[position] = text
-        return found
+                result[position] = text
+        return result
 
     def gathered(self, column: Callable[[FitBatch], Any]) -> FloatArray:
         """What `column` makes of each batch, (n, ...), in the order of the spectra; NaN without a fit."""
         parts = [(positions, np.asarray(column(batch))) for positions, _, batch in self.parts]
-        found = np.full((len(self), *(parts[0][1].shape[1:] if parts else ())), np.nan)
+        result = np.full((len(self), *(parts[0][1].shape[1:] if parts else ())), np.nan)
         for positions, values in parts:
-            found[positions] = values
-        return found
+            result[positions] = values
+        return result
 
 
 DEFAULT_MODEL_ERROR = 0.02
@@ -154,17 +154,17 @@ def fit_spectra(
     failures: dict[int, MgmFailure] = {}
     for group in collection.alike():
         before = len(failures) + sum(len(part[0]) for part in parts)
-        told = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
+        report = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
         rows = SpectraRows(collection.taken(group), model_error, model.whole)
         try:
             rows.at(0, "")
         except DataError as error:
             name, why = model.assemblage.name, f"no result: {error}"
             failures |= {k: MgmFailure(names[k], name, model.continuum, why) for k in group.tolist()}
-            if told:
-                told(len(group), 0)
+            if report:
+                report(len(group), 0)
         else:
-            parts.append((group, rows, _fit_in_blocks(rows, model, starts, told)))
+            parts.append((group, rows, _fit_in_blocks(rows, model, starts, report)))
     return SpectraFits(names, model, parts, failures)
 
 
@@ -172,7 +172,7 @@ def _fit_in_blocks(
     rows: SpectraRows, model: MgmModel, starts: int, progress: Callable[[int, int], None] | None
 ) -> FitBatch:
     channels = len(rows.spectra[0].wavelength_nm)
-    found = arrays_in_blocks(
+    result = arrays_in_blocks(
         partial(_columns_of_fits, model=model, starts=starts),
         len(rows.spectra),
         rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=kept_rows(len(rows.spectra), CHUNK)),
@@ -186,7 +186,7 @@ def _fit_in_blocks(
         fetch=lambda block: rows.part(slice(block.start, block.stop)).arguments(),
         progress=progress,
     )
-    return FitBatch(model=model, **found)
+    return FitBatch(model=model, **result)
 
 
 def model_digest(model: MgmModel) -> str:
@@ -242,10 +242,10 @@ def fit_arrays(
     for rows in same_channels(usable):
         keep = usable[rows[0]]
         errors = model_error if model_error is None or np.ndim(model_error) == 0 else np.asarray(model_error)[rows]
-        own = None if sigma is None else sigma[np.ix_(rows, keep)]
+        noise = None if sigma is None else sigma[np.ix_(rows, keep)]
         try:
             prepared = prepare_rows(
-                wavelength_nm[keep], reflectance[np.ix_(rows, keep)], sigma=own, model_error=errors, whole=model.whole
+                wavelength_nm[keep], reflectance[np.ix_(rows, keep)], sigma=noise, model_error=errors, whole=model.whole
             )
         except DataError:
             continue
@@ -280,18 +280,18 @@ def fit_rows(rows: MgmRows, model: MgmModel, starts: int | FloatArray) -> FitBat
 
 def scaled(model: MgmModel, points: FloatArray, level: FloatArray) -> FloatArray:
     """Parameters, (n, p), of reflectance whose logarithm is higher by `level`, (n,)."""
-    found, m = np.array(points, dtype=np.float64), model.degrees
+    moved, m = np.array(points, dtype=np.float64), model.degrees
     if model.logarithmic:
-        found[:, : min(m, 1)] += level[:, None]
+        moved[:, : min(m, 1)] += level[:, None]
     else:
-        found[:, :m] *= np.exp(level)[:, None]
-    return found
+        moved[:, :m] *= np.exp(level)[:, None]
+    return moved
 
 
 def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[MgmFit]:
     """Fit prepared spectra that share their channels."""
-    found = fit_rows(MgmRows.together(batch), model, starts)
-    return [found.fit(row, data) for row, data in enumerate(batch)]
+    result = fit_rows(MgmRows.together(batch), model, starts)
+    return [result.fit(row, data) for row, data in enumerate(batch)]
 
 
 def fit_batch(
@@ -336,17 +336,17 @@ def fit_batch(
         searches[part] = search
 
     each_in_threads(some, parts)
-    found = [search for search in searches if search is not None]
-    chi2, objective, iterations, status = np.concatenate([search.outcome for search in found]).T
+    searched = [search for search in searches if search is not None]
+    chi2, objective, iterations, status = np.concatenate([search.outcome for search in searched]).T
     return KernelFits(
-        np.concatenate([search.best for search in found]),
-        np.concatenate([search.covariance for search in found]),
+        np.concatenate([search.best for search in searched]),
+        np.concatenate([search.covariance for search in searched]),
         chi2,
         objective,
         iterations,
         status,
-        np.concatenate([search.competing for search in found]),
-        np.concatenate([search.competing_sigmas for search in found]),
+        np.concatenate([search.competing for search in searched]),
+        np.concatenate([search.competing_sigmas for search in searched]),
     )
 
 
@@ -412,7 +412,7 @@ def fit_continua(
     progress: Callable[[int, int], None] | None = None,
 ) -> list[dict[MgmContinuum, MgmFit | MgmFailure]]:
     """Fits of every spectrum by continuum; `build` makes the model of one. Arguments as in `fit_spectra`."""
-    found: list[dict[MgmContinuum, MgmFit | MgmFailure]] = [{} for _ in spectra]
+    result: list[dict[MgmContinuum, MgmFit | MgmFailure]] = [{} for _ in spectra]
     for number, name in enumerate(continua):
 
         def report(done: int, total: int, before: int = number) -> None:
@@ -420,9 +420,9 @@ def fit_continua(
                 progress(before * total + done, len(continua) * total)
 
         fits = fit_spectra(spectra, build(name), model_error=model_error, starts=starts, progress=report)
-        for by_name, fit in zip(found, fits, strict=True):
+        for by_name, fit in zip(result, fits, strict=True):
             by_name[name] = fit
-    return found
+    return result
 
 
 def spread_over_continua(
@@ -435,20 +435,20 @@ def spread_over_continua(
     progress: Callable[[int, int], None] | None = None,
 ) -> list[MgmFit | MgmFailure]:
     """Fits with what the choice of the continuum does; `build` makes the model of an assemblage under a continuum."""
-    found = list(fits)
+    result = list(fits)
     members = {index: item.assemblage for index, item in enumerate(fits) if isinstance(item, MgmFit)}
     for name in dict.fromkeys(members.values()):
-        own = [index for index, assemblage in members.items() if assemblage == name]
+        indices = [index for index, assemblage in members.items() if assemblage == name]
         others = fit_continua(
-            [spectra[index] for index in own],
+            [spectra[index] for index in indices],
             partial(build, name),
             model_error=model_error,
             starts=starts,
             progress=progress,
         )
-        for index, other in zip(own, others, strict=True):
-            found[index] = with_continuum_spread(found[index], other)  # type: ignore[arg-type]
-    return found
+        for index, other in zip(indices, others, strict=True):
+            result[index] = with_continuum_spread(result[index], other)  # type: ignore[arg-type]
+    return result
 
 
 def with_continuum_spread(fit: MgmFit, others: Mapping[MgmContinuum, MgmFit | MgmFailure]) -> MgmFit:

@@ -70,26 +70,26 @@ def _tile(matrix: Any, side: int, k: int, j: int) -> None:
     for i in range(k):
         left, above = i * side + k, i * side + j
         a, b, c, d = load(matrix, above), load(matrix, above + 1), load(matrix, above + 2), load(matrix, above + 3)
-        own = load(matrix, left)
-        s00 -= own * a
-        s01 -= own * b
-        s02 -= own * c
-        s03 -= own * d
-        own = load(matrix, left + 1)
-        s10 -= own * a
-        s11 -= own * b
-        s12 -= own * c
-        s13 -= own * d
-        own = load(matrix, left + 2)
-        s20 -= own * a
-        s21 -= own * b
-        s22 -= own * c
-        s23 -= own * d
-        own = load(matrix, left + 3)
-        s30 -= own * a
-        s31 -= own * b
-        s32 -= own * c
-        s33 -= own * d
+        lead = load(matrix, left)
+        s00 -= lead * a
+        s01 -= lead * b
+        s02 -= lead * c
+        s03 -= lead * d
+        lead = load(matrix, left + 1)
+        s10 -= lead * a
+        s11 -= lead * b
+        s12 -= lead * c
+        s13 -= lead * d
+        lead = load(matrix, left + 2)
+        s20 -= lead * a
+        s21 -= lead * b
+        s22 -= lead * c
+        s23 -= lead * d
+        lead = load(matrix, left + 3)
+        s30 -= lead * a
+        s31 -= lead * b
+        s32 -= lead * c
+        s33 -= lead * d
     at = k * side + j
     store(matrix, at, s00)
     store(matrix, at + 1, s01)
@@ -127,9 +127,9 @@ def factorise(matrix: Any, side: int) -> Any:
             for j in range(k + 1, side):
                 store(matrix, k * side + j, load(matrix, k * side + j) * inverse)
             for row in range(k + 1, block + TILE):
-                own = load(matrix, k * side + row)
+                lead = load(matrix, k * side + row)
                 for j in range(row, side):
-                    store(matrix, row * side + j, load(matrix, row * side + j) - own * load(matrix, k * side + j))
+                    store(matrix, row * side + j, load(matrix, row * side + j) - lead * load(matrix, k * side + j))
     return least
 
 
@@ -139,23 +139,23 @@ def back_substitute(matrix: Any, size: int, side: int, solution: Any) -> None:
     for k in range(size):
         store(solution, k, load(matrix, (k + 1) * side - TILE))
     for k in range(size - 1, -1, -1):
-        known = load(solution, k) * load(matrix, k * side + k)
-        store(solution, k, known)
+        value = load(solution, k) * load(matrix, k * side + k)
+        store(solution, k, value)
         for i in range(k):
-            store(solution, i, load(solution, i) - load(matrix, i * side + k) * known)
+            store(solution, i, load(solution, i) - load(matrix, i * side + k) * value)
 
 
 @compiled
 def invert(matrix: Any, size: int, side: int, inverse: Any) -> None:
     """Fill the upper triangle of `inverse` (size size, 8) from a factor: V = U^-1 row by row, then V V'."""
     for p in range(size - 1, -1, -1):
-        own = load(matrix, p * side + p)
-        store(inverse, p * size + p, own)
+        diagonal = load(matrix, p * side + p)
+        store(inverse, p * size + p, diagonal)
         for q in range(p + 1, size):
             total = spread(0.0)
             for k in range(p + 1, q + 1):
                 total += load(matrix, p * side + k) * load(inverse, k * size + q)
-            store(inverse, p * size + q, total * own * -1.0)
+            store(inverse, p * size + q, total * diagonal * -1.0)
     for p in range(size):
         for q in range(p, size):
             total = spread(0.0)
@@ -196,12 +196,12 @@ def damped(
 ) -> None:
     """scale J J' + precision, its diagonal times `growth`; rows and columns that are not free are those of 1."""
     for p in range(size):
-        own = load(free, p)
+        is_free = load(free, p)
         for q in range(p, size):
             value = load(curvature, p * size + q) * scale + precision[p, q]
-            store(matrix, p * side + q, value * own * load(free, q))
+            store(matrix, p * side + q, value * is_free * load(free, q))
         diagonal = load(matrix, p * side + p) * growth
-        store(matrix, p * side + p, choose(own, diagonal, spread(1.0)))
+        store(matrix, p * side + p, choose(is_free, diagonal, spread(1.0)))
 
 
 @compiled
@@ -239,11 +239,11 @@ def clip_to_bounds(point: Any, lower: Any, upper: Any, step: Any, free: Any) -> 
     """Stop at its bound each step that would cross it, and free its parameter no longer; above 0 where one did."""
     crossed = spread(0.0)
     for p in range(lower.size):
-        wanted, here, own = load(step, p), load(point, p), load(free, p)
+        wanted, here, is_free = load(step, p), load(point, p), load(free, p)
         allowed = lowest(highest(wanted, lower[p] - here), upper[p] - here)
-        beyond = (allowed - wanted) * (allowed - wanted) * own
-        store(step, p, choose(own, allowed, wanted))
-        store(free, p, choose(beyond, spread(0.0), own))
+        beyond = (allowed - wanted) * (allowed - wanted) * is_free
+        store(step, p, choose(is_free, allowed, wanted))
+        store(free, p, choose(beyond, spread(0.0), is_free))
         crossed = highest(crossed, choose(beyond, spread(1.0), spread(0.0)))
     return crossed
 
@@ -258,12 +258,12 @@ def free_again(
         here, gradient = load(point, p), load(slope, p) * scale - load(pull, p)
         zero, one = spread(0.0), spread(1.0)
         if lower[p] == upper[p]:
-            own = zero
+            is_free = zero
         else:
             off_lower = choose(here - lower[p], one, choose(gradient, one, zero))
             off_upper = choose(upper[p] - here, one, choose(zero - gradient, one, zero))
-            own = off_lower * off_upper
-        store(free, p, choose(renewed, own, load(free, p)))
+            is_free = off_lower * off_upper
+        store(free, p, choose(renewed, is_free, load(free, p)))
         store(step, p, choose(renewed, zero, load(step, p)))
 
 
@@ -272,11 +272,11 @@ def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, p
     """By how much the quadratic model of the objective falls along a step."""
     size, decrease = step.shape[0], spread(0.0)
     for p in range(size):
-        own = load(step, p)
-        bend = (load(curvature, p * size + p) * scale + precision[p, p]) * own * 0.5
+        move = load(step, p)
+        bend = (load(curvature, p * size + p) * scale + precision[p, p]) * move * 0.5
         for q in range(p + 1, size):
             bend += (load(curvature, p * size + q) * scale + precision[p, q]) * load(step, q)
-        decrease += own * (load(slope, p) * scale - load(pull, p) - bend) * 2.0
+        decrease += move * (load(slope, p) * scale - load(pull, p) - bend) * 2.0
     return decrease
 
 
@@ -432,9 +432,9 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
         rest[i] *= root_weight[i] * root_weight[i] * beta
     _project(point, wavelength, columns, rest, level, shapes, force)
     for p in range(point.size):
-        pull, own = 0.0, precision[p]
+        pull, weights = 0.0, precision[p]
         for q in range(point.size):
-            pull += own[q] * (point[q] - prior[q])
+            pull += weights[q] * (point[q] - prior[q])
         force[p] -= pull
     for m in range(degrees):
         force[m] -= (1.0 - beta) * start[1, m] * (point[m] - start[0, m])
@@ -566,10 +566,10 @@ def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
             row = (plain + 3 * band) * BLOCK
             s0, s1, s2 = load(sums, target), load(sums, target + 1), load(sums, target + 2)
             for i in range(BLOCK):
-                own = load(work, c * BLOCK + i)
-                s0 += own * load(work, row + i)
-                s1 += own * load(work, row + BLOCK + i)
-                s2 += own * load(work, row + 2 * BLOCK + i)
+                row_value = load(work, c * BLOCK + i)
+                s0 += row_value * load(work, row + i)
+                s1 += row_value * load(work, row + BLOCK + i)
+                s2 += row_value * load(work, row + 2 * BLOCK + i)
             store(sums, target, s0)
             store(sums, target + 1, s1)
             store(sums, target + 2, s2)

@@ -329,12 +329,12 @@ def ratios_of(points: FloatArray, model: MgmModel, wavelength_nm: FloatArray) ->
 
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """
-    found = {}
+    result = {}
     for region, (opx, cpx) in ratio_rows(model, wavelength_nm).items():
         total = points[:, opx] + points[:, cpx]
         with np.errstate(invalid="ignore"):
-            found[f"nbsr_{region}_opx"] = np.asarray(points[:, opx] / total, dtype=np.float64)
-    return found
+            result[f"nbsr_{region}_opx"] = np.asarray(points[:, opx] / total, dtype=np.float64)
+    return result
 
 
 PROBABILITIES = (0.6827, 0.95)
@@ -391,7 +391,7 @@ def profile_intervals(fit: MgmFit, names: Sequence[str] | None = None) -> Interv
 
 @dataclass(slots=True)
 class _Profile:
-    """What is known of one profile: `restricted` fixes the parameter, `known` holds (value, root of rise, point)."""
+    """What is known of one profile: `restricted` fixes the parameter, `points` holds (value, root of rise, point)."""
 
     name: str
     fit: MgmFit
@@ -401,18 +401,18 @@ class _Profile:
     high: float
     restricted: Callable[[float], MgmModel]
     moved: Callable[[FloatArray, float], FloatArray]
-    known: list[tuple[float, float, FloatArray]] = field(default_factory=list)
+    points: list[tuple[float, float, FloatArray]] = field(default_factory=list)
     lowest: float = 0.0
 
     def rise(self, value: float) -> float:
         """Root of the rise of the objective where the parameter is `value`; starts from the nearest known points."""
-        nearest = sorted(self.known, key=lambda entry: abs(entry[0] - value))[:2]
+        nearest = sorted(self.points, key=lambda entry: abs(entry[0] - value))[:2]
         starts = [self.moved(point, value) for _, _, point in nearest]
         point, objective = _minimum(self.fit, self.restricted(value), starts)
         change = objective - self.fit.objective
         self.lowest = min(self.lowest, change)
         root = float(np.sqrt(max(change, 0.0))) if np.isfinite(change) else np.inf
-        self.known.append((value, root, point))
+        self.points.append((value, root, point))
         return root
 
 
@@ -438,7 +438,7 @@ def _parameter_profile(fit: MgmFit, name: str) -> _Profile:
         restricted,
         moved,
     )
-    profile.known.append((best, 0.0, fit.parameters))
+    profile.points.append((best, 0.0, fit.parameters))
     return profile
 
 
@@ -463,7 +463,7 @@ def _ratio_profile(fit: MgmFit, name: str) -> _Profile:
     slope = np.array([fit.parameters[cpx], -fit.parameters[opx]]) / total**2 if total < 0 else np.zeros(2)
     block = fit.covariance[np.ix_([opx, cpx], [opx, cpx])]
     profile = _Profile(name, fit, best, float(np.sqrt(slope @ block @ slope)), 0.0, 1.0, restricted, moved)
-    profile.known.append((best, 0.0, fit.parameters))
+    profile.points.append((best, 0.0, fit.parameters))
     return profile
 
 
@@ -513,7 +513,7 @@ def _ends(profile: _Profile, sign: int) -> Iterator[float]:
 
 def _end(profile: _Profile, sign: int, bound: float, wanted: float, start: float) -> float:
     """Where the root of the rise is `wanted`: outward in steps, then by the secant between the last two."""
-    inner, inner_root = start, min(profile.known, key=lambda entry: abs(entry[0] - start))[1]
+    inner, inner_root = start, min(profile.points, key=lambda entry: abs(entry[0] - start))[1]
     step = max(profile.sigma, 1e-9) * max(wanted - inner_root, 0.1)
     outer, outer_root, narrow = np.nan, np.nan, NARROW * max(profile.sigma, 1e-9)
     for _ in range(MOST_STEPS):
@@ -627,13 +627,13 @@ def sample_batch(
 
     `progress` is called with (done, total). Raises what `sample_posterior` raises.
     """
-    found: dict[int, FitPosterior] = {}
+    result: dict[int, FitPosterior] = {}
 
     def one(index: int) -> None:
-        found[index] = sample_posterior(fits[index], draws=draws, seed=seed, particles=particles)
+        result[index] = sample_posterior(fits[index], draws=draws, seed=seed, particles=particles)
 
     each_in_threads(one, len(fits), progress)
-    return [found[index] for index in range(len(fits))]
+    return [result[index] for index in range(len(fits))]
 
 
 def posterior_intervals(posterior: FitPosterior) -> Intervals:
@@ -768,9 +768,9 @@ def intervals_of(
     if errors == "sample":
         posteriors = sample_batch(list(fits.values()), seed=seed, progress=progress)
         return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
-    found = {}
+    result = {}
     for done, (index, item) in enumerate(fits.items(), start=1):
-        found[index] = profile_intervals(item)
+        result[index] = profile_intervals(item)
         if progress:
             progress(done, len(fits))
-    return found
+    return result

@@ -172,15 +172,15 @@ def channels_of(space: Any) -> Any:
 @compiled
 def fill_lane(spectra: Any, row: int, space: Any, lane: int) -> None:
     """Copy a spectrum into a lane; channels beyond its last are that one again, without weight."""
-    own = min(row, spectra.wavelength.shape[0] - 1)
+    shared_row = min(row, spectra.wavelength.shape[0] - 1)
     channels, count = spectra.data.shape[1], space.places.shape[0]
     for i in range(count):
         j = min(i, channels - 1)
-        space.places[i, lane] = spectra.wavelength[own, j] - ORIGIN
+        space.places[i, lane] = spectra.wavelength[shared_row, j] - ORIGIN
         space.data[i, lane] = spectra.data[row, j]
         space.roots[i, lane] = spectra.root_weight[row, j] if i < channels else 0.0
         for m in range(spectra.columns.shape[1]):
-            space.columns[m * count + i, lane] = spectra.columns[own, m, j]
+            space.columns[m * count + i, lane] = spectra.columns[shared_row, m, j]
 
 
 class _Jobs(NamedTuple):
@@ -435,7 +435,7 @@ def coarsened(fine: Channels, together: int) -> Channels:
 def _coarsen(fine: Any, together: int, coarse: Any) -> None:
     rows, channels = fine.data.shape
     for row in range(rows):
-        own = min(row, fine.wavelength.shape[0] - 1)
+        shared_row = min(row, fine.wavelength.shape[0] - 1)
         for cell in range(coarse.data.shape[1]):
             first, last = cell * together, min((cell + 1) * together, channels)
             total = 0.0
@@ -446,10 +446,10 @@ def _coarsen(fine: Any, together: int, coarse: Any) -> None:
                 coarse.columns[row, m, cell] = 0.0
             for i in range(first, last):
                 share = fine.root_weight[row, i] ** 2 / total if total > 0.0 else 1.0 / (last - first)
-                place += share * fine.wavelength[own, i]
+                place += share * fine.wavelength[shared_row, i]
                 value += share * fine.data[row, i]
                 for m in range(fine.columns.shape[1]):
-                    coarse.columns[row, m, cell] += share * fine.columns[own, m, i]
+                    coarse.columns[row, m, cell] += share * fine.columns[shared_row, m, i]
             coarse.wavelength[row, cell], coarse.data[row, cell] = place, value
             coarse.root_weight[row, cell] = math.sqrt(total)
 
@@ -478,10 +478,10 @@ def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
         total = spread(0.0)
         for i in range(cell * together, min((cell + 1) * together, count)):
             total += load(fine.roots, i) * load(fine.residuals, i)
-        own = load(coarse.roots, cell)
-        weight = choose(own, own, spread(1.0))
+        root = load(coarse.roots, cell)
+        weight = choose(root, root, spread(1.0))
         shift = (total / weight - load(coarse.residuals, cell)) / weight
-        store(coarse.data, cell, load(coarse.data, cell) + choose(own, shift, spread(0.0)))
+        store(coarse.data, cell, load(coarse.data, cell) + choose(root, shift, spread(0.0)))
 
 
 @compiled
@@ -502,8 +502,8 @@ def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
     before = coarse.residuals.copy()
     _slope(coarse, problem, 0)
     for i in range(coarse.data.shape[0]):
-        own = load(coarse.roots, i)
-        shift = (load(before, i) - load(coarse.residuals, i)) / choose(own, own, one)
+        root = load(coarse.roots, i)
+        shift = (load(before, i) - load(coarse.residuals, i)) / choose(root, root, one)
         store(coarse.data, i, load(coarse.data, i) + shift)
 
 
@@ -658,26 +658,26 @@ class Multistart:
         self, rows: IndexArray, points: FloatArray, tolerance: float, tempering: bool = True
     ) -> tuple[FloatArray, FloatArray]:
         """Where points lead to on the coarse spectrum, and the outcomes."""
-        found, outcomes = np.array(points), np.empty((len(rows), 4))
+        ends, outcomes = np.array(points), np.empty((len(rows), 4))
         options = DescentOptions(
             tempering, FIRST_DAMPING if tempering else LATER_DAMPING, tolerance, self.max_iterations
         )
         descend(
-            self.coarse, self.used[1], self.problem, options, rows, found, outcomes, self.spaces[1],
+            self.coarse, self.used[1], self.problem, options, rows, ends, outcomes, self.spaces[1],
             np.empty((0, 1, 1)), np.empty(0),
         )  # fmt: skip
-        return found, outcomes
+        return ends, outcomes
 
     def _finish(self, rows: IndexArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where points lead to on all channels, the outcomes and the covariances."""
-        found, outcomes = np.array(points), np.empty((len(rows), 4))
-        curvatures = np.empty((len(rows), found.shape[1], found.shape[1]))
+        ends, outcomes = np.array(points), np.empty((len(rows), 4))
+        curvatures = np.empty((len(rows), ends.shape[1], ends.shape[1]))
         options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
         descend(
-            self.fine, self.used[0], self.problem, options, rows, found, outcomes, self.spaces[0], curvatures,
+            self.fine, self.used[0], self.problem, options, rows, ends, outcomes, self.spaces[0], curvatures,
             np.empty(0),
         )  # fmt: skip
-        return found, outcomes, inverses(curvatures, self.problem, self.spaces[0])
+        return ends, outcomes, inverses(curvatures, self.problem, self.spaces[0])
 
     def _settle(self, rows: IndexArray) -> None:
         """Finish the lowest coarse minima, the coarse data corrected there."""

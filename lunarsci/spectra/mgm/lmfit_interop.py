@@ -125,11 +125,11 @@ class _Objective:
     def at(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals, (r,), and their derivatives, (r, p), in the kernel's units."""
         prior = self.rows @ (point - self.prior)
-        found = model_and_jacobian(point, self.wavelength_um, self.basis, self.logarithmic)
-        if found is None:
+        modelled = model_and_jacobian(point, self.wavelength_um, self.basis, self.logarithmic)
+        if modelled is None:
             size = self.data.size
             return np.concatenate([np.full(size, FAR), prior]), np.vstack([np.zeros((size, point.size)), self.rows])
-        ln_model, slope = found
+        ln_model, slope = modelled
         residual = np.concatenate([(self.data - ln_model) * self.root_weight, prior])
         return residual, np.vstack([-(slope * self.root_weight).T, self.rows])
 

@@ -226,8 +226,8 @@ def mgm_model(
 
 def stated_for(name: str, compositions: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
     """Those of the compositions that an assemblage has."""
-    own = {item.key for item in assemblage(name).compositions}
-    return {key: value for key, value in (compositions or {}).items() if key in own}
+    keys = {item.key for item in assemblage(name).compositions}
+    return {key: value for key, value in (compositions or {}).items() if key in keys}
 
 
 def _checked(
@@ -334,11 +334,11 @@ def constrained(
 def _parsed(form: str, text: str, taken: set[str]) -> tuple[str, ...]:
     """The parts of a constraint, of a name that is not `taken` yet."""
     pattern, usage = _FORMS[form]
-    found = re.fullmatch(pattern, "".join(text.split()))
-    if not found or found[1] in taken:
+    match = re.fullmatch(pattern, "".join(text.split()))
+    if not match or match[1] in taken:
         raise ParameterError(f"{form} '{text}': write {usage}; each name once")
-    taken.add(found[1])
-    return found.groups()
+    taken.add(match[1])
+    return match.groups()
 
 
 def _prior_mean(model: MgmModel, name: str) -> float:

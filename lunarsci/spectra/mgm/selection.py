@@ -17,7 +17,7 @@ from lunarsci.names import some_of
 from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, BandPrior, chances, standing, told
+from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, BandPrior, chances, standing, verdict
 from lunarsci.spectra.mgm.data import MISFIT_FLOOR, MgmData, deepest_absorption, prepare
 from lunarsci.spectra.mgm.fit import SpectraFits, check_options, fit_data, model_digest
 from lunarsci.spectra.mgm.forward import model_and_jacobian
@@ -47,10 +47,10 @@ class EvidencePlace:
     @classmethod
     def at(cls, point: FloatArray, model: MgmModel, data: MgmData, whiten: FloatArray) -> "EvidencePlace":
         wavelength = data.wavelength_nm
-        found = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
-        if found is None:
+        modelled = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
+        if modelled is None:
             return cls(point, model, math.inf, np.full_like(model.precision, np.nan), np.full_like(point, np.nan))
-        residual, jacobian = whiten @ (np.log(data.reflectance) - found[0]), found[1] @ whiten.T
+        residual, jacobian = whiten @ (np.log(data.reflectance) - modelled[0]), modelled[1] @ whiten.T
         away = point - model.prior
         pull = model.precision @ away
         objective = float(residual @ residual + away @ pull)
@@ -220,8 +220,8 @@ class Choice:
     @property
     def status(self) -> str:
         """The verdict, which minerals are sure and which are open: what the result says of the spectrum."""
-        said = told(self.probabilities, self.beyond, self.cause)
-        return f"{said}; in the 2 µm band {self.beside}" if self.beside else said
+        verdict_text = verdict(self.probabilities, self.beyond, self.cause)
+        return f"{verdict_text}; in the 2 µm band {self.beside}" if self.beside else verdict_text
 
     @property
     def assemblage(self) -> str:
@@ -244,8 +244,8 @@ class Choice:
         rows = [{name: getattr(candidate, name) for name in columns} for candidate in self.candidates]
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
         groups = {name: chance for name, chance in chances(self.probabilities).items() if name in GROUPS}
-        found = {"mineral_probability": self.minerals, "group_probability": groups}
-        more = found | standing(self.probabilities, self.beyond, self.cause)
+        chances_of = {"mineral_probability": self.minerals, "group_probability": groups}
+        more = chances_of | standing(self.probabilities, self.beyond, self.cause)
         return {name: getattr(self, name) for name in names} | {"candidates": rows, "family": list(self.family)} | more
 
 
@@ -303,7 +303,7 @@ def choose(
         raise ParameterError("a choice needs two or more assemblages, each once")
     check_options(model_error, starts)
     collection = SpectrumCollection.of(spectra)
-    found = arrays_in_blocks(
+    arrays = arrays_in_blocks(
         partial(_compared, models=models, model_error=model_error, starts=starts),
         len(collection),
         kept_rows(len(collection), TOGETHER),
@@ -318,7 +318,7 @@ def choose(
         progress=progress,
     )
     results: list[Choice | MgmFailure] = []
-    for name, numbers, why in zip(collection.ids, found["numbers"], found["why"].tolist(), strict=True):
+    for name, numbers, why in zip(collection.ids, arrays["numbers"], arrays["why"].tolist(), strict=True):
         if why:
             results.append(MgmFailure(name, "-", continuum, f"no result: {why}"))
         else:
@@ -345,10 +345,10 @@ def _scores(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float |
     data = _coarse(fine, math.hypot(MISFIT_FLOOR, START_ERROR * depth))
     error = math.hypot(DETAIL_FLOOR, DETAIL_SHARE * depth) if model_error is None else model_error
     whiten = _whitening(data, error)
-    found = np.array([_score(data, _deepened(model, depth), whiten, starts) for model in models])
-    if np.isfinite(found[:, 2]).sum() < 2:
+    scores = np.array([_score(data, _deepened(model, depth), whiten, starts) for model in models])
+    if np.isfinite(scores[:, 2]).sum() < 2:
         raise DataError("fewer than two assemblages can be fitted; look at the spectrum for channels that are wrong")
-    return found
+    return scores
 
 
 def _choice(name: str, families: Sequence[str], numbers: FloatArray) -> Choice:
@@ -428,15 +428,15 @@ def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: Mapping[int, Choi
         unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
         names = np.array(fits.names, dtype=object)
         lists = [names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist()]
-        said = list(zip(fits.names, fits.statuses, strict=True))
+        statuses = list(zip(fits.names, fits.statuses, strict=True))
     else:
         good = [item for item in fits if isinstance(item, MgmFit)]
         lists = [[one.id for one in good if not one.converged], [one.id for one in good if one.rms_ln > UNLIKE_RMS]]
-        said = [(item.id, item.status) for item in good]
+        statuses = [(item.id, item.status) for item in good]
     texts = ("no convergence for {}", "the model does not describe {}")
-    doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
+    doubts = [text.format(", ".join(names_of)) for text, names_of in zip(texts, lists, strict=True) if names_of]
     for word, text in ODD.items():
-        odd = [name for name, status in said if f"; {word}: " in status]
+        odd = [name for name, status in statuses if f"; {word}: " in status]
         doubts += [f"{text} {some_of(odd, NAMED)}"] if odd else []
     weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
     return doubts + ([f"the assemblage is not decided for {some_of(weak, NAMED)}"] if weak else [])

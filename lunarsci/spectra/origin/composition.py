@@ -78,7 +78,7 @@ class Composition:
             raise ParameterError(f"correlation of {len(self.modes)} modes: must be symmetric, 1 on the diagonal")
 
     @property
-    def known(self) -> bool:
+    def comparable(self) -> bool:
         """Whether there is anything to compare."""
         return bool(self.modes or self.bands)
 
@@ -198,14 +198,14 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
         return Rock(name, Composition(), (text,))
     given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
-    told = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
+    determined = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
     remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
     tables: tuple[str, ...] = ()
-    if modes and not told:
+    if modes and not determined:
         return Rock(name, Composition(), (f"its shares decide nothing: {abundance.get('status', 'not determined')}",))
     if len(modes) < 2:
         return None
-    if wide := [mineral for mineral in modes if mineral not in told]:
+    if wide := [mineral for mineral in modes if mineral not in determined]:
         remarks.append(f"not determined, known by their intervals alone: {', '.join(wide)}")
     untested = abundance.get("in_domain") is False
     if untested:
@@ -280,11 +280,11 @@ def joined(rocks: Iterable[Rock]) -> list[Rock]:
 
     Raises DataError where two results give modes, or two give the same band centre, for one id.
     """
-    found: dict[str, Rock] = {}
+    by_id: dict[str, Rock] = {}
     for rock in rocks:
-        before = found.get(rock.id)
-        found[rock.id] = _merged(before, rock) if before else rock
-    return list(found.values())
+        before = by_id.get(rock.id)
+        by_id[rock.id] = _merged(before, rock) if before else rock
+    return list(by_id.values())
 
 
 def _merged(one: Rock, other: Rock) -> Rock:
@@ -324,14 +324,14 @@ def stated_number(text: str, where: str) -> float:
 
 def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Value]:
     """`NAME=VALUE:ERROR,…` by full name."""
-    found: dict[str, Value] = {}
+    pairs: dict[str, Value] = {}
     for part in text.split(",") if text else []:
         key, equals, numbers = part.partition("=")
         value, colon, sigma = numbers.partition(":")
         name = names.get(key.strip().lower())
-        if name in found:
+        if name in pairs:
             raise RequestError(f"`{option}`: {name} is there twice; give it once")
         if not (equals and colon and name):
             raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(names)}")
-        found[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
-    return found
+        pairs[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
+    return pairs

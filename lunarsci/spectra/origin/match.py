@@ -116,14 +116,14 @@ class CompositionRows:
 
     def shares(self, rows: IntArray, minerals: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Mean (r, k) and covariance (r, k, k) of the shares of some minerals, by number."""
-        own = np.array(minerals)
-        sigmas = np.maximum(self.mode_sigmas[np.ix_(rows, own)], SMALLEST_SIGMA)
+        places = np.array(minerals)
+        sigmas = np.maximum(self.mode_sigmas[np.ix_(rows, places)], SMALLEST_SIGMA)
         covariance = sigmas[:, :, None] * sigmas[:, None, :]
         if self.correlation is None:
             covariance = covariance * np.eye(len(minerals))
         else:
-            covariance = self.correlation[np.ix_(rows, own, own)] * covariance
-        return closed(self.modes[np.ix_(rows, own)], covariance)
+            covariance = self.correlation[np.ix_(rows, places, places)] * covariance
+        return closed(self.modes[np.ix_(rows, places)], covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,9 +143,9 @@ class EvidenceRows:
     def at(self, rock: int, crater: int) -> CompositionEvidence:
         """Of one rock and one crater."""
         modes, bands = self.ln_modes[rock, crater], self.ln_bands[rock, crater]
-        known = self.craters[crater]
-        minerals = [m for k, m in enumerate(MINERALS) if m in known.modes and np.isfinite(self.rocks.modes[rock, k])]
-        centers = [b for k, b in enumerate(BAND_RANGE_NM) if b in known.bands and _known(self.rocks, k)[rock]]
+        entry = self.craters[crater]
+        minerals = [m for k, m in enumerate(MINERALS) if m in entry.modes and np.isfinite(self.rocks.modes[rock, k])]
+        centers = [b for k, b in enumerate(BAND_RANGE_NM) if b in entry.bands and _has_center(self.rocks, k)[rock]]
         return CompositionEvidence(
             None if np.isnan(modes) else float(modes),
             None if np.isnan(bands) else float(bands),
@@ -154,9 +154,9 @@ class EvidenceRows:
         )
 
 
-def _known(rocks: CompositionRows, band: int) -> BoolArray:
-    known: BoolArray = np.isfinite(rocks.centers_nm[:, band]) & np.isfinite(rocks.center_sigmas_nm[:, band])
-    return known
+def _has_center(rocks: CompositionRows, band: int) -> BoolArray:
+    given: BoolArray = np.isfinite(rocks.centers_nm[:, band]) & np.isfinite(rocks.center_sigmas_nm[:, band])
+    return given
 
 
 def evidence_rows(
@@ -169,20 +169,20 @@ def evidence_rows(
     """
     shape = (len(rocks.modes), len(craters))
     ln_modes, ln_bands = np.full(shape, np.nan), np.full(shape, np.nan)
-    for minerals, own, rows in _comparable(rocks, craters):
+    for minerals, numbers, rows in _comparable(rocks, craters):
         seen, error = rocks.shares(rows, minerals)
         error = error + systematic**2 * np.eye(len(minerals))
         broad = ln_shares_broad(seen, error)
-        for number in own:
+        for number in numbers:
             mean, scatter = craters[number].shares([MINERALS[place] for place in minerals])
             ln_modes[rows, number] = ln_shares_crater(seen, error, mean, scatter) - broad
     for number, crater in enumerate(craters):
         for place, name in enumerate(BAND_RANGE_NM):
             if name in crater.bands:
-                rows = np.flatnonzero(_known(rocks, place))
+                rows = np.flatnonzero(_has_center(rocks, place))
                 seen, error = rocks.centers_nm[rows, place], rocks.center_sigmas_nm[rows, place]
-                found = _ln_band(name, seen, error, *crater.bands[name], band_systematic_nm)
-                ln_bands[rows, number] = np.nan_to_num(ln_bands[rows, number], nan=0.0) + found
+                factor = _ln_band(name, seen, error, *crater.bands[name], band_systematic_nm)
+                ln_bands[rows, number] = np.nan_to_num(ln_bands[rows, number], nan=0.0) + factor
     return EvidenceRows(ln_modes, ln_bands, rocks, craters)
 
 
@@ -190,18 +190,18 @@ def _comparable(
     rocks: CompositionRows, craters: Sequence[Composition]
 ) -> Iterator[tuple[tuple[int, ...], list[int], IntArray]]:
     """Minerals by number, the craters that have them in common with some rocks, and the numbers of these rocks."""
-    known = np.isfinite(rocks.modes)
-    for kind in np.unique(known, axis=0):
-        rows = np.flatnonzero((known == kind).all(axis=1))
+    given = np.isfinite(rocks.modes)
+    for kind in np.unique(given, axis=0):
+        rows = np.flatnonzero((given == kind).all(axis=1))
         groups: dict[tuple[int, ...], list[int]] = {}
         for number, crater in enumerate(craters):
             minerals = tuple(k for k, name in enumerate(MINERALS) if kind[k] and name in crater.modes)
             if len(minerals) > 1 and sum(crater.modes[MINERALS[k]][0] for k in minerals) > 0:
                 groups.setdefault(minerals, []).append(number)
-        for minerals, own in groups.items():
+        for minerals, numbers in groups.items():
             present = rows[rocks.modes[np.ix_(rows, np.array(minerals))].sum(axis=1) > 0]
             if present.size:
-                yield minerals, own, present
+                yield minerals, numbers, present
 
 
 def ln_shares_broad(seen: FloatArray, error: FloatArray) -> FloatArray:
@@ -263,11 +263,11 @@ def _inside(mean: FloatArray, covariance: FloatArray) -> FloatArray:
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :] @ np.swapaxes(vectors, -1, -2)
     size = mean.shape[-1] + 1
     basis, draws = _basis(size), _normal_draws(size).T
-    found = np.empty(mean.shape[:-1])
-    for place in np.ndindex(found.shape):
+    shares_inside = np.empty(mean.shape[:-1])
+    for place in np.ndindex(shares_inside.shape):
         shares = basis.T @ (mean[place][:, None] + root[place] @ draws) + 1 / size
-        found[place] = np.count_nonzero(shares.min(axis=0) >= 0) / DRAWS
-    return np.maximum(found, LEAST_INSIDE)
+        shares_inside[place] = np.count_nonzero(shares.min(axis=0) >= 0) / DRAWS
+    return np.maximum(shares_inside, LEAST_INSIDE)
 
 
 def _volume(size: int) -> float:
@@ -433,15 +433,15 @@ def match_table(matches: Sequence[RockMatch]) -> Records:
     row = np.tile(np.arange(len(first)), len(matches))
     names = dict.fromkeys(name for cells in first for name in cells)
     same = {name: Codes(row, [cells.get(name) for cells in first]) for name in names}
-    own = [_of_rocks([match.craters[place] for match in matches]) for place in range(len(first) - 1)]
+    per_crater = [_of_rocks([match.craters[place] for match in matches]) for place in range(len(first) - 1)]
     nothing = np.full(len(matches), np.nan)
     rest: dict[str, Any] = {
         "log_bayes_factor": 0 * row[: len(matches)],
         "posterior": [match.other_posterior for match in matches],
     }
     differ = {
-        key: np.column_stack([*(cells[key] for cells in own), rest.get(key, nothing)]).ravel()
-        for key in own[0]
+        key: np.column_stack([*(cells[key] for cells in per_crater), rest.get(key, nothing)]).ravel()
+        for key in per_crater[0]
         if key != "compared"
     }
     compared = [text for match in matches for text in (*(item.evidence.basis for item in match.craters), "")]
@@ -533,7 +533,7 @@ class RockMatches(Sequence[RockMatch]):
             for crater, prior in zip(craters, priors, strict=True)
         ]
         tested = np.array([not rock.untested for rock in rocks], dtype=bool)
-        self.decided = tested & self._speaks() & ~self._fits_own_crater()
+        self.decided = tested & self._speaks() & ~self._fits_crater_of_site()
 
     def __len__(self) -> int:
         return len(self.rocks)
@@ -568,7 +568,7 @@ class RockMatches(Sequence[RockMatch]):
         with np.errstate(invalid="ignore"):
             return np.asarray((odds >= DECIDES) & (odds - before >= DECIDES))
 
-    def _fits_own_crater(self) -> BoolArray:
+    def _fits_crater_of_site(self) -> BoolArray:
         """Whether composition goes as well with a crater that the site lies in as with the likeliest source."""
         inside = np.array([prior.ejecta_m is None for prior in self.priors], dtype=bool)
         factors = np.column_stack([self.evidence.ln_total, np.zeros(len(self))])
@@ -582,8 +582,8 @@ def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore"):
         ln = np.log(priors) + ln_factors
     weights = np.exp(ln - ln.max(axis=1, keepdims=True))
-    found: FloatArray = weights / weights.sum(axis=1, keepdims=True)
-    return found
+    result: FloatArray = weights / weights.sum(axis=1, keepdims=True)
+    return result
 
 
 def _ln_odds(shares: FloatArray, place: IntArray) -> FloatArray:
@@ -602,9 +602,9 @@ def _remaining(matches: Sequence[CraterMatch], other: float) -> list[tuple[str, 
 
 def _fitting_inside(matches: Sequence[CraterMatch], first: str) -> str:
     """Craters that the site lies in and composition goes with at least as well as with the likeliest source."""
-    told = next((item.ln_bayes_factor for item in matches if item.crater.name == first), 0.0)
+    least = next((item.ln_bayes_factor for item in matches if item.crater.name == first), 0.0)
     inside = [item for item in matches if item.contains_site and item.ln_bayes_factor > 0.0]
-    return some_of([item.crater.name for item in inside if item.ln_bayes_factor >= told], NAMED)
+    return some_of([item.crater.name for item in inside if item.ln_bayes_factor >= least], NAMED)
 
 
 def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: bool) -> str:
@@ -614,19 +614,17 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     shown = some_of([f"{name} ({share:.2f})" for name, share in left], NAMED)
     remain = f"not decided: {shown} remain" if len(left) > 1 else f"not decided: {first} leads"
     if not any(item.evidence.minerals or item.evidence.bands for item in matches):
-        known = rock.composition.modes or rock.composition.bands
+        given = rock.composition.modes or rock.composition.bands
         what = "shares of its minerals" if rock.composition.modes else "band centres"
-        why = f"no crater has {what} to compare with" if known else "no composition of the rock is known"
+        why = f"no crater has {what} to compare with" if given else "no composition of the rock is known"
         return f"{remain}; composition decides nothing: {why}; the posterior is the prior"
     if decided and left[0][0] == OTHER:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"
     if decided:
         return f"likeliest {first}; composition speaks strongly"
     if len(left) == 1 and not rock.untested:
-        if own := _fitting_inside(matches, left[0][0]):
-            return (
-                f"{remain}; composition goes as well with {own}, in which the site lies: it may be a rock of its floor"
-            )
+        if inside := _fitting_inside(matches, left[0][0]):
+            return f"{remain}; composition goes as well with {inside}, in which the site lies: it may be of its floor"
         return f"{remain} by the prior; composition adds less than 20 : 1 for it"
     factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
     spread = max(factors) - min(factors)
@@ -644,12 +642,12 @@ BEYOND_LAW_KM = 2729.0
 def assumptions(
     matches: Sequence[RockMatch],
     given: tuple[str, Sequence[MapReport]],
-    found_at: tuple[Point, bool],
+    site_of_rocks: tuple[Point, bool],
     settings: MatchSettings,
 ) -> list[str]:
-    """In sentences; `given` are where the craters are from and what maps gave of them, `found_at` the site of the
+    """In sentences; `given` are where the craters are from and what maps gave of them, `site_of_rocks` the site of the
     rocks and whether it is that of Chang'E-4 because none was given."""
-    (source, maps), (site, site_assumed) = given, found_at
+    (source, maps), (site, site_assumed) = given, site_of_rocks
     prior, whose = settings.prior, ", that of Chang'E-4, since none was given (assumed)" if site_assumed else ""
     lines = [
         f"site {site[0]:g}, {site[1]:g} deg{whose}; craters from {source}",
@@ -664,7 +662,7 @@ def assumptions(
 
 
 def _craters_notes(items: Sequence[CraterMatch], settings: MatchSettings) -> list[str]:
-    unknown = [i.crater.name for i in items if not i.crater.composition.known and not i.contains_site]
+    unknown = [i.crater.name for i in items if not i.crater.composition.comparable and not i.contains_site]
     inside = [i.crater.name for i in items if i.contains_site]
     both = [i.crater.name for i in items if i.evidence.minerals and i.evidence.bands]
     lines = []

@@ -65,11 +65,11 @@ def with_maps(
     units = {mineral: _unit(rings, maps[mineral]) for mineral, rings in values.items()}
     if len(set(units.values()) - {0.0}) > 1:
         raise DataError(f"{', '.join(maps.values())}: some are in percent, others in fractions; bring them to one unit")
-    found = [
+    read = [
         _with_values(crater, {name: values[name][k] / (units[name] or 1.0) for name in values}, maps)
         for k, crater in enumerate(craters)
     ]
-    return [crater for crater, _ in found], [report for _, report in found]
+    return [crater for crater, _ in read], [report for _, report in read]
 
 
 def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> None:
@@ -224,8 +224,8 @@ def _window_values(
     width, height = int(columns.max()) - left + 1, int(rows.max()) - top + 1
     shape = (min(height, LARGEST_SIDE), min(width, LARGEST_SIDE))
     block = dataset.read(band, window=Window(left, top, width, height), out_shape=shape, masked=True)
-    found = np.ma.filled(block.astype(float), np.nan) * dataset.scales[band - 1] + dataset.offsets[band - 1]
-    picked = found[(rows - top) * shape[0] // height, (columns - left) * shape[1] // width]
+    values = np.ma.filled(block.astype(float), np.nan) * dataset.scales[band - 1] + dataset.offsets[band - 1]
+    picked = values[(rows - top) * shape[0] // height, (columns - left) * shape[1] // width]
     # Special values that a file does not declare are far below 0; a mode is not.
     return np.asarray(np.where(np.isfinite(picked) & (picked >= 0), picked, np.nan))
 

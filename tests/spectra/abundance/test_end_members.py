@@ -82,7 +82,7 @@ def table(text: str) -> InputFile:
 
 def test_numbers_are_known_empty_cells_are_sought_and_zeros_beside_them_absent() -> None:
     found = read_modes(table("id,OLIVINE,vol_opx,remark\na,0.25,0.75,sieved\nb,,,\nc,0,,wet\n"))
-    assert found.known == {"a": {"olivine": 0.25, "orthopyroxene": 0.75}}
+    assert found.shares == {"a": {"olivine": 0.25, "orthopyroxene": 0.75}}
     assert found.absent == {"b": [], "c": ["olivine"]}
 
 

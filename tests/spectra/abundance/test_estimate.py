@@ -156,7 +156,7 @@ def test_slopes_and_curvature_are_those_of_the_objective(law: MixingLaw, iron: b
         step[j, k] = 1e-5
         slope = (one.value(shared, point + step) - one.value(shared, point - step)) / 2e-5
         if k >= 3 or one.sought[j, k]:
-            assert -2 * equations.own_slope[j, k] == pytest.approx(slope, rel=0.02, abs=0.3), (j, k)
+            assert -2 * equations.local_slope[j, k] == pytest.approx(slope, rel=0.02, abs=0.3), (j, k)
 
 
 def test_smooth_shapes_stand_beside_all_of_the_end_members() -> None:
@@ -203,7 +203,7 @@ def test_the_covariance_is_that_of_the_whole_matrix() -> None:
     places = [slice(size + j * own_size, size + (j + 1) * own_size) for j in range(count)]
     for j, at in enumerate(places):
         dense[:size, at], dense[at, :size] = equations.across[j], equations.across[j].T
-        dense[at, at] = equations.own[j]
+        dense[at, at] = equations.local[j]
     inverse = np.linalg.inv(dense)
     for j, at in enumerate(places):
         free = np.outer(one.sought[j], one.sought[j])
@@ -227,10 +227,10 @@ def test_a_damped_step_is_that_of_the_whole_matrix(damping: float) -> None:
     equations = Equations(
         value=0.0,
         shared_slope=slope[:5],
-        own_slope=slope[5:].reshape(3, 4),
+        local_slope=slope[5:].reshape(3, 4),
         shared=dense[:5, :5],
         across=np.array([dense[:5, at] for at in places]),
-        own=np.array([dense[at, at] for at in places]),
+        local=np.array([dense[at, at] for at in places]),
     )
     shared, own_step = _solve(equations, damping)
     expected = np.linalg.solve(dense + damping * np.diag(np.diag(dense)), slope)
@@ -262,7 +262,7 @@ def test_known_mixtures_teach_the_powders_of_the_others() -> None:
         None if number == 1 else dict(zip(MINERALS, map(float, SEVERAL[number]), strict=True)) for number in range(4)
     ]
     alone = one(spectra[1], MINERALS, end_members=library, method="hapke")
-    taught = told(estimate_series(spectra, MINERALS, end_members=library, method="hapke", known=known), MINERALS)
+    taught = told(estimate_series(spectra, MINERALS, end_members=library, method="hapke", given=known), MINERALS)
     error = [abs(item.fraction - share) for item, share in zip(taught[1], SEVERAL[1], strict=True)]
     before = [abs(item.fraction - share) for item, share in zip(alone, SEVERAL[1], strict=True)]
     assert max(error) < 0.04 < max(before)
@@ -371,9 +371,9 @@ def test_a_spectrum_of_something_else_is_strange() -> None:
         ({"model_error": 0.0}, ParameterError),
         ({"spectra": []}, ParameterError),
         ({"present": [("plagioclase",)]}, ParameterError),
-        ({"known": [{"olivine": 0.5, "orthopyroxene": 0.2}]}, DataError),
-        ({"known": [{"olivine": 0.5, "plagioclase": 0.5}]}, DataError),
-        ({"known": [{"olivine": 1.5, "orthopyroxene": -0.5}]}, DataError),
+        ({"given": [{"olivine": 0.5, "orthopyroxene": 0.2}]}, DataError),
+        ({"given": [{"olivine": 0.5, "plagioclase": 0.5}]}, DataError),
+        ({"given": [{"olivine": 1.5, "orthopyroxene": -0.5}]}, DataError),
         ({"spectra": [Spectrum("short", np.arange(800.0, 1200.0, 5), np.full(80, 0.2))]}, DataError),
     ],
 )
@@ -431,7 +431,7 @@ def test_grains_of_which_nobody_stated_the_size_may_be_of_any_usual_one() -> Non
             assert share.low95 <= truth <= share.high95
     assert max(share.high - share.low for share in found[1]) > 0.2
     known = [None, dict(zip(MINERALS, SEVERAL[1], strict=True)), None, None]
-    taught = told(estimate_series(spectra, MINERALS, end_members=sieved({}), known=known), MINERALS)
+    taught = told(estimate_series(spectra, MINERALS, end_members=sieved({}), given=known), MINERALS)
     for row, item in zip(SEVERAL, taught, strict=True):
         assert max(share.high - share.low for share in item) < 0.2, "a mixture of known mode tells the ratio"
         assert [share.fraction for share in item] == pytest.approx(row, abs=0.04)

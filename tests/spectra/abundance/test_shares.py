@@ -88,7 +88,7 @@ def test_end_members_of_the_user_count_alone_and_others_by_their_fit() -> None:
     for name, mixed in {
         "fits": Mixed(other, np.full(1, 0.04), np.full(1, 0.005)),
         "misses": Mixed(other, np.full(1, 4.0), np.full(1, 0.06)),
-        "own": Mixed(other, np.full(1, 4.0), np.full(1, 0.06), own=True),
+        "own": Mixed(other, np.full(1, 4.0), np.full(1, 0.06), trusted=True),
     }.items():
         found[name] = answer(foretold, ONES, np.full(1, 0.1), np.zeros(1), mixed).weight[0]
     assert found["own"] == 1.0 and found["misses"] < found["fits"] < 1.0

@@ -38,14 +38,14 @@ def test_every_fact_of_the_embedded_craters_has_a_known_source() -> None:
     assert {"Zhinyu", "Finsen", "Von Kármán L", "Maksutov", "Alder"} <= {crater.name for crater in craters}
     for crater in craters:
         assert {"position", "age"} <= crater.sources.keys(), crater.name
-        assert ("composition" in crater.sources) == crater.composition.known, crater.name
+        assert ("composition" in crater.sources) == crater.composition.comparable, crater.name
         assert all(known[key]["table"] == "source_craters.csv" for key in crater.sources.values()), crater.name
 
 
 def test_what_was_not_published_is_empty_or_says_assumed() -> None:
     known = tomllib.loads((ROOT / "spectra_data/sources.toml").read_text("utf-8"))
     zhinyu = next(crater for crater in embedded_catalogue() if crater.name == "Zhinyu")
-    assert not zhinyu.composition.known
+    assert not zhinyu.composition.comparable
     assert "ASSUMED" in known[zhinyu.sources["age"]]["what"]
     assert zhinyu.age_ma[1] / zhinyu.age_ma[0] >= 30
 
@@ -54,7 +54,7 @@ def test_a_table_with_all_columns_and_one_with_few() -> None:
     [crater] = read(f"# remark\n\n{HEADER},source\nAlpha,-10,350,5,me\n")
     assert crater.center == (-10, 350)
     assert crater.age_ma == UNKNOWN_AGE_MA
-    assert not crater.composition.known
+    assert not crater.composition.comparable
     assert crater.sources == {"source": "me"}
     values = dict.fromkeys(COLUMNS, "") | {
         "name": "Beta", "latitude_deg": "1", "longitude_deg": "-2", "diameter_km": "3", "age_low_ma": "10",

@@ -133,7 +133,7 @@ def test_shares_of_which_none_is_determined_decide_nothing() -> None:
     [rock] = read_result(
         "fit", {"id": "a", "abundance": nothing | {"in_domain": False, "status": "not determined: weathered"}}
     )
-    assert not rock.composition.known
+    assert not rock.composition.comparable
     assert rock.remarks == ("its shares decide nothing: not determined: weathered",)
 
 

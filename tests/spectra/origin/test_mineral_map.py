@@ -219,7 +219,7 @@ def test_an_empty_window_keeps_the_catalogue_and_no_map_is_needed_without_one(tm
     hole = write(tmp_path / "hole.tif", even(np.nan), (0, -55, 20, -35))
     other = write(tmp_path / "other.tif", even(np.nan), (0, -55, 20, -35))
     [found], [report] = with_maps([crater(-45, 10)], {"olivine": hole, "plagioclase": other})
-    assert not found.composition.known
+    assert not found.composition.comparable
     assert report.covered == {"olivine": 0.0, "plagioclase": 0.0}
 
 
