@@ -146,34 +146,16 @@ def _rows(table: str, name: str, minerals: set[str]) -> list[Mapping[str, str]]:
 
 
 def _band(row: Mapping[str, str]) -> BandPrior:
-    return BandPrior(
-        row["band"],
-        row["mineral"],
-        row["region"],
-        row["composition"],
-        float(row["center_nm"]),
-        float(row["center_slope_nm"]),
-        float(row["center_prior_sigma_nm"]),
-        float(row["fwhm_nm"]),
-        float(row["fwhm_prior_sigma_nm"]),
-        float(row["strength_prior_sigma"]),
-        row["source"],
-        row["composition_2"],
-        float(row["center_slope_2_nm"]),
-        float(row["strength_loading"]),
-    )
+    texts = (row["band"], row["mineral"], row["region"], row["composition"])
+    columns = "center_nm center_slope_nm center_prior_sigma_nm fwhm_nm fwhm_prior_sigma_nm strength_prior_sigma"
+    center, slope, scatter, fwhm, fwhm_sigma, strength_sigma = (float(row[name]) for name in columns.split())
+    second = (row["composition_2"], float(row["center_slope_2_nm"]), float(row["strength_loading"]))
+    return BandPrior(*texts, center, slope, scatter, fwhm, fwhm_sigma, strength_sigma, row["source"], *second)
 
 
 def _composition(row: Mapping[str, str]) -> CompositionPrior:
-    return CompositionPrior(
-        row["composition"],
-        row["mineral"],
-        float(row["mean_percent"]),
-        float(row["sigma_percent"]),
-        float(row["lowest_percent"]),
-        float(row["highest_percent"]),
-        row["source"],
-    )
+    mean, sigma, low, high = (float(row[f"{name}_percent"]) for name in ("mean", "sigma", "lowest", "highest"))
+    return CompositionPrior(row["composition"], row["mineral"], mean, sigma, low, high, row["source"])
 
 
 def others_of(mineral: str) -> set[str]:

@@ -554,10 +554,21 @@ def compositions(fit: MgmFit) -> tuple[MineralComposition, ...]:
     assemblage = fit.model.assemblage
     result = []
     for item, (mean, sigma) in zip(assemblage.compositions, compositions_of(batch_of(fit))[0].tolist(), strict=True):
-        values = (mean, sigma) if mean == mean else (None, None)
-        priors = (TREND_SIGMA[item.key], item.sigma, item.lowest, item.highest)
-        inside, domain = item.lowest <= mean <= item.highest, assemblage.domain(item.mineral)
-        result.append(MineralComposition(item.key, item.mineral, *values, *priors, inside, domain))
+        shown = mean == mean
+        result.append(
+            MineralComposition(
+                key=item.key,
+                mineral=item.mineral,
+                mean=mean if shown else None,
+                sigma=sigma if shown else None,
+                trend_sigma=TREND_SIGMA[item.key],
+                prior_sigma=item.sigma,
+                lowest=item.lowest,
+                highest=item.highest,
+                in_range=item.lowest <= mean <= item.highest,
+                domain=assemblage.domain(item.mineral),
+            )
+        )
     return tuple(result)
 
 

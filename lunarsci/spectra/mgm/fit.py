@@ -20,7 +20,7 @@ from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import MgmContinuum
-from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, describe_rows, joined
+from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, channels_of, describe_rows, joined, problem_of
 from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows, prepare_rows
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits, Multistart
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmModel
@@ -271,10 +271,8 @@ def fit_rows(rows: MgmRows, model: MgmModel, starts: int | FloatArray) -> FitBat
         points, hops = starting_points(model, shifted, starts), hops_of(model)
     else:
         points, hops = scaled(model, starts, -level)[None], NO_HOPS
-    solved = fit_batch(
-        shifted, rows.weight, rows.wavelength_nm / 1e3, model.basis(rows.wavelength_nm), model.logarithmic,
-        model.prior, model.precision, model.lower, model.upper, points, hops, TOLERANCE, MAX_ITERATIONS,
-    )  # fmt: skip
+    spectra, problem = channels_of(rows, model, shifted), problem_of(model)
+    solved = fit_batch(spectra, problem, points, hops, TOLERANCE, MAX_ITERATIONS)
     return describe_rows(rows, model, solved, scaled(model, solved.parameters, level))
 
 
@@ -295,59 +293,35 @@ def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[Mgm
 
 
 def fit_batch(
-    data: FloatArray, weight: FloatArray, wavelength: FloatArray, basis: FloatArray, logarithmic: bool,
-    prior: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray, starts: FloatArray,
-    hops: FloatArray, tolerance: float, max_iterations: int,
-) -> KernelFits:  # fmt: skip
-    """Fit every row of `data` from every start, in all threads.
+    spectra: Channels, problem: FitProblem, starts: FloatArray, hops: FloatArray, tolerance: float, max_iterations: int
+) -> KernelFits:
+    """Fit all spectra from every start, in all threads.
 
     Parameters
     ----------
-    data, weight : (n_spectra, n) ln R and 1/sigma^2, 0 where masked; the datum there does not matter.
-    wavelength, basis, logarithmic : (n,) [um]; (n, m) continuum basis, of C or of ln C.
-    prior, precision : (p,) and (p, p), mean and inverse covariance (0 for a flat prior).
-    lower, upper : (p,) bounds; equal for a fixed parameter.
     starts : (n_starts, n_spectra, p).
     hops : (n_hops, 2) index of a parameter and by how many posterior standard deviations to move it, the others
         following their correlation, from the minimum found so far: a descent from there finds what random starts rarely
         do, the minimum in which a neighbouring band does the work. (0, 2) for none.
     tolerance : expected decrease of the objective, in units of chi-square, at which a fit has converged.
     """
-    n_spectra = len(data)
-    problem = FitProblem(
-        basis.shape[1], logarithmic, *(np.ascontiguousarray(part) for part in (prior, precision, lower, upper))
-    )
-    usable = weight > 0
-    spectra = Channels(
-        np.ascontiguousarray(wavelength)[None],
-        np.ascontiguousarray(basis.T)[None],
-        np.ascontiguousarray(np.where(usable, data, 0.0)),
-        np.ascontiguousarray(np.sqrt(np.where(usable, weight, 0.0))),
-    )
-    parts = max(1, -(-n_spectra // MOST_ROWS), min(threads(), n_spectra // LANES))
-    edges = np.linspace(0, n_spectra, parts + 1).astype(int)
-    searches: list[Multistart | None] = [None] * parts
+    count = len(spectra.data)
+    parts = max(1, -(-count // MOST_ROWS), min(threads(), count // LANES))
+    edges = np.linspace(0, count, parts + 1).astype(int)
+    searches: list[Any] = [None] * parts
 
     def some(part: int) -> None:
         rows = slice(edges[part], edges[part + 1])
-        search = Multistart(spectra.part(rows), problem, tolerance, max_iterations)
-        search.start(starts[:, rows])
-        search.hop(hops)
-        searches[part] = search
+        searches[part] = Multistart(spectra.part(rows), problem, tolerance, max_iterations)
+        searches[part].start(starts[:, rows])
+        searches[part].hop(hops)
 
     each_in_threads(some, parts)
-    searched = [search for search in searches if search is not None]
-    chi2, objective, iterations, status = np.concatenate([search.outcome for search in searched]).T
-    return KernelFits(
-        np.concatenate([search.best for search in searched]),
-        np.concatenate([search.covariance for search in searched]),
-        chi2,
-        objective,
-        iterations,
-        status,
-        np.concatenate([search.competing for search in searched]),
-        np.concatenate([search.competing_sigmas for search in searched]),
+    best, covariance, outcome, *others = (
+        np.concatenate([getattr(search, name) for search in searches])
+        for name in ("best", "covariance", "outcome", "competing", "competing_sigmas")
     )
+    return KernelFits(best, covariance, *outcome.T, *others)
 
 
 def starting_points(model: MgmModel, ln_reflectance: FloatArray, starts: int) -> FloatArray:

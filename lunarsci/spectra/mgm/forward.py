@@ -280,6 +280,9 @@ def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, p
     return decrease
 
 
+LEAST_CONTINUUM = 1e-12
+
+
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def gaussian(wavelength: Any, centre: float, inverse_sigma: float, values: Any) -> None:
     """Fill `values` (n,) with exp(-(lambda - centre)^2 inverse_sigma^2 / 2)."""
@@ -356,26 +359,10 @@ def _continuum(
 ) -> bool:  # fmt: skip
     """The continuum's share of `residual` and `jacobian`; False where it is not above 0."""
     degrees, channels = columns.shape
+    if not _subtract_continuum(parameters, columns, logarithmic, data, work, residual):
+        return False
     for i in range(channels):
-        work[i] = 0.0
-    for m in range(degrees):
-        coefficient, column = parameters[m], columns[m]
-        for i in range(channels):
-            work[i] += column[i] * coefficient
-    if logarithmic:
-        for i in range(channels):
-            residual[i] = data[i] - work[i]
-            work[i] = root_weight[i]
-    else:
-        lowest = work[0]
-        for i in range(channels):
-            lowest = min(lowest, work[i])
-        if not lowest > 0.0:
-            return False
-        for i in range(channels):
-            residual[i] = data[i] - logarithm(work[i])
-        for i in range(channels):
-            work[i] = root_weight[i] / work[i]
+        work[i] *= root_weight[i]
     for m in range(degrees):
         row, column = jacobian[m], columns[m]
         for i in range(channels):
@@ -383,22 +370,41 @@ def _continuum(
     return True
 
 
-LEAST_CONTINUUM = 1e-12
-
-
-@compiled
-def _chi2(channels: Any, logarithmic: bool, point: Any, space: Any) -> float:
-    wavelength, columns, data, root_weight = channels
-    jacobian, residual, work = space
-    chi2: float = residuals(point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work)
-    return chi2
+@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def _subtract_continuum(
+    parameters: Any, columns: Any, logarithmic: bool, data: Any, level: Any, rest: Any
+) -> bool:  # fmt: skip
+    """Fill `rest` with data - ln C and `level` with what a change of C means for ln C; False where C is not above 0."""
+    for i in range(level.size):
+        level[i] = 0.0
+    for m in range(columns.shape[0]):
+        coefficient, column = parameters[m], columns[m]
+        for i in range(level.size):
+            level[i] += column[i] * coefficient
+    if logarithmic:
+        for i in range(level.size):
+            rest[i] = data[i] - level[i]
+            level[i] = 1.0
+        return True
+    lowest = level[0]
+    for i in range(level.size):
+        lowest = min(lowest, level[i])
+    if not lowest > LEAST_CONTINUUM:
+        return False
+    for i in range(level.size):
+        rest[i] = data[i] - logarithm(level[i])
+        level[i] = 1.0 / level[i]
+    return True
 
 
 @compiled
 def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
     """Halves of chi-square, of the prior's share, and of the squared distance of the continuum from its start."""
     channels, _, logarithmic, prior, precision, start = target[:6]
-    energy[0] = 0.5 * _chi2(channels, logarithmic, point, space[0])
+    wavelength, columns, data, root_weight = channels
+    jacobian, residual, work = space[0]
+    chi2 = residuals(point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work)
+    energy[0] = 0.5 * chi2
     energy[1] = 0.5 * prior_share(point, prior, precision)
     energy[2] = 0.0
     for m in range(start.shape[1]):
@@ -415,13 +421,7 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
     (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
     shapes, rest, level = space[1]
     degrees, channels = columns.shape
-    for i in range(channels):
-        level[i] = 0.0
-    for m in range(degrees):
-        coefficient, column = point[m], columns[m]
-        for i in range(channels):
-            level[i] += column[i] * coefficient
-    if not _subtract_continuum(data, level, logarithmic, rest):
+    if not _subtract_continuum(point, columns, logarithmic, data, level, rest):
         return False
     for row in range(degrees, point.size, 3):
         strength, shape = point[row + 2], shapes[row]
@@ -438,25 +438,6 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
         force[p] -= pull
     for m in range(degrees):
         force[m] -= (1.0 - beta) * start[1, m] * (point[m] - start[0, m])
-    return True
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _subtract_continuum(data: Any, level: Any, logarithmic: bool, rest: Any) -> bool:
-    """Fill `rest` with data - ln C and turn `level` into what a change of C means for ln C."""
-    if logarithmic:
-        for i in range(level.size):
-            rest[i] = data[i] - level[i]
-            level[i] = 1.0
-        return True
-    lowest = level[0]
-    for i in range(level.size):
-        lowest = min(lowest, level[i])
-    if not lowest > LEAST_CONTINUUM:
-        return False
-    for i in range(level.size):
-        rest[i] = data[i] - logarithm(level[i])
-        level[i] = 1.0 / level[i]
     return True
 
 

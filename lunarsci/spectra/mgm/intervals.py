@@ -26,6 +26,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import VECTORS, compiled, each_in_threads
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.spectra.mgm.batch import channels_of, problem_of
+from lunarsci.spectra.mgm.data import MgmRows
 from lunarsci.spectra.mgm.fit import fit_batch
 from lunarsci.spectra.mgm.forward import energies_of, force_of, residuals
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
@@ -470,11 +472,9 @@ def _ratio_profile(fit: MgmFit, name: str) -> _Profile:
 def _minimum(fit: MgmFit, model: MgmModel, starts: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Point and objective of the lowest minimum under `model`, the objective with the fit's own prior."""
 
-    solved = fit_batch(
-        np.log(fit.reflectance)[None], fit.data.weight[None], fit.wavelength_nm / 1e3, model.basis(fit.wavelength_nm),
-        model.logarithmic, model.prior, model.precision, model.lower, model.upper,
-        np.clip(np.array(starts), model.lower, model.upper)[:, None], NO_HOPS, TOLERANCE, MAX_ITERATIONS,
-    )  # fmt: skip
+    spectra = channels_of(MgmRows.together([fit.data]), model)
+    points = np.clip(np.array(starts), model.lower, model.upper)[:, None]
+    solved = fit_batch(spectra, problem_of(model), points, NO_HOPS, TOLERANCE, MAX_ITERATIONS)
     point = solved.parameters[0]
     pull = point - fit.model.prior
     return point, float(solved.chi2[0] + pull @ fit.model.precision @ pull)

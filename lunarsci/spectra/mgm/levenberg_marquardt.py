@@ -658,26 +658,26 @@ class Multistart:
         self, rows: IndexArray, points: FloatArray, tolerance: float, tempering: bool = True
     ) -> tuple[FloatArray, FloatArray]:
         """Where points lead to on the coarse spectrum, and the outcomes."""
-        ends, outcomes = np.array(points), np.empty((len(rows), 4))
-        options = DescentOptions(
-            tempering, FIRST_DAMPING if tempering else LATER_DAMPING, tolerance, self.max_iterations
-        )
-        descend(
-            self.coarse, self.used[1], self.problem, options, rows, ends, outcomes, self.spaces[1],
-            np.empty((0, 1, 1)), np.empty(0),
-        )  # fmt: skip
-        return ends, outcomes
+        damping = FIRST_DAMPING if tempering else LATER_DAMPING
+        options = DescentOptions(tempering, damping, tolerance, self.max_iterations)
+        return self._descended(1, options, rows, points, np.empty((0, 1, 1)))
 
     def _finish(self, rows: IndexArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where points lead to on all channels, the outcomes and the covariances."""
-        ends, outcomes = np.array(points), np.empty((len(rows), 4))
-        curvatures = np.empty((len(rows), ends.shape[1], ends.shape[1]))
+        curvatures = np.empty((len(rows), points.shape[1], points.shape[1]))
         options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
-        descend(
-            self.fine, self.used[0], self.problem, options, rows, ends, outcomes, self.spaces[0], curvatures,
-            np.empty(0),
-        )  # fmt: skip
+        ends, outcomes = self._descended(0, options, rows, points, curvatures)
         return ends, outcomes, inverses(curvatures, self.problem, self.spaces[0])
+
+    def _descended(
+        self, k: int, options: DescentOptions, rows: IndexArray, points: FloatArray, curvatures: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where points lead to on the spectra of number k, fine or coarse, and the outcomes."""
+        ends, outcomes, spectra = np.array(points), np.empty((len(rows), 4)), (self.fine, self.coarse)[k]
+        descend(
+            spectra, self.used[k], self.problem, options, rows, ends, outcomes, self.spaces[k], curvatures, np.empty(0)
+        )
+        return ends, outcomes
 
     def _settle(self, rows: IndexArray) -> None:
         """Finish the lowest coarse minima, the coarse data corrected there."""

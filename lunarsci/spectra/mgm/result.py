@@ -69,24 +69,25 @@ class FittedBand:
         at_bound: Sequence[bool],
     ) -> "FittedBand":
         """From the kernel's centre [um], FWHM [um], strength; `calibration` is NaN where unknown."""
-        shared = [
-            None if np.isnan(c) else float(c * unit) for c, unit in zip(calibration, (1e3, 1e3, 1.0), strict=True)
-        ]
+        unit = np.array([1e3, 1e3, 1.0])
+        center, fwhm, strength = (value * unit).tolist()
+        center_sigma, fwhm_sigma, strength_sigma = (sigma * unit).tolist()
+        shared = [None if shift != shift else shift for shift in (calibration * unit).tolist()]
         names = ("center", "fwhm", "strength")
         return cls(
             name=prior.name,
             mineral=prior.mineral,
             region=prior.region,
-            center_nm=float(value[0] * 1e3),
-            center_sigma_nm=float(sigma[0] * 1e3),
-            fwhm_nm=float(value[1] * 1e3),
-            fwhm_sigma_nm=float(sigma[1] * 1e3),
-            strength=float(value[2]),
-            strength_sigma=float(sigma[2]),
+            center_nm=center,
+            center_sigma_nm=center_sigma,
+            fwhm_nm=fwhm,
+            fwhm_sigma_nm=fwhm_sigma,
+            strength=strength,
+            strength_sigma=strength_sigma,
             center_calibration_nm=shared[0],
             fwhm_calibration_nm=shared[1],
             strength_calibration=shared[2],
-            shrinkage={name: float(s) for name, s in zip(names, shrinkage, strict=True)},
+            shrinkage=dict(zip(names, shrinkage.tolist(), strict=True)),
             at_bound=tuple(name for name, held in zip(names, at_bound, strict=True) if held),
         )
 

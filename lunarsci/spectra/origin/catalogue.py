@@ -163,13 +163,12 @@ def _crater(row: Mapping[str, str]) -> Crater:
     torn = [f"{one} and {other} go together" for one, other in PAIRS.items() if (one in values) != (other in values)]
     if lacking := [f"{column} is empty" for column in REQUIRED if column not in cells] + torn:
         raise ParameterError(f"{lacking[0]}; complete the line")
+    modes, bands = ({name: pairs[name] for name in some if name in pairs} for some in (MINERALS, BANDS))
     return Crater(
         name=cells["name"],
         **{column: values[column] for column in REQUIRED[1:]},
         age_ma=pairs.get("age_low_ma", UNKNOWN_AGE_MA),
-        composition=Composition(
-            *({name: pairs[name] for name in names if name in pairs} for names in (MINERALS, BANDS))
-        ),
+        composition=Composition(modes, bands),
         sources={column.removesuffix("_source"): cells[column] for column in SOURCES if column in cells},
     )
 

@@ -246,29 +246,40 @@ def test_a_continuum_that_falls_to_zero_is_refused() -> None:
     assert model_and_jacobian(below, GRID, basis, False) is None
 
 
+PRIOR = np.concatenate([[0, 0], np.array([[0.91, 0.2, 0], [1.03, 0.2, 0], [1.9, 0.5, 0], [2.3, 0.6, 0]]).ravel()])
+SIGMA = np.concatenate([[np.inf, np.inf], np.tile([0.02, 0.04, 0.5], 4)])
+UPPER = np.concatenate([[np.inf, np.inf], np.tile([np.inf, np.inf, 0.0], 4)])
+LIMITS = (PRIOR, np.diag(SIGMA**-2.0), np.full(PRIOR.size, -np.inf), UPPER)
+"""The prior, and its bounds."""
+
+
+def fitted_by_kernel(
+    data: np.ndarray, weight: np.ndarray, grid: np.ndarray, basis: np.ndarray, prior: tuple[np.ndarray, ...],
+    starts: np.ndarray, hops: np.ndarray, tolerance: float, most: int,
+) -> KernelFits:  # fmt: skip
+    """Channels without weight are masked, whatever their datum; `prior` is mean, precision, lower and upper bounds."""
+    columns = np.ascontiguousarray(basis.T)[None]
+    spectra = Channels(grid[None], columns, np.where(weight > 0, data, 0.0), np.sqrt(weight))
+    return fit_batch(spectra, FitProblem(basis.shape[1], False, *prior), starts, hops, tolerance, most)
+
+
 def test_the_minimum_is_that_of_lmfit() -> None:
     """lmfit with numerical derivatives on the same residuals (data and prior rows), strengths bounded at 0."""
     rng = np.random.default_rng(11)
     basis, noise = continuum_basis("wavelength", GRID_NM), 0.005
     data = written_out(POINT, basis) + rng.normal(scale=noise, size=GRID.size)
-    prior = np.concatenate([[0, 0], np.array([[0.91, 0.2, 0], [1.03, 0.2, 0], [1.9, 0.5, 0], [2.3, 0.6, 0]]).ravel()])
-    sigma = np.concatenate([[np.inf, np.inf], np.tile([0.02, 0.04, 0.5], 4)])
-    upper = np.concatenate([[np.inf, np.inf], np.tile([np.inf, np.inf, 0.0], 4)])
-    start = prior.copy()
+    start = PRIOR.copy()
     start[0], start[4::3] = 0.4, -0.1
     weight = np.full((1, GRID.size), noise**-2)
-    found = fit_batch(
-        data[None], weight, GRID, basis, False, prior, np.diag(sigma**-2.0), np.full(prior.size, -np.inf), upper,
-        start[None, None], np.empty((0, 2)), 1e-8, 200,
-    )  # fmt: skip
+    found = fitted_by_kernel(data[None], weight, GRID, basis, LIMITS, start[None, None], np.empty((0, 2)), 1e-8, 200)
 
     parameters = lmfit.Parameters()
     for k, value in enumerate(start):
-        parameters.add(f"p{k}", value=value, max=upper[k])
+        parameters.add(f"p{k}", value=value, max=UPPER[k])
 
     def residual(current: lmfit.Parameters) -> np.ndarray:
         point = np.array([current[f"p{k}"].value for k in range(start.size)])
-        return np.concatenate([(data - written_out(point, basis)) / noise, ((point - prior) / sigma)[2:]])
+        return np.concatenate([(data - written_out(point, basis)) / noise, ((point - PRIOR) / SIGMA)[2:]])
 
     best = lmfit.minimize(residual, parameters, method="least_squares", scale_covar=False, xtol=1e-12, ftol=1e-12)
     assert found.objective[0] == pytest.approx(best.chisqr, rel=1e-6)
@@ -279,9 +290,6 @@ def test_the_minimum_is_that_of_lmfit() -> None:
     assert np.allclose(errors, stderr, rtol=0.02)
 
 
-PRIOR = np.concatenate([[0, 0], np.array([[0.91, 0.2, 0], [1.03, 0.2, 0], [1.9, 0.5, 0], [2.3, 0.6, 0]]).ravel()])
-SIGMA = np.concatenate([[np.inf, np.inf], np.tile([0.02, 0.04, 0.5], 4)])
-UPPER = np.concatenate([[np.inf, np.inf], np.tile([np.inf, np.inf, 0.0], 4)])
 HOPS = np.array([[row, -4.0] for row in (4, 7, 10, 13)])
 BASIS = continuum_basis("wavelength", GRID_NM)
 
@@ -302,10 +310,8 @@ def kernel(data: np.ndarray, weight: np.ndarray, keep: object = slice(None), **c
     first[0], first[4::3] = 0.4, -0.1
     second = first + np.concatenate([[0, 0], np.tile([0.02, 0.02, -0.1], 4)])
     starts = np.repeat(np.array([first, second])[:, None], len(data), axis=1)
-    return fit_batch(
-        data[:, keep], weight[:, keep], GRID[keep], BASIS[keep], False, changes.get("prior", PRIOR),
-        np.diag(SIGMA**-2.0), lower, upper, starts, HOPS, 1e-8, 300,
-    )  # fmt: skip
+    limits = (changes.get("prior", PRIOR), LIMITS[1], lower, upper)
+    return fitted_by_kernel(data[:, keep], weight[:, keep], GRID[keep], BASIS[keep], limits, starts, HOPS, 1e-8, 300)
 
 
 def test_nor_does_one_whose_steps_cross_bounds() -> None:
@@ -358,10 +364,7 @@ def test_spectra_without_a_fit_are_reported_and_leave_the_others_alone() -> None
     start[0], start[4::3] = 0.4, -0.1
     starts = np.array([[start, start]])
     starts[0, 0, 0] = -1.0
-    found = fit_batch(
-        data, weight, GRID, BASIS, False, PRIOR, np.diag(SIGMA**-2.0), np.full(PRIOR.size, -np.inf), UPPER, starts,
-        HOPS, 1e-8, 300,
-    )  # fmt: skip
+    found = fitted_by_kernel(data, weight, GRID, BASIS, LIMITS, starts, HOPS, 1e-8, 300)
     assert found.status.tolist() == [NOT_FINITE, CONVERGED]
     assert found.objective[0] == np.inf
     alone = kernel(data[1:], weight[1:])
@@ -372,9 +375,6 @@ def test_the_iteration_limit_is_reported() -> None:
     data, weight = simulated(1, 3)
     start = PRIOR.copy()
     start[0], start[4::3] = 0.4, -0.1
-    found = fit_batch(
-        data, weight, GRID, BASIS, False, PRIOR, np.diag(SIGMA**-2.0), np.full(PRIOR.size, -np.inf), UPPER,
-        start[None, None], np.empty((0, 2)), 1e-12, 1,
-    )  # fmt: skip
+    found = fitted_by_kernel(data, weight, GRID, BASIS, LIMITS, start[None, None], np.empty((0, 2)), 1e-12, 1)
     assert found.status[0] == ITERATION_LIMIT
     assert found.iterations[0] == 1
