@@ -46,10 +46,9 @@ SURE = {"powder-mixture": 0.9, "dark-rock-powder": 0.8, "weathered-soil": 0.8, "
 """Probability from which a kind is named; assumed."""
 WEATHERED = 0.5
 """Probability of a surface that space has weathered, soil or rock, from which it counts as one; assumed."""
-STRANGE = 0.01
-"""Probability of a spectrum of the kind lying farther from its mean, below which one is a stranger; assumed."""
-CONTRADICTED = 0.02
-"""Probability of a stated kind below which the spectrum is a stranger to it; assumed."""
+SIGNIFICANCE = 0.01
+"""Probability below which a spectrum is an outlier: of one of its kind lying farther from the mean, and of the kind
+stated; assumed."""
 SCALED, BRIGHTEST = 1e-6, 1.1
 """How near 1 a reflectance is that was scaled to it, and above what none is that of a powder; assumed."""
 
@@ -259,10 +258,10 @@ def _verdict(
         reasons, outlier = ["too few channels from 450 to 2380 nm to know its kind", *reasons], True
     else:
         judged = [kind == NOT_DETERMINED or one == kind for one in law.kinds]
-        if likeness[judged].max() < STRANGE:
+        if likeness[judged].max() < SIGNIFICANCE:
             reasons.append(f"unlike every {'kind' if kind == NOT_DETERMINED else kind} known")
             outlier = True
-        if stated and shares[stated] < CONTRADICTED:
+        if stated and shares[stated] < SIGNIFICANCE:
             reasons.append(f"looks like {max(shares, key=shares.__getitem__)} rather than {stated}")
             outlier = True
         if kind == NOT_DETERMINED:

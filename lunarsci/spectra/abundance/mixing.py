@@ -36,7 +36,8 @@ from lunarsci.spectra.library.end_member import EndMember
 
 IRON_TABLE = "iron_optical_constants.csv"
 GRAIN_INDEX = 1.7
-"""Refractive index of the silicate around the iron; assumed, pyroxene and olivine have 1.65-1.75."""
+"""Refractive index of the silicate around the iron: olivine and pyroxenes have 1.64 to 1.77 with little iron, Deer, Howie
+& Zussman (1992), An Introduction to the Rock-Forming Minerals, Longman."""
 UNIT_NM = 1000.0
 TYPICAL_LN, SPREAD_LN = -1.0, 1.5
 """Mean and standard deviation of the logarithm of the absorption added at 1000 nm, in units of (1 - w) / w; assumed."""

@@ -51,11 +51,12 @@ POWDERS = (0.5, 0.28, 0.13, 0.09)
 """Of 1, 2, 3, 4 minerals in mixtures that the networks learned from, as `make_share_networks.py` has them; measured:
 a mineral alone is so often drawn as 6 to 11 %, and absent as 44 to 57 %."""
 DRAWN, RETAINED = 40_000, 4000
-"""Shares that are drawn, and those kept; assumed enough."""
+"""Shares that are drawn, and those retained; measured: with 20 spectra of RELAB they weigh as much as 660 or more that
+weigh alike, 5,900 in the median, so that a mean errs by 0.04 of the standard deviation at most."""
 LEAST = 0.005
 """Least mode where the width is found: none or a trace; assumed."""
 WIDTHS = np.geomspace(0.002, 0.5, 60)
-"""Of which the likeliest is taken; assumed wide enough: it lies far from both ends."""
+"""Of which the likeliest is taken, 0.013 as measured, far from both ends."""
 
 
 def rocks() -> tuple[FloatArray, FloatArray, FloatArray]:
