@@ -1,7 +1,4 @@
-"""What unmixing compares: spectra on channels common to all, and the embedded end members on them.
-
-What a table states of the modes of mixtures: shares that are known, minerals that are absent.
-"""
+"""What unmixing compares: spectra on common channels, the embedded end members on them, and modes that are stated."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

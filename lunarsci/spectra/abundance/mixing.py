@@ -1,24 +1,17 @@
-"""How powders mix: in the albedo of single scattering (Hapke), or in -ln R (absorbance).
-
-Reflectance of a particulate surface from single-scattering albedo, and back.
+"""How powders mix, in single-scattering albedo (Hapke) or in -ln R (absorbance), and how powders of a mineral vary.
 
 Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039.
-
-Submicroscopic iron on the grains of a mixture, which darkens and reddens it.
-
-Iron particles far smaller than the wavelength add 36 pi phi z / L to the absorption coefficient of a grain, with
-z = n^3 n_Fe k_Fe / ((n_Fe^2 - k_Fe^2 + 2 n^2)^2 + (2 n_Fe k_Fe)^2), n the index of the grain and L the wavelength:
-Hapke (2001), J. Geophys. Res. 106, 10039, 10.1029/2000JE001338. Here it is added to (1 - w) / w, which is nearly the
-absorption coefficient times the grain size.
-
-Laws by which minerals of a powder mix: linear in single-scattering albedo, or in absorbance.
 
 Every law has a quantity x that mixes linearly by volume, and its own t, which grows by a constant where all absorption
 grows by a factor: a coarser powder of one mineral is, nearly, the same t moved up by `size_exponent` times the
 logarithm of the grain size. Series of sieved powders (RELAB PE-CMP, PP-CMP; USGS PYX02, GDS70; 7-180 um) give 0.8-1.2
-in `Albedo` and 0.4-0.6 in `Absorbance`.
+in `Albedo` and 0.4-0.6 in `Absorbance`. Powders of one mineral are a mean t and the ways in which end members differ
+from it.
 
-What powders of one mineral look like: a mean and the ways in which end members differ from it.
+Iron particles far smaller than the wavelength darken and redden a mixture: they add 36 pi phi z / L to the absorption
+coefficient of a grain, with z = n^3 n_Fe k_Fe / ((n_Fe^2 - k_Fe^2 + 2 n^2)^2 + (2 n_Fe k_Fe)^2), n the index of the
+grain and L the wavelength: Hapke (2001), J. Geophys. Res. 106, 10039, 10.1029/2000JE001338. Here it is added to
+(1 - w) / w, which is nearly the absorption coefficient times the grain size.
 """
 
 import math
@@ -36,8 +29,8 @@ from lunarsci.spectra.library.end_member import EndMember
 
 IRON_TABLE = "iron_optical_constants.csv"
 GRAIN_INDEX = 1.7
-"""Refractive index of the silicate around the iron: olivine and pyroxenes have 1.64 to 1.77 with little iron, Deer, Howie
-& Zussman (1992), An Introduction to the Rock-Forming Minerals, Longman."""
+"""Refractive index of the silicate around the iron: olivine and pyroxenes have 1.64 to 1.77 with little iron, Deer,
+Howie & Zussman (1992), An Introduction to the Rock-Forming Minerals, Longman."""
 UNIT_NM = 1000.0
 TYPICAL_LN, SPREAD_LN = -1.0, 1.5
 """Mean and standard deviation of the logarithm of the absorption added at 1000 nm, in units of (1 - w) / w; assumed."""

@@ -10,15 +10,14 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 
 That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied.
 
-`share_calibration.csv` has the table, each learned from spectra of known modes by the logarithmic score, with
+`share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
 networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
 
-Shares of minerals in rocks that were brought back from the Moon, as a prior, and what a spectrum makes of it.
-
-The prior is a mixture of Dirichlet distributions, one about each rock of `lunar_rock_modes.csv`, of parameters
-1 + modes/h (Aitchison & Lauder 1985, Applied Statistics 34, 129). The five classes of the table count alike, the rocks
-of a class alike. The width h is that by which each rock is likeliest by the others. Of pyroxene that was not divided in
-counting, pigeonite among it, any part may be orthopyroxene: of mare basalts nothing is known of it but by the spectrum.
+Where it is asked for, shares of minerals in rocks that were brought back from the Moon are the prior: a mixture of
+Dirichlet distributions, one about each rock of `lunar_rock_modes.csv`, of parameters 1 + modes/h (Aitchison & Lauder
+1985, Applied Statistics 34, 129). The five classes of the table count alike, the rocks of a class alike. The width h is
+that by which each rock is likeliest by the others. Of pyroxene that was not divided in counting, pigeonite among it,
+any part may be orthopyroxene: of mare basalts nothing is known of it but by the spectrum.
 
 Shares s of m minerals drawn from the prior are weighed by what the spectrum says of each mineral k,
 

@@ -1,8 +1,7 @@
-"""Fits of many spectra as arrays: values, errors, ratios and flags, row by row, and a view of any one of them.
+"""Fits of many spectra as arrays: values, errors, ratios, flags and compositions, row by row, and a view of each.
 
-What errors do: those that channels share to the minimum of a fit, those of a fit to the compositions it tells.
-
-Compositions of minerals that the band centres of fits speak for.
+Errors that channels share move the minimum of a fit (`follow_shifts`); those of a fit go into the compositions that its
+band centres speak for (`composition_moments`).
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,7 @@
 """Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all.
 
-Fits of many spectra to one model, each of which is made when it is asked for.
-
-What the choice of the continuum does to a fit: the same spectra under several of them.
+Fits of many spectra are arrays, of which a fit is made when it is asked for (`SpectraFits`). The same spectra under
+several continua say what the choice of the continuum does to a fit.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,26 +1,18 @@
-"""The Modified Gaussian Model itself, compiled: ln R and its derivatives with respect to every parameter.
+"""The Modified Gaussian Model, compiled: ln R, its derivatives, and what descents and samplers make of them.
 
-The energy of a particle, half the objective, and its slope: what the sampler's trajectories feel. The energy counts on
-all channels; the force may come from neighbouring channels put together, see `force_of`.
-
-Residuals of eight spectra at once and the sums of which their normal equations are made, compiled.
-
-The derivatives of a band are its Gaussian times a polynomial of second degree in wavelength, so what the normal
-equations need of two bands are five moments of the product of their Gaussians, not nine products of derivatives. The
-sums are taken over a few channels at a time, which stay in the fastest memory.
-
-From the sums to the curvature and the slope of chi-square in a fit's parameters.
-
-Normal equations of eight fits and Marquardt's step within bounds, compiled.
-
-The objective is `scale` times chi-square plus (p - prior)' precision (p - prior).
-
-Small positive definite systems, eight at a time, compiled.
+`residuals` has one spectrum, for what a fit does once. Descents work on eight spectra side by side: the derivatives of
+a band are its Gaussian times a polynomial of second degree in wavelength, so what the normal equations need of two
+bands are five moments of the product of their Gaussians, not nine products of derivatives (`evaluate`, `update`). The
+sums are taken over a few channels at a time, which stay in the fastest memory. The objective is `scale` times
+chi-square plus (p - prior)' precision (p - prior), its step Marquardt's within bounds (`solve_step`).
 
 Matrices have the side - `TILE` rows of the system, padded to a multiple of `TILE` by those of the identity, and `TILE`
 columns more, of which the first is a right-hand side and the others are 0. The upper triangle is overwritten by the
 factor U of A = U' U, its diagonal by 1/U_kk; the factorisation solves U' y = b on its way. What lies below the diagonal
 has no meaning.
+
+The sampler's trajectories feel the energy of a particle, half the objective, on all channels; the force may come from
+neighbouring channels put together (`force_of`).
 """
 
 import math

@@ -1,13 +1,9 @@
-"""Profile intervals: how far a parameter can go, all others following, before the objective has risen too much.
+"""Intervals of fitted parameters, and of ratios: by profile, or by draws from the posterior.
 
-Intervals of fitted parameters, whatever method they come from, and the ratios that both methods derive.
-
-Draws from the posterior of a fit, for hard cases: several minima, strengths at 0, curved valleys.
-
-Sampler of the posterior of a Modified Gaussian Model: a population carried from the prior to the data.
-
-`tempering` says how; here, particles move by Hamiltonian trajectories that bounce off the bounds. All that the prior
-allows is there at the start, so separate minima keep their weights.
+A profile says how far a parameter can go, all others following, before the objective has risen too much. Draws are for
+hard cases, several minima, strengths at 0, curved valleys: a population is carried from the prior to the data
+(`tempering`), in which particles move by Hamiltonian trajectories that bounce off the bounds. All that the prior allows
+is there at the start, so separate minima keep their weights.
 
 Neal (2011), Handbook of Markov Chain Monte Carlo, ch. 5, 10.1201/b10905 (Hamiltonian trajectories, bounds); Buchholz,
 Chopin & Jacob (2021), Bayesian Anal. 16, 745, 10.1214/20-BA1222 (their tuning inside such a population).

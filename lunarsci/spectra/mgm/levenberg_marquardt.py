@@ -1,18 +1,12 @@
-"""Bounded Levenberg-Marquardt from many starts, eight at a time, compiled.
+"""Bounded Levenberg-Marquardt from many starts, eight at a time, compiled, and the search of the lowest minimum by it.
 
 Each lane follows one job, a start on one spectrum; a lane whose job has ended takes the next. What a lane does depends
 on its own job alone, so the result of a job is the same in any company.
 
-The search of the minima of some spectra: which is lowest, and how close comes the next.
-
-Descents on coarse spectra are cheap and find the candidates; only one that may be the lowest is finished on all
+The search (`Multistart`) descends on coarse spectra, neighbouring channels put together: bands are tens of channels
+wide, so they lead near the minima at a fraction of the cost. Only a minimum that may be the lowest is finished on all
 channels. Hops from the lowest find what random starts rarely do, the minimum in which a neighbouring band does the
 work.
-
-Covariances of many fits: the inverse curvatures, eight at a time.
-
-Neighbouring channels put together: bands are tens of channels wide, so a coarse spectrum leads near the minimum at a
-fraction of the cost.
 """
 
 import math

@@ -1,13 +1,10 @@
 """The probability that a rock comes from each of the candidate craters: a prior, and what the rock is made of.
 
-What the composition of rocks says of the craters that they may come from: ln Bayes factors against any composition.
-
-Compared are shares of the minerals that both have, and band centres. The rock differs from the crater's mean by its own
-error, the scatter within the crater, and what two methods disagree by (the systematic). The yardstick, ln Bayes
-factor 0, is a rock of which nothing is known: shares uniform over all that add up to 1, centres uniform over the range
-of lunar minerals. A crater whose composition is not known is no better and no worse than that.
-
-What a match of rocks and craters assumes, in sentences.
+ln Bayes factors of compositions are against any composition. Compared are shares of the minerals that both have, and
+band centres. The rock differs from the crater's mean by its own error, the scatter within the crater, and what two
+methods disagree by (the systematic). The yardstick, ln Bayes factor 0, is a rock of which nothing is known: shares
+uniform over all that add up to 1, centres uniform over the range of lunar minerals. A crater whose composition is not
+known is no better and no worse than that. `assumptions` says in sentences what a match assumes.
 """
 
 from collections import Counter
