@@ -7,8 +7,8 @@ Spectra of one suite as mixtures of the same powders: model, objective and norma
 ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
 
 with x_i the powder of mineral i (`mixing.Powders`), shared by all spectra, c_i its cross-section per volume, u the
-wavelength in um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral may be
-absent. g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
+wavelength in um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral
+may be absent. g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
 """
 
 from collections.abc import Mapping, Sequence

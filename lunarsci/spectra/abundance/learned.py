@@ -32,7 +32,7 @@ pyroxene; beyond, channels are missing. Assumed."""
 NOISE = 0.02
 """Noise of ln R at 20 nm up to which networks see a spectrum as it is; measured: they were trained with up to that."""
 DRAWS = 12
-"""Pairs of spectra drawn where some is missing; measured: with 96 mean shares of 60 spectra of RELAB, cut or noisy by 10 %,
+"""Pairs of spectra drawn where some is missing; measured: with 96 mean shares of 60 spectra of RELAB, cut or noisy,
 are others by 0.3 % root mean square, 1.6 % at most."""
 SMALLEST = 1e-4
 """Reflectance below which none counts; assumed."""
