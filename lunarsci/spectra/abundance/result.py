@@ -123,9 +123,7 @@ def share_pages(abundances: Sequence[Abundance]) -> "Iterator[Figure]":
             face = color if one.in_domain else "white"
             bars.append((100 * np.array([getattr(shares[0], end) for end in ENDS]), color, face) if shares else None)
         panels.append(BarPanel({"title": mineral, "xlabel": "share [%]", "xlim": (-3, 103)}, bars))
-    text = (
-        f"mineral shares by {abundances[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
-    )
+    text = "bars: 68 and 95 %; open: outside the domain; no dot: not determined"
     return bar_pages([one.id for one in abundances], panels, f"mineral shares by {abundances[0].method}; {text}")
 
 

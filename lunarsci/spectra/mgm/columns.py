@@ -164,41 +164,39 @@ def _stacked(column: Any, row: IntArray, place: IntArray) -> Column:
 def rows_one_by_one(
     records: Sequence[Mapping[str, Any]], shares: Mapping[int, Sequence[Any]], *, bands: bool = True
 ) -> list[dict[str, Any]]:
-    """The rows of `--csv` of records that were made one by one, and the shares of some by position."""
-    shared = ((record, _share_columns(shares.get(index, ()))) for index, record in enumerate(records))
-    each = ((record, _spectrum_row(record, columns)) for record, columns in shared)
-    return [row for record, common in each for row in (_band_rows(record, common) if bands else [common])]
+    """The rows of `--csv` of records that were made one by one, and the shares of some by position.
+
+    One a band; a spectrum without a fit, and each without `bands`, has one.
+    """
+    rows: list[dict[str, Any]] = []
+    for index, record in enumerate(records):
+        ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
+        common = _spectrum_row(record, _share_columns(shares.get(index, ())))
+        common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx")}, ends)
+        for band in record["bands"] if bands else ():
+            key = band["name"].lower().replace(" ", "_").replace("-", "_")
+            columns = {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
+            rows.append(common | flat(band) | _interval_columns(columns, ends))
+        if not (bands and record["bands"]):
+            rows.append(common)
+    return rows
 
 
 def _spectrum_row(record: Mapping[str, Any], shares: Mapping[str, Any]) -> dict[str, Any]:
     """The columns of a spectrum, which are the same in the rows of all its bands."""
     common = {key: record[key] for key in COMMON}
-    for region in ("um1", "um2"):
+    for region in REGIONS:
         ratio = (record["nbsr"] or {}).get(region) or {}
-        for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
-            common[f"nbsr_{region}_{key}"] = ratio.get(key)
+        common |= {f"nbsr_{region}_{key}": ratio.get(key) for key in CSV_RATIO}
     for key, item in record["compositions"].items():
         common |= {f"{key}_{name}": item[name] for name in OF_COMPOSITION}
     common |= shares
-    if record["choice"]:
-        choice = record["choice"]
+    if choice := record["choice"]:
         common |= {f"choice_{key}": choice[key] for key in ("margin", "strong")}
         common |= {key: "+".join(choice[key]) for key in ("sure", "open", "not_needed")}
-        result = choice["mineral_probability"] | choice["group_probability"]
-        common |= {f"probability_of_{name}": chance for name, chance in result.items()}
-    ends = _ends(record)
-    return common | _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
-
-
-def _ends(record: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Intervals by parameter."""
-    return {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
-
-
-def _band_rows(record: Mapping[str, Any], common: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row per band; a spectrum without a fit has one row with its status."""
-    ends = _ends(record)
-    return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
+        chances = choice["mineral_probability"] | choice["group_probability"]
+        common |= {f"probability_of_{name}": chance for name, chance in chances.items()}
+    return common
 
 
 def _share_columns(result: Sequence[Any]) -> dict[str, Any]:
@@ -211,12 +209,6 @@ def _share_columns(result: Sequence[Any]) -> dict[str, Any]:
             columns |= {name: share.fraction}
             columns |= {f"{name}_{end}": getattr(share, end) for end in ("low", "high", "low95", "high95")}
     return columns
-
-
-def _of_band(band: Mapping[str, Any]) -> dict[str, str]:
-    """Columns of a band by the name of its parameter."""
-    key = band["name"].lower().replace(" ", "_").replace("-", "_")
-    return {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
 
 
 def _interval_columns(columns: Mapping[str, str], ends: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
