@@ -27,7 +27,6 @@ BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
 LARGEST_SUM = 1.1
 """Modes that add up to more are in the wrong unit or wrong: published ones of 102 % exist. Assumed."""
 ABOVE_0 = float(np.nextafter(0.0, 1.0))
-LARGEST_SIGMA_NM = 1000.0
 SMALLEST_SIGMA = 1e-4
 """Standard deviation of a mode is taken as at least this, that a covariance can be inverted."""
 
@@ -67,7 +66,7 @@ class Composition:
                 if name not in ranges:
                     raise ParameterError(f"'{name}' is no mineral or band here; there are {', '.join(ranges)}")
                 unit = "nm" if ranges is BANDS else ""
-                least, most = (ABOVE_0, LARGEST_SIGMA_NM) if unit else (0.0, 1.0)
+                least, most = (ABOVE_0, 1e3) if unit else (0.0, 1.0)
                 check_ranges((name, value, *ranges[name], unit), (f"error of {name}", sigma, least, most, unit))
         if self.modes:
             total = sum(value for value, _ in self.modes.values())

@@ -85,7 +85,8 @@ LAW_SOURCES: dict[EjectaLaw, str] = {
 
 _LAWS = {"mcgetchin": (0.14, 0.74, -3.0), "pike": (0.033, 1.0, -3.0), "housen": (0.0078, 1.0, -2.61),
          "xie": (0.068, 1.0, -3.0)}  # fmt: skip
-"""Factor, and powers of the transient radius in m and of distance over it: see `LAW_SOURCES`."""
+"""Factor, and powers of the transient radius in m and of distance over it: McGetchin et al. (1973), Pike (1974), Housen
+et al. (1983), Xie et al. (2020); see `LAW_SOURCES`."""
 SIMPLE_TO_COMPLEX_KM = 18.7
 """Rim diameter at which lunar craters turn complex, Croft (1985), J. Geophys. Res. 90, C828. [km]"""
 SIMPLE_SHRINKAGE = 0.84
