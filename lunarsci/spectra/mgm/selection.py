@@ -154,8 +154,8 @@ DETAIL_NM = 60.0
 """Length over which it hangs together: its correlation is that of Matern's law of order 3/2. Assumed."""
 WHITE_SHARE = 0.1
 """Of it that does not hang together; assumed."""
-COARSE_NM = 20.0
-"""Channels are put together to about this: a third of that length. Assumed."""
+COARSE_NM = DETAIL_NM / 3
+"""Channels are put together to about this, which follows from that length."""
 START_ERROR = 0.03
 """Share of the depth as an independent error, with which the minima are looked for; assumed."""
 TEMPER, PENALTY = 0.57, 2.04

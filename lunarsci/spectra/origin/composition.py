@@ -125,8 +125,6 @@ class Rock:
 
 FITS = ("lunarsci/spectra-fit/", "lunarsci/spectra-unmix/")
 BANDS_SCHEMA = "lunarsci/spectra-bands/"
-LARGEST_RATIO_SIGMA = 1.0
-"""A ratio of two shares that is less sure says nothing; assumed."""
 
 
 def read_rocks(source: InputFile) -> list[Rock]:
@@ -178,7 +176,7 @@ def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
         return None
     opx = float(ratio["opx"])
     sigma = _combined(ratio, ("sigma", "calibration", "continuum"), "NBSR")
-    sigma = min(sigma, LARGEST_RATIO_SIGMA)
+    sigma = min(sigma, 1.0)  # the most that a fraction may have
     modes = {"orthopyroxene": (opx, sigma), "clinopyroxene": (1 - opx, sigma)}
     opposite = np.array([[1.0, -1.0], [-1.0, 1.0]])
     return Rock(name, Composition(modes, {}, opposite), ("OPX : CPX is NBSR at 2 µm as it stands, uncalibrated",))

@@ -11,12 +11,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from math import factorial, sqrt
+from math import factorial, pi, sqrt
 from typing import Any, overload
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.io.records import Codes, Listed, Records, Same
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import Progress, arrays_in_blocks
@@ -632,10 +633,6 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     return f"{remain}; {strongly}{held if rock.untested else ''}"
 
 
-BEYOND_LAW_KM = 2729.0
-"""A quarter of the way round the Moon; the laws of ejecta are those of a flat surface. Assumed."""
-
-
 def assumptions(
     matches: Sequence[RockMatch],
     given: tuple[str, Sequence[MapReport]],
@@ -697,7 +694,7 @@ def _prior_notes(site: Point, settings: MatchSettings, items: Sequence[CraterMat
         )
     else:
         lines.append("buried ejecta stay buried (--no-re-excavation)")
-    far = [i.crater.name for i in items if i.prior.distance_km > BEYOND_LAW_KM]
+    far = [i.crater.name for i in items if i.prior.distance_km > pi / 2 * MOON_RADIUS_KM]
     if far:
         lines.append(f"beyond a quarter of the Moon the laws are too low, ejecta converge: {', '.join(far)}")
     return lines

@@ -94,7 +94,7 @@ SIMPLE_SHRINKAGE = 0.84
 COLLAPSE_EXPONENT = 0.15
 """Of the rim diameter, as it widens by collapse: Croft (1985), 10.1029/JB090iS02p0C828."""
 LAUNCH_ANGLE_DEG = 45.0
-"""Launch from the horizontal; assumed, as in Xie et al. (2020)."""
+"""Launch from the horizontal, as Xie et al. (2020), 10.1029/2019JE006113, take it."""
 
 
 def transient_radius_km(diameter_km: float) -> float:
