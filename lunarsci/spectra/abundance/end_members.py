@@ -1,6 +1,7 @@
 """What unmixing compares: spectra on common channels, the embedded end members on them, and modes that are stated."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -185,16 +186,11 @@ def _minerals(row: Mapping[str, str], file: str) -> dict[str, str]:
     """Mineral by column."""
     columns: dict[str, str] = {}
     for column in row:
-        try:
-            mineral = mineral_named(column.removeprefix(PREFIX))
-        except DataError:
-            continue
-        if mineral in columns.values():
-            raise DataError(f"{file}: {mineral} has two columns; keep one")
-        if mineral:
-            columns[column] = mineral
-    if not columns:
-        raise DataError(f"{file}: has no column named after a mineral, such as olivine or vol_ol; add one")
+        with suppress(DataError):
+            if mineral := mineral_named(column.removeprefix(PREFIX)):
+                columns[column] = mineral
+    if len(set(columns.values())) != max(1, len(columns)):
+        raise DataError(f"{file}: needs columns named after minerals, such as olivine or vol_ol, one of each")
     return columns
 
 

@@ -24,7 +24,7 @@ from lunarsci.compiled import VECTORS, compiled, each_in_threads
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.spectra.mgm.batch import channels_of, problem_of
 from lunarsci.spectra.mgm.data import MgmRows
-from lunarsci.spectra.mgm.fit import fit_batch
+from lunarsci.spectra.mgm.fit import MAX_ITERATIONS, NO_HOPS, TOLERANCE, fit_batch
 from lunarsci.spectra.mgm.forward import energies_of, force_of, residuals
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
@@ -346,8 +346,6 @@ LOWER_BY = 0.1
 """By how much an objective below the fit's says that the fit is not the minimum; assumed."""
 MISFIT = 1.5
 """Reduced chi-square above which intervals are too narrow; assumed."""
-TOLERANCE, MAX_ITERATIONS = 1e-4, 300
-NO_HOPS = np.zeros((0, 2))
 
 
 def profile_intervals(fit: MgmFit, names: Sequence[str] | None = None) -> Intervals:

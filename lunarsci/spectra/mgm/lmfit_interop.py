@@ -186,20 +186,16 @@ def _settled(model: MgmModel, point: FloatArray, fit: MgmFit) -> FloatArray:
 
 def _tied_model(model: MgmModel, parameters: "Parameters", point: FloatArray) -> MgmModel:
     """With a prior that leaves no room beside the tangents of all expressions at `point`."""
-    for name in model.names:
-        if parameters[name].expr is not None:
-            model = _tied(model, name, parameters, point)
+    m = model.degrees
+    for k, name in enumerate(model.names):
+        if (expression := parameters[name].expr) is None:
+            continue
+        row = -_slopes(model, name, parameters)
+        if any((j < m) != (k < m) for j in np.flatnonzero(row)):
+            raise ParameterError(f"{name} = {expression}: a continuum coefficient cannot be tied to a band")
+        row[k] += 1.0
+        model = model.on_plane(row, float(row @ point))
     return model
-
-
-def _tied(model: MgmModel, name: str, parameters: "Parameters", point: FloatArray) -> MgmModel:
-    k, m = model.index(name), model.degrees
-    row = -_slopes(model, name, parameters)
-    others = np.flatnonzero(row)
-    if any((j < m) != (k < m) for j in others):
-        raise ParameterError(f"{name} = {parameters[name].expr}: a continuum coefficient cannot be tied to a band")
-    row[k] += 1.0
-    return model.on_plane(row, float(row @ point))
 
 
 def _slopes(model: MgmModel, name: str, parameters: "Parameters") -> FloatArray:

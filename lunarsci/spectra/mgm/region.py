@@ -33,6 +33,8 @@ from lunarsci.spectra.mgm.fit import (
 )
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
+    FIRST_DAMPING,
+    LATER_DAMPING,
     Channels,
     DescentOptions,
     FitProblem,
@@ -185,7 +187,6 @@ TRIED = 3
 """Kinds that it tries at once, those of the likest spectra."""
 SUMMARY = 10
 """Channels that are put together to compare spectra."""
-FIRST_DAMPING, LAST_DAMPING = 1e-3, 1e-6
 NEARLY, FINALLY = 1e-2, 3e-4
 """Decrease to be expected at which a descent on the bands of a kind ends, and one on all bands; that step is taken."""
 SLACK = 5.0
@@ -428,7 +429,7 @@ class Search:
             points, outcomes = self._on_their_bands(rows, self.points[lenders], self.outcomes[rows, 1] - WORTH)
             lower = (outcomes[:, 3] == CONVERGED) & (outcomes[:, 1] < self.outcomes[rows, 1] - WORTH)
             rows = rows[lower]
-            won = self._take(rows, *self._on_all_bands(rows, points[lower], LAST_DAMPING))
+            won = self._take(rows, *self._on_all_bands(rows, points[lower], LATER_DAMPING))
             self.changed[won], gained[won] = True, True
             self.origin[won] = NEIGHBOUR
         return np.asarray(np.bincount(self.tile, gained) / np.bincount(self.tile))

@@ -19,9 +19,10 @@ from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
+from lunarsci.spectra.mgm.assemblages import MINERALS as BY_KEY
 from lunarsci.spectra.rows import number
 
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
+MINERALS = tuple(BY_KEY.values())
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
 """Band centres, and the range outside which a value is no such centre; assumed. [nm]"""
 LARGEST_SUM = 1.1
@@ -293,7 +294,7 @@ def _merged(one: Rock, other: Rock) -> Rock:
     return Rock(one.id, both, (*one.remarks, *other.remarks), (*one.tables, *other.tables))
 
 
-SHORT = {"ol": "olivine", "opx": "orthopyroxene", "cpx": "clinopyroxene", "plg": "plagioclase"}
+SHORT = {key.lower(): mineral for key, mineral in BY_KEY.items()}
 """Abbreviations of minerals."""
 BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
 

@@ -89,9 +89,9 @@ def test_numbers_are_known_empty_cells_are_sought_and_zeros_beside_them_absent()
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("id,remark\na,b\n", "has no column named after a mineral"),
+        ("id,remark\na,b\n", "needs columns named after minerals"),
         ("name,olivine\na,1\n", "has no column 'id'"),
-        ("id,olivine,ol\na,1,0\n", "olivine has two columns"),
+        ("id,olivine,ol\na,1,0\n", "one of each"),
         ("id,olivine\na,1\na,1\n", "comes twice"),
         ("id,olivine\n,1\n", "line 2 has no id"),
         ("id,olivine,cpx\na,1.5,0\n", "line 2, column olivine: '1.5' is no share"),
