@@ -10,6 +10,9 @@ import typer
 
 from lunarsci.spectra.jobs.requests import FitRequest
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
+from lunarsci.spectra.mgm.assemblages import SURE
+from lunarsci.spectra.mgm.batch import compositions
+from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
@@ -138,8 +141,6 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
 
 def _composition_notes(fit: MgmFit) -> list[str]:
 
-    from lunarsci.spectra.mgm.compositions import compositions
-
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
@@ -151,7 +152,7 @@ def _composition_notes(fit: MgmFit) -> list[str]:
                 else ""
             )
             value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
-            value = with_trend(value, item.trend_sigma) if item.in_range and item.told else value
+            value = with_trend(value, item.trend_sigma) if item.in_range and item.determined else value
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
     return notes
 
@@ -219,8 +220,6 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-
-    from lunarsci.spectra.mgm.assemblages import SURE
 
     shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]
     rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if percent != "0"]

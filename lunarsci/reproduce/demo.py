@@ -22,7 +22,7 @@ from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.result import MadeFrom, Result
-from lunarsci.spectra.abundance.rock_prior import PRIOR
+from lunarsci.spectra.abundance.shares import PRIOR
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, unmix
 from lunarsci.spectra.mgm.assemblages import TABLES

@@ -110,7 +110,7 @@ def _within(update: Progress, before: int, share: int, total: int) -> Progress:
 def _with_spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
     from lunarsci.io.tables import table_hashes
     from lunarsci.reproduce.spectra import TABLES, boulders, fit_rocks, spectra_numbers
-    from lunarsci.spectra.readers import read_spectra
+    from lunarsci.spectra.readers.dispatch import read_spectra
 
     sources = [read_input(path) for path in expand_inputs(rocks)]
     spectra = [spectrum for source in sources for spectrum in read_spectra(source)]

@@ -19,8 +19,7 @@ from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
 from lunarsci.spectra.chemistry.bands import plane_pages
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
-from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua
-from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA, fit_continua, fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.origin.catalogue import TABLE as CRATERS

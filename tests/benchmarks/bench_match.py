@@ -16,8 +16,8 @@ import numpy as np
 
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.composition import ERRORS, MINERALS, Composition, widened
-from lunarsci.spectra.origin.match import OTHER, MatchSettings, Rock, RockMatches, match_rocks
+from lunarsci.spectra.origin.composition import ERRORS, MINERALS, Composition, Rock, widened
+from lunarsci.spectra.origin.match import OTHER, MatchSettings, RockMatches, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors
 
 ERROR = 0.05

@@ -18,9 +18,10 @@ import lmfit
 import numpy as np
 from scipy.optimize import least_squares
 
+from lunarsci.spectra.mgm.batch import problem_of
 from lunarsci.spectra.mgm.fit import fit_batch, hops_of, starting_points
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
-from lunarsci.spectra.mgm.levenberg_marquardt import KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, KernelFits
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 
 NOISE = 0.005
@@ -141,15 +142,12 @@ def kernel_rate(case: Problem, starts: int, hops: np.ndarray) -> tuple[float, np
     import numba
 
     numba.set_num_threads(1)
-    weight = np.full(case.data.shape, NOISE**-2)
+    columns, root = np.ascontiguousarray(case.basis.T)[None], np.full(case.data.shape, 1 / NOISE)
+    spectra, problem = Channels(case.wavelength_nm[None] / 1e3, columns, case.data, root), problem_of(case.model)
     points = starting_points(case.model, case.data, starts)
 
     def fit(rows: slice) -> KernelFits:
-        return fit_batch(
-            case.data[rows], weight[rows], case.wavelength_nm / 1e3, case.basis, case.model.logarithmic,
-            case.model.prior, case.model.precision, case.model.lower, case.model.upper, points[:, rows], hops,
-            TOLERANCE, 1000,
-        )  # fmt: skip
+        return fit_batch(spectra.part(rows), problem, points[:, rows], hops, TOLERANCE, 1000)
 
     fit(slice(0, 2))
     begun = time.process_time()

@@ -14,7 +14,7 @@ from scipy.special import log_softmax
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import FAMILIES
 from lunarsci.spectra.mgm.selection import CREDIBLE, MOST_TOGETHER, Choice, choose
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 COUNTED = 0.05
 TOGETHER = {"PE-CMP": "XP-CMP", "PP-CMP": "XP-CMP"}

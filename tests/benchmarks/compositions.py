@@ -20,7 +20,7 @@ from scipy.stats import t as student
 import lunarsci
 from lunarsci.result import from_prior
 from lunarsci.spectra.mgm import TREND_SIGMA
-from lunarsci.spectra.mgm.compositions import FO_HIDDEN
+from lunarsci.spectra.mgm.batch import FO_HIDDEN
 
 TRUTH = {
     "fo": ("fo", "vol_ol"),

@@ -737,7 +737,7 @@ def drive_readers() -> dict[str, Reader]:
         return with_rover("twin.assimilation.drive_record:read_record")(path)
 
     def sent(path: Path) -> Any:
-        from lunarsci.twin.telemetry.checks import Findings
+        from lunarsci.twin.telemetry.reading import Findings
 
         return with_rover("twin.telemetry.reading:read_telemetry", Findings(str(path)))(path)
 

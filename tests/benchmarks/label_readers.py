@@ -167,7 +167,7 @@ CASES: dict[str, Callable[[Path], Path]] = {
 def _own(path: str) -> Any:
     from lunarsci.io.inputs import read_input
     from lunarsci.spectra.cubes.rasters import open_cube
-    from lunarsci.spectra.readers import read_spectra
+    from lunarsci.spectra.readers.dispatch import read_spectra
     from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
 
     source = read_input(path)

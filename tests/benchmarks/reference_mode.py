@@ -21,7 +21,7 @@ from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, model_of
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 sys.path.insert(0, str(Path(__file__).parents[2]))

@@ -16,9 +16,8 @@ import lunarsci
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.kinds import find_kinds
 from lunarsci.spectra.abundance.learned import Foretold, foretell_each, unpacked
-from lunarsci.spectra.abundance.rock_prior import drawn_rocks
-from lunarsci.spectra.abundance.shares import GOOD, answer, calibration, how_dark, with_rocks
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.abundance.shares import GOOD, answer, calibration, drawn_rocks, how_dark, with_rocks
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 PRIORS = ("powders", "lunar-rocks")
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
-from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua
+from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA, fit_continua
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 __all__ = ["rock_rows", "rocks_table"]
 

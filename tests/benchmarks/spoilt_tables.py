@@ -123,7 +123,7 @@ def _spectrum() -> str:
 def _read_spectrum(path: Path) -> tuple[str, complex]:
     """Centre of the band at 1000 nm, and the level, as one complex number."""
     from lunarsci.spectra.jobs.bands import bands
-    from lunarsci.spectra.readers import read_spectra
+    from lunarsci.spectra.readers.dispatch import read_spectra
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

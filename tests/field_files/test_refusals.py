@@ -15,7 +15,7 @@ import lunarsci
 from lunarsci.errors import DataError, LunarSciError
 from lunarsci.heights.grids import read_grid
 from lunarsci.io.inputs import read_input
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.twin.telemetry.reading import read_positions
 
 NM = np.arange(400.0, 2501.0, 10.0)

@@ -19,7 +19,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning
 from lunarsci.guide.info import info
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 NM = np.arange(400.0, 2501.0, 10.0)

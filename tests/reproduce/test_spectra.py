@@ -20,7 +20,7 @@ from lunarsci.reproduce.spectra import (
     olivine_share,
     spectra_numbers,
 )
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 

@@ -11,7 +11,7 @@ import lunarsci
 from lunarsci.spectra.bands import BandArrays, measure_batch
 from lunarsci.spectra.jobs.other_causes import other_cause
 from lunarsci.spectra.jobs.verdicts import bands_verdict
-from lunarsci.spectra.mgm.assemblages import standing, told
+from lunarsci.spectra.mgm.assemblages import standing, verdict
 from lunarsci.spectra.narrow import OWN_SHARE, narrow_absorptions
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -99,9 +99,9 @@ def test_a_pyroxene_that_is_open_is_never_sure() -> None:
     for chances in ({"CPX": 1.0}, {"OPX": 0.5, "CPX": 0.5}, {"OL-CPX": 1.0}):
         found = standing(chances, (), "a reason")
         assert not {"pyroxene", "orthopyroxene", "clinopyroxene"} & set(found["sure"])
-        assert "pyroxene is fitted, but open: a reason" in told(chances, (), "a reason")
-        assert not any("is sure" in part for part in told(chances, (), "a reason").split("; ") if part[:2] != "no")
-    assert "a reason" not in told({"OL": 1.0}, (), "a reason")
+        assert "pyroxene is fitted, but open: a reason" in verdict(chances, (), "a reason")
+        assert not any("is sure" in part for part in verdict(chances, (), "a reason").split("; ") if part[:2] != "no")
+    assert "a reason" not in verdict({"OL": 1.0}, (), "a reason")
 
 
 def test_a_fit_does_not_call_water_a_sure_pyroxene() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import lunarsci
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_counted, shares_verdict
-from lunarsci.spectra.mgm.assemblages import standing, told
+from lunarsci.spectra.mgm.assemblages import standing, verdict
 from lunarsci.spectra.mgm.batch import batch_of
 from lunarsci.spectra.mgm.columns import rows_one_by_one
 
@@ -48,7 +48,7 @@ def chosen(**probabilities: float) -> dict[str, Any]:
     """What was made of assemblages of these probabilities, `_` for `-`."""
     found = {key.replace("_", "-"): chance for key, chance in probabilities.items()}
     rows = [{"assemblage": key, "probability": chance} for key, chance in found.items()]
-    return {"candidates": rows, "strong": False, "status": told(found)}
+    return {"candidates": rows, "strong": False, "status": verdict(found)}
 
 
 def test_only_what_is_sure_is_called_so(fitted: dict[str, Any]) -> None:
@@ -210,7 +210,7 @@ def test_a_mineral_whose_centres_no_such_mineral_has_is_not_sure() -> None:
     """As of the powder JA-CMP-007, a pyroxene that three bands of an olivine of Fo 142 fit best."""
     alone = standing({"OL": 0.8, "OL-CPX": 0.2}), standing({"OL": 0.8, "OL-CPX": 0.2}, ["olivine"])
     assert [found["sure"] for found in alone] == [["olivine"], []] and "olivine" in alone[1]["open"]
-    assert "its centres are those of no olivine: open" in told({"OL": 0.8, "OL-CPX": 0.2}, ["olivine"])
+    assert "its centres are those of no olivine: open" in verdict({"OL": 0.8, "OL-CPX": 0.2}, ["olivine"])
     found = lunarsci.fit(made_up(one=860.0, two=1760.0), assemblage="auto", starts=2)
     [record] = found.to_dict()["spectra"]
     beyond = [m for m in ("olivine", "orthopyroxene", "clinopyroxene") if f"any {m}" in record["status"]]

@@ -12,10 +12,11 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.drive_record import DriveRecord
 from lunarsci.twin.assimilation.residuals import DriveBias, DriveResiduals
 from lunarsci.twin.comparison.forecast import forecast_of, match_observations, miss_of, taught
+from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.judgement.endpoint import endpoint_spread
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import ExclusionZone, Fixes, Leg, Plan, parse_sweep
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict

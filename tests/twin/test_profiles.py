@@ -8,11 +8,11 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.figures.prediction import box_pages, grouped, path_fan, profile_page
+from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import path_table, profile_table, state_table
 from lunarsci.twin.plans.limits import Limit, own_limits
-from lunarsci.twin.plans.plan import ExclusionZone
 from lunarsci.twin.simulation.ensemble import Prediction
 
 

@@ -6,9 +6,9 @@ Spectra of one suite as mixtures of the same powders: model, objective and norma
 
 ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
 
-with x_i the powder of mineral i (`powders`), shared by all spectra, c_i its cross-section per volume, u the wavelength
-in um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral may be
-absent. g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
+with x_i the powder of mineral i (`mixing.Powders`), shared by all spectra, c_i its cross-section per volume, u the
+wavelength in um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral
+may be absent. g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +21,15 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
-from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
-from lunarsci.spectra.abundance.powders import Powders, loosened, population
+from lunarsci.spectra.abundance.mixing import (
+    MixingLaw,
+    Powders,
+    Weathering,
+    iron_absorption,
+    loosened,
+    mixing_laws,
+    population,
+)
 from lunarsci.spectra.abundance.shares import Mixed
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
@@ -41,16 +48,16 @@ class Equations:
     Attributes
     ----------
     value : chi-square and the prior's share.
-    shared_slope, own_slope : (p,), (s, q).
-    shared, across, own : (p, p), (s, p, q), (s, q, q).
+    shared_slope, local_slope : (p,), (s, q).
+    shared, across, local : (p, p), (s, p, q), (s, q, q).
     """
 
     value: float
     shared_slope: FloatArray
-    own_slope: FloatArray
+    local_slope: FloatArray
     shared: FloatArray
     across: FloatArray
-    own: FloatArray
+    local: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,7 @@ class MixtureSeries:
     wavelength_nm : (n,) [nm]
     ln_reflectance, sigma_ln : (s, n) measured, and standard deviation, errors of the model included. [-]
     present : (s, m) which minerals a spectrum may hold.
-    known : (s, m) fractions where they are known, NaN where they are sought.
+    stated : (s, m) fractions where they are known, NaN where they are sought.
     weathering : submicroscopic iron, or None.
     """
 
@@ -72,7 +79,7 @@ class MixtureSeries:
     ln_reflectance: FloatArray
     sigma_ln: FloatArray
     present: FloatArray
-    known: FloatArray
+    stated: FloatArray
     weathering: Weathering | None = None
 
     @property
@@ -83,7 +90,7 @@ class MixtureSeries:
     @cached_property
     def sought(self) -> FloatArray:
         """(s, m) 1 where a root is free, else 0."""
-        return np.asarray(self.present * np.isnan(self.known), dtype=np.float64)
+        return np.asarray(self.present * np.isnan(self.stated), dtype=np.float64)
 
     @cached_property
     def scale(self) -> FloatArray:
@@ -101,92 +108,92 @@ class MixtureSeries:
         roots = np.array(self.present, dtype=np.float64)
         if favoured is not None:
             roots[:, favoured] *= 4.0
-        roots = np.where(np.isnan(self.known), roots, np.sqrt(self.known))
+        roots = np.where(np.isnan(self.stated), roots, np.sqrt(self.stated))
         roots /= np.linalg.norm(roots, axis=1, keepdims=True)
         return np.concatenate([roots, np.zeros((len(roots), len(self.scale) - self.minerals))], axis=1)
 
-    def ln_model(self, shared: FloatArray, own: FloatArray) -> FloatArray:
+    def ln_model(self, shared: FloatArray, local: FloatArray) -> FloatArray:
         """ln R, (s, n)."""
         x, _ = self.powders.at(shared)
-        mixed = self._effective(shared, own) @ x
+        mixed = self._effective(shared, local) @ x
         if self.weathering is not None:
-            mixed = self.weathering.darken(mixed, own[:, -1])[0]
+            mixed = self.weathering.darken(mixed, local[:, -1])[0]
         ln_model = self.powders.law.ln_reflectance(mixed)[0]
-        return np.asarray(ln_model + own[:, self.minerals : self.minerals + len(NEUTRAL)] @ self.neutral)
+        return np.asarray(ln_model + local[:, self.minerals : self.minerals + len(NEUTRAL)] @ self.neutral)
 
-    def value(self, shared: FloatArray, own: FloatArray) -> float:
+    def value(self, shared: FloatArray, local: FloatArray) -> float:
         """The objective."""
-        residual = (self.ln_reflectance - self.ln_model(shared, own)) / self.sigma_ln
-        return float(np.sum(residual**2)) + self._prior(shared, own)
+        residual = (self.ln_reflectance - self.ln_model(shared, local)) / self.sigma_ln
+        return float(np.sum(residual**2)) + self._prior(shared, local)
 
-    def _prior(self, shared: FloatArray, own: FloatArray) -> float:
-        length = np.sum(own[:, : self.minerals] ** 2, axis=1)
+    def _prior(self, shared: FloatArray, local: FloatArray) -> float:
+        length = np.sum(local[:, : self.minerals] ** 2, axis=1)
         gauge = float(np.sum(((length - 1) / GAUGE) ** 2))
-        return float(np.sum(shared**2) + np.sum((own / self.scale) ** 2)) + gauge
+        return float(np.sum(shared**2) + np.sum((local / self.scale) ** 2)) + gauge
 
-    def _effective(self, shared: FloatArray, own: FloatArray) -> FloatArray:
-        weighted = own[:, : self.minerals] ** 2 * self.powders.section(shared)
+    def _effective(self, shared: FloatArray, local: FloatArray) -> FloatArray:
+        weighted = local[:, : self.minerals] ** 2 * self.powders.section(shared)
         return np.asarray(weighted / weighted.sum(axis=1, keepdims=True))
 
-    def equations(self, shared: FloatArray, own: FloatArray) -> Equations:
+    def equations(self, shared: FloatArray, local: FloatArray) -> Equations:
         """Gauss-Newton, with the curvature that a root at 0 has from the slope by its square."""
-        ln_model, by_shared, by_own, bend = self._derivatives(shared, own)
+        ln_model, by_shared, by_local, bend = self._derivatives(shared, local)
         residual = (self.ln_reflectance - ln_model) / self.sigma_ln
         by_shared /= self.sigma_ln[:, :, None]
-        by_own /= self.sigma_ln[:, :, None]
-        count, size = len(own), by_shared.shape[-1]
+        by_local /= self.sigma_ln[:, :, None]
+        count, size = len(local), by_shared.shape[-1]
         flat = by_shared.reshape(-1, size)
-        own_block = np.matmul(by_own.transpose(0, 2, 1), by_own)
-        own_slope = np.matmul(by_own.transpose(0, 2, 1), residual[:, :, None])[:, :, 0] - own / self.scale**2
-        roots = own[:, : self.minerals] * self.sought
+        local_block = np.matmul(by_local.transpose(0, 2, 1), by_local)
+        local_slope = np.matmul(by_local.transpose(0, 2, 1), residual[:, :, None])[:, :, 0] - local / self.scale**2
+        roots = local[:, : self.minerals] * self.sought
         by_length = 2 * roots / GAUGE
-        gauge = (np.sum(own[:, : self.minerals] ** 2, axis=1) - 1) / GAUGE
-        own_slope[:, : self.minerals] -= by_length * gauge[:, None]
-        own_slope[:, : self.minerals] *= self.sought
-        own_block[:, : self.minerals, : self.minerals] += by_length[:, :, None] * by_length[:, None, :]
+        gauge = (np.sum(local[:, : self.minerals] ** 2, axis=1) - 1) / GAUGE
+        local_slope[:, : self.minerals] -= by_length * gauge[:, None]
+        local_slope[:, : self.minerals] *= self.sought
+        local_block[:, : self.minerals, : self.minerals] += by_length[:, :, None] * by_length[:, None, :]
         extra = np.zeros((count, len(self.scale)))
         slope = np.matmul(bend, (residual / self.sigma_ln)[:, :, None])[:, :, 0]
         extra[:, : self.minerals] = np.maximum(-slope, 0.0) * self.sought
-        own_block += (extra + self.scale**-2)[:, :, None] * np.eye(len(self.scale))
+        local_block += (extra + self.scale**-2)[:, :, None] * np.eye(len(self.scale))
         return Equations(
-            float(np.sum(residual**2)) + self._prior(shared, own),
+            float(np.sum(residual**2)) + self._prior(shared, local),
             flat.T @ residual.ravel() - shared,
-            own_slope,
+            local_slope,
             flat.T @ flat + np.eye(size),
-            np.matmul(by_shared.transpose(0, 2, 1), by_own),
-            own_block,
+            np.matmul(by_shared.transpose(0, 2, 1), by_local),
+            local_block,
         )
 
     def _derivatives(
-        self, shared: FloatArray, own: FloatArray
+        self, shared: FloatArray, local: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """ln R (s, n); derivatives by shared (s, n, p), own parameters (s, n, q); second ones by roots (s, m, n)."""
         x, slope = self.powders.at(shared)
-        effective = self._effective(shared, own)
+        effective = self._effective(shared, local)
         mixed = effective @ x
         apart = x[None] - mixed[:, None, :]
-        own_columns = np.zeros((*mixed.shape, len(self.scale)))
+        local_columns = np.zeros((*mixed.shape, len(self.scale)))
         chain = np.ones_like(mixed)
         if self.weathering is not None:
-            mixed, chain, by_iron = self.weathering.darken(mixed, own[:, -1])
-            own_columns[:, :, -1] = by_iron
+            mixed, chain, by_iron = self.weathering.darken(mixed, local[:, -1])
+            local_columns[:, :, -1] = by_iron
         ln_model, by_mixed = self.powders.law.ln_reflectance(mixed)
-        own_columns[:, :, -1] *= by_mixed
+        local_columns[:, :, -1] *= by_mixed
         by_mixed = by_mixed * chain
         by_share = by_mixed[:, None, :] * apart
         lead = self.powders.section(shared)
-        lead = lead / (own[:, : self.minerals] ** 2 @ lead)[:, None]
+        lead = lead / (local[:, : self.minerals] ** 2 @ lead)[:, None]
         bend = 2 * by_share * (lead * self.sought)[:, :, None]
-        own_columns[:, :, : self.minerals] = (bend * own[:, : self.minerals, None]).transpose(0, 2, 1)
+        local_columns[:, :, : self.minerals] = (bend * local[:, : self.minerals, None]).transpose(0, 2, 1)
         stop = self.minerals + len(NEUTRAL)
-        own_columns[:, :, self.minerals : stop] = self.neutral.T
+        local_columns[:, :, self.minerals : stop] = self.neutral.T
         shared_columns = (by_share * effective[:, :, None]).transpose(0, 2, 1) @ self.powders.sections
-        for number, (where, rows) in enumerate(self.powders.by_parameters(slope)):
+        for number, (place, item) in enumerate(zip(self.powders.places, self.powders.minerals, strict=True)):
             weight = by_mixed * effective[:, number, None]
-            shared_columns[:, :, where] += weight[:, :, None] * rows.T
-        shared_columns[:, :, -1] += by_mixed * (effective @ slope) * self.powders.common
-        ln_model = ln_model + own[:, self.minerals : stop] @ self.neutral
-        return ln_model, shared_columns, own_columns, bend
+            shared_columns[:, :, place] += weight[:, :, None] * (slope[number] * item.shapes).T
+        shared_columns[:, :, -1] += by_mixed * (effective @ slope)
+        ln_model = ln_model + local[:, self.minerals : stop] @ self.neutral
+        return ln_model, shared_columns, local_columns, bend
 
 
 STEPS, DAMPING, HIGHEST_DAMPING = 500, 1e-3, 1e8
@@ -251,65 +258,65 @@ def unmix(suite: MixtureSeries) -> SharesPosterior:
     favoured = [None, *(range(suite.minerals) if len(suite.ln_reflectance) == 1 else ())]
     shared = np.zeros(suite.powders.size)
     ends = [_descend(suite, shared, suite.start(mineral), NEAR) for mineral in favoured]
-    shared, own, _ = min(ends, key=lambda end: end[2].value)
-    return _posterior(suite, *_descend(suite, shared, own, CONVERGED))
+    shared, local, _ = min(ends, key=lambda end: end[2].value)
+    return _posterior(suite, *_descend(suite, shared, local, CONVERGED))
 
 
 def _descend(
-    suite: MixtureSeries, shared: FloatArray, own: FloatArray, least_gain: float
+    suite: MixtureSeries, shared: FloatArray, local: FloatArray, least_gain: float
 ) -> tuple[FloatArray, FloatArray, Equations]:
     """Levenberg-Marquardt; parameters and the equations there."""
-    damping, equations = DAMPING, suite.equations(shared, own)
+    damping, equations = DAMPING, suite.equations(shared, local)
     for _ in range(STEPS):
-        shared_step, own_step = _solve(equations, damping)
-        value = suite.value(shared + shared_step, own + own_step)
+        shared_step, local_step = _solve(equations, damping)
+        value = suite.value(shared + shared_step, local + local_step)
         if not value < equations.value:
             damping *= 10.0
             if damping > HIGHEST_DAMPING:
                 break
             continue
         gained = equations.value - value
-        shared, own, damping = shared + shared_step, own + own_step, damping / 5.0
-        equations = suite.equations(shared, own)
+        shared, local, damping = shared + shared_step, local + local_step, damping / 5.0
+        equations = suite.equations(shared, local)
         if gained < least_gain:
             break
-    return shared, own, equations
+    return shared, local, equations
 
 
 def _solve(equations: Equations, damping: float) -> tuple[FloatArray, FloatArray]:
     """The damped step, the spectra's own parameters eliminated first."""
-    own = equations.own * (1.0 + damping * np.eye(equations.own.shape[-1]))
-    inverse = np.linalg.inv(own)
+    local = equations.local * (1.0 + damping * np.eye(equations.local.shape[-1]))
+    inverse = np.linalg.inv(local)
     folded = np.matmul(equations.across, inverse)
     across = equations.across.transpose(0, 2, 1)
     shared = equations.shared * (1.0 + damping * np.eye(len(equations.shared)))
     left = shared - np.matmul(folded, across).sum(axis=0)
-    right = equations.shared_slope - np.einsum("spq,sq->p", folded, equations.own_slope)
+    right = equations.shared_slope - np.einsum("spq,sq->p", folded, equations.local_slope)
     step = np.linalg.solve(left, right)
-    return step, np.einsum("sqr,sr->sq", inverse, equations.own_slope - across @ step)
+    return step, np.einsum("sqr,sr->sq", inverse, equations.local_slope - across @ step)
 
 
-def _posterior(suite: MixtureSeries, shared: FloatArray, own: FloatArray, lowest: Equations) -> SharesPosterior:
+def _posterior(suite: MixtureSeries, shared: FloatArray, local: FloatArray, lowest: Equations) -> SharesPosterior:
     """At a root of 0 the model does not change to first order; its curvature is that at `LIFTED`."""
     count = suite.minerals
-    raised = own.copy()
-    raised[:, :count] = np.where(suite.sought * (np.abs(own[:, :count]) < LIFTED) > 0, LIFTED, own[:, :count])
+    raised = local.copy()
+    raised[:, :count] = np.where(suite.sought * (np.abs(local[:, :count]) < LIFTED) > 0, LIFTED, local[:, :count])
     equations = suite.equations(shared, raised)
-    inverse = np.linalg.inv(equations.own)
+    inverse = np.linalg.inv(equations.local)
     folded = np.matmul(equations.across, inverse)
     left = equations.shared - np.matmul(folded, equations.across.transpose(0, 2, 1)).sum(axis=0)
     back = folded.transpose(0, 2, 1)
     covariance = inverse + back @ np.linalg.inv(left) @ folded
     sought = suite.sought
-    volume = float(np.linalg.slogdet(left)[1] + np.linalg.slogdet(equations.own)[1].sum())
-    volume += 2 * len(own) * float(np.log(suite.scale).sum())
-    strain = np.sum(shared**2) / len(own) + np.sum((own / suite.scale)[:, count:] ** 2, axis=1)
+    volume = float(np.linalg.slogdet(left)[1] + np.linalg.slogdet(equations.local)[1].sum())
+    volume += 2 * len(local) * float(np.log(suite.scale).sum())
+    strain = np.sum(shared**2) / len(local) + np.sum((local / suite.scale)[:, count:] ** 2, axis=1)
     return SharesPosterior(
-        own[:, :count] * suite.present,
+        local[:, :count] * suite.present,
         covariance[:, :count, :count] * sought[:, :, None] * sought[:, None, :],
         lowest.value,
         -0.5 * (lowest.value + volume),
-        suite.ln_reflectance - suite.ln_model(shared, own),
+        suite.ln_reflectance - suite.ln_model(shared, local),
         strain,
     )
 
@@ -330,11 +337,10 @@ def estimate_series(
     *,
     method: str = "unmix",
     end_members: Sequence[EndMember] | None = None,
-    surface: HapkeSurface | None = None,
     model_error: float = MODEL_ERROR,
     iron: bool = False,
     present: Sequence[Sequence[str] | None] | None = None,
-    known: Sequence[Mapping[str, float] | None] | None = None,
+    given: Sequence[Mapping[str, float] | None] | None = None,
 ) -> Mixed:
     """Probabilities of the shares by volume of the named minerals, which sum to 1.
 
@@ -350,11 +356,10 @@ def estimate_series(
     minerals : two or more of `FAMILY_OF`, or others that `end_members` holds. `opaque` has a flat embedded end member.
     method : `hapke` mixes single-scattering albedos, `absorbance` mixes -ln R, `unmix` weights both by their evidence.
     end_members : instead of the embedded ones; at least one per mineral, over the channels compared.
-    surface : geometry, phase function and filling of `hapke`; 30, 0 deg, isotropic, none by default.
     model_error : standard deviation of ln R at 20 nm, above 0 and below 1. [-]
     iron : whether grains may be darkened by submicroscopic iron (`weathering`); with `hapke` only.
     present : of each spectrum, the minerals that it may hold; None for all.
-    known : of each spectrum, the fractions of all minerals, summing to 1; None where they are sought. [-]
+    given : of each spectrum, the fractions of all minerals, summing to 1; None where they are sought. [-]
 
     Raises
     ------
@@ -367,34 +372,36 @@ def estimate_series(
     13619, 10.1029/JB094iB10p13619.
     """
     _check(spectra, minerals, model_error)
-    laws = mixing_laws(method, surface, iron=iron)
+    laws = mixing_laws(method, iron=iron)
     names = [spectrum.id for spectrum in spectra]
     held = _held(names, minerals, present or [None] * len(names))
-    fractions = _known(names, minerals, known or [None] * len(names))
+    fractions = _stated_fractions(names, minerals, given or [None] * len(names))
     data = on_common_channels(spectra)
     library = embedded_end_members(data.wavelength_nm) if end_members is None else end_members
-    found = [
+    posteriors = [
         unmix(_suite(data, _powders(law, minerals, library, data), held, fractions, model_error, iron)) for law in laws
     ]
-    return _mixed(found, [MINERALS.index(name) for name in minerals if name != OPAQUE], model_error, len(spectra) > 1)
+    return _mixed(
+        posteriors, [MINERALS.index(name) for name in minerals if name != OPAQUE], model_error, len(spectra) > 1
+    )
 
 
-def _mixed(found: Sequence[SharesPosterior], places: Sequence[int], model_error: float, series: bool) -> Mixed:
+def _mixed(posteriors: Sequence[SharesPosterior], places: Sequence[int], model_error: float, series: bool) -> Mixed:
     """Draws of all laws, as many of each as its evidence says; minerals that are not named have a share of 0."""
-    evidence = np.array([item.ln_evidence for item in found])
+    evidence = np.array([item.ln_evidence for item in posteriors])
     weight = np.exp(evidence - evidence.max())
     weight /= weight.sum()
     counts = np.maximum(1, np.round(DRAWS * weight).astype(int))
-    drawn = zip(found, counts, strict=True)
+    drawn = zip(posteriors, counts, strict=True)
     draws = np.concatenate([item.draws(int(count), SEED + k) for k, (item, count) in enumerate(drawn)])
     shares = draws[..., : len(places)] / draws[..., : len(places)].sum(axis=-1, keepdims=True)
-    square = sum(share * np.mean(item.ln_residual**2, axis=1) for share, item in zip(weight, found, strict=True))
-    strain = sum(share * item.strain for share, item in zip(weight, found, strict=True))
+    square = sum(share * np.mean(item.ln_residual**2, axis=1) for share, item in zip(weight, posteriors, strict=True))
+    strain = sum(share * item.strain for share, item in zip(weight, posteriors, strict=True))
     probabilities = np.zeros((draws.shape[1], len(MINERALS), SHARES.size))
     probabilities[:, :, 0] = 1.0
     for k, place in enumerate(places):
         probabilities[:, place] = shared_out(shares[:, :, k]).mean(axis=0)
-    strange = square / model_error**2 + strain / found[0].ln_residual.shape[1]
+    strange = square / model_error**2 + strain / posteriors[0].ln_residual.shape[1]
     return Mixed(probabilities, np.asarray(strange), np.sqrt(square), series)
 
 
@@ -409,34 +416,35 @@ def _check(spectra: Sequence[Spectrum], minerals: Sequence[str], model_error: fl
 
 def _held(names: Sequence[str], minerals: Sequence[str], present: Sequence[Sequence[str] | None]) -> FloatArray:
     held = np.ones((len(names), len(minerals)))
-    for row, name, own in zip(held, names, present, strict=True):
-        if own is not None:
-            row[:] = [mineral in own for mineral in minerals]
+    for row, name, some in zip(held, names, present, strict=True):
+        if some is not None:
+            row[:] = [mineral in some for mineral in minerals]
             if not row.any():
                 raise ParameterError(f"{name}: none of the minerals stated is one of {', '.join(minerals)}")
     return held
 
 
-def _known(names: Sequence[str], minerals: Sequence[str], known: Sequence[Mapping[str, float] | None]) -> FloatArray:
+def _stated_fractions(
+    names: Sequence[str], minerals: Sequence[str], stated: Sequence[Mapping[str, float] | None]
+) -> FloatArray:
     fractions = np.full((len(names), len(minerals)), np.nan)
-    for row, name, given in zip(fractions, names, known, strict=True):
+    for row, name, given in zip(fractions, names, stated, strict=True):
         if given is None:
             continue
-        beyond = [mineral for mineral, share in given.items() if share > 0 and mineral not in minerals]
-        if beyond:
-            raise ParameterError(f"{name} holds {beyond[0]}, which is not one of {', '.join(minerals)}; add it to them")
         row[:] = [given.get(mineral, 0.0) for mineral in minerals]
         if not (row.min() >= 0 and abs(row.sum() - 1) <= SUM_TOLERANCE):
-            raise DataError(f"{name}: known fractions of {', '.join(minerals)} sum to {row.sum():g}; give shares of 1")
+            raise DataError(
+                f"{name}: known fractions of {', '.join(minerals)} sum to {row.sum():g}; name all, with shares of 1"
+            )
         row /= row.sum()
     return fractions
 
 
 def _powders(law: MixingLaw, minerals: Sequence[str], library: Sequence[EndMember], data: CommonChannels) -> Powders:
-    found = [population(mineral, library, data.wavelength_nm, law) for mineral in minerals]
+    populations = [population(mineral, library, data.wavelength_nm, law) for mineral in minerals]
     if len(data.ln_reflectance) > 1:
-        found = [loosened(item, data.wavelength_nm) for item in found]
-    return Powders(law, found)
+        populations = [loosened(item, data.wavelength_nm) for item in populations]
+    return Powders(law, populations)
 
 
 def _suite(

@@ -46,10 +46,9 @@ SURE = {"powder-mixture": 0.9, "dark-rock-powder": 0.8, "weathered-soil": 0.8, "
 """Probability from which a kind is named; assumed."""
 WEATHERED = 0.5
 """Probability of a surface that space has weathered, soil or rock, from which it counts as one; assumed."""
-STRANGE = 0.01
-"""Probability of a spectrum of the kind lying farther from its mean, below which one is a stranger; assumed."""
-CONTRADICTED = 0.02
-"""Probability of a stated kind below which the spectrum is a stranger to it; assumed."""
+SIGNIFICANCE = 0.01
+"""Probability below which a spectrum is an outlier: of one of its kind lying farther from the mean, and of the kind
+stated; assumed."""
 SCALED, BRIGHTEST = 1e-6, 1.1
 """How near 1 a reflectance is that was scaled to it, and above what none is that of a powder; assumed."""
 
@@ -63,7 +62,7 @@ class KindVerdict:
     kind : one of `KINDS`, or `NOT_DETERMINED`.
     probabilities : by kind, before anything is known of the target, each as likely as the others; they sum to 1. [-]
     weathered : probability of a surface that space has weathered, soil or rock. [-]
-    stranger : whether the spectrum is unlike all that is known of its kind, and where that is open, of every kind; or
+    outlier : whether the spectrum is unlike all that is known of its kind, and where that is open, of every kind; or
         far likelier of another kind than stated; or no reflectance, but scaled.
     stated : whether the kind was stated, not found.
     reasons : sentences; empty where there is nothing to say.
@@ -72,7 +71,7 @@ class KindVerdict:
     kind: str
     probabilities: Mapping[str, float]
     weathered: float
-    stranger: bool
+    outlier: bool
     stated: bool = False
     reasons: tuple[str, ...] = ()
 
@@ -86,7 +85,7 @@ class KindVerdict:
         return {
             "name": self.kind,
             "stated": self.stated,
-            "stranger": self.stranger,
+            "stranger": self.outlier,
             "probabilities": dict(self.probabilities),
             "weathered": self.weathered,
             "reasons": list(self.reasons),
@@ -128,9 +127,9 @@ class KindModel:
         """Squared distance from each component, and the logarithm of the determinant, (n, k) each."""
         there = np.isfinite(features)
         both = there[:, None, :, None] & there[:, None, None, :]
-        own = np.where(there, noise**2, 0.0)[:, None, :, None] * np.eye(features.shape[1])
+        of_noise = np.where(there, noise**2, 0.0)[:, None, :, None] * np.eye(features.shape[1])
         absent = np.where(there, 0.0, 1.0)[:, None, :, None] * np.eye(features.shape[1])
-        covariance = np.where(both, self.covariance[None] + own, 0.0) + absent
+        covariance = np.where(both, self.covariance[None] + of_noise, 0.0) + absent
         apart = np.where(there, features, 0.0)[:, None, :] - np.where(there[:, None, :], self.mean[None], 0.0)
         solved = np.linalg.solve(covariance, apart[..., None])[..., 0]
         return np.sum(apart * solved, axis=-1), np.linalg.slogdet(covariance)[1]
@@ -151,8 +150,8 @@ def embedded_kinds() -> KindModel:
 
 def spectral_features(spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
     """`features_of_rows` of the usable channels of one spectrum, (9,) each."""
-    usable, own = spectrum.usable, spectrum.uncertainty
-    errors = None if own is None else own[usable][None]
+    usable, uncertainty = spectrum.usable, spectrum.uncertainty
+    errors = None if uncertainty is None else uncertainty[usable][None]
     features, noise = features_of_rows(spectrum.wavelength_nm[usable], spectrum.reflectance[usable][None], errors)
     return features[0], noise[0]
 
@@ -191,11 +190,6 @@ def _are_scaled(reflectance: FloatArray) -> BoolArray:
     return np.asarray((reflectance.max(axis=1) > BRIGHTEST) | np.any(np.abs(reflectance - 1.0) < SCALED, axis=1))
 
 
-def find_kind(spectrum: Spectrum, stated: Kind | None = None, model: KindModel | None = None) -> KindVerdict:
-    """The kind of target of one spectrum; see `find_kinds`."""
-    return find_kinds([spectrum], stated, model)[0]
-
-
 def find_kinds(
     spectra: Sequence[Spectrum], stated: Kind | None = None, model: KindModel | None = None
 ) -> list[KindVerdict]:
@@ -204,7 +198,7 @@ def find_kinds(
     Parameters
     ----------
     spectra : reflectance; features outside of their channels are left out, and with fewer than 6 of 9 the kind is open.
-    stated : the kind where it is known; then only `stranger` is judged, by that kind.
+    stated : the kind where it is known; then only `outlier` is judged, by that kind.
     model : instead of the embedded one.
 
     Raises
@@ -218,8 +212,9 @@ def find_kinds(
     taken = [spectral_features(spectrum) for spectrum in spectra]
     features, noise = (np.array([item[k] for item in taken]) for k in (0, 1))
     law = model or embedded_kinds()
-    chance, likeness = law.probabilities(features, noise), law.likeness(features)
-    return [_verdict(law, *row, stated) for row in zip(features, chance, likeness, strict=True)]
+    shares, named, weathered = _named_rows(law, features, law.probabilities(features, noise))
+    rows = zip(features, shares, named.tolist(), weathered.tolist(), law.likeness(features), strict=True)
+    return [_verdict(law, *row, stated) for row in rows]
 
 
 def kinds_of_rows(
@@ -232,59 +227,50 @@ def kinds_of_rows(
     """
     law, count = embedded_kinds(), len(reflectance)
     features, noise = features_of_rows(wavelength_nm, reflectance)
-    chance = law.probabilities(features, noise)
-    place, dark, weathered = _named_rows(law, features, chance)
+    shares, named, likely = _named_rows(law, features, law.probabilities(features, noise))
+    weathered = (named == KINDS.index("weathered-soil")) | (likely >= WEATHERED)
     if stated is None:
-        return place, dark, weathered
-    own = KINDS.index(stated)
-    return np.full(count, own), np.full(count, float(own > 0)), weathered | (stated == "weathered-soil")
+        return named, 1.0 - shares[:, 0], weathered
+    given = KINDS.index(stated)
+    return np.full(count, given), np.full(count, float(given > 0)), weathered | (stated == "weathered-soil")
 
 
-def _named_rows(law: KindModel, features: FloatArray, chance: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Place in `KINDS` or -1, probability of no mixture of powders, and whether weathered, (n,) each."""
-    shares = np.column_stack([chance[:, [own == kind for own in law.kinds]].sum(axis=1) for kind in KINDS])
+def _named_rows(law: KindModel, features: FloatArray, chance: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Probabilities of the kinds (n, 4), number of the one that is named or -1, and probability of a weathered surface,
+    (n,) each, of probabilities (n, k)."""
+    shares = np.column_stack([chance[:, [one == kind for one in law.kinds]].sum(axis=1) for kind in KINDS])
     likely = shares.argmax(axis=1)
     sure = shares.max(axis=1) >= np.array([SURE[kind] for kind in KINDS])[likely]
     sure &= np.isfinite(features).sum(axis=1) >= LEAST_FEATURES
-    place = np.where(sure, likely, -1)
-    return place, 1.0 - shares[:, 0], (place == KINDS.index("weathered-soil")) | (_weathered(law, chance) >= WEATHERED)
+    weathered = chance[:, [name in ("soil", "rover-rock") for name in law.components]].sum(axis=1)
+    return shares, np.where(sure, likely, -1), weathered
 
 
 def _verdict(
-    law: KindModel, features: FloatArray, chance: FloatArray, likeness: FloatArray, stated: Kind | None
-) -> KindVerdict:
-    shares: dict[str, float] = {kind: float(chance[[own == kind for own in law.kinds]].sum()) for kind in KINDS}
-    weathered = float(_weathered(law, chance[None])[0])
+    law: KindModel, features: FloatArray, chance: FloatArray, named: int, weathered: float, likeness: FloatArray,
+    stated: Kind | None,
+) -> KindVerdict:  # fmt: skip
+    shares: dict[str, float] = dict(zip(KINDS, chance.tolist(), strict=True))
+    kind = stated or (NOT_DETERMINED if named < 0 else KINDS[named])
     reasons = [] if np.isfinite(features[0]) else ["no reflectance: scaled, or its continuum removed"]
+    outlier = bool(reasons)
     if np.isfinite(features).sum() < LEAST_FEATURES:
-        return KindVerdict(stated or NOT_DETERMINED, shares, weathered, True, stated is not None,
-                           ("too few channels from 450 to 2380 nm to know its kind", *reasons))  # fmt: skip
-    kind = stated or _named(shares)
-    judged = [kind == NOT_DETERMINED or own == kind for own in law.kinds]
-    unlike = bool(likeness[judged].max() < STRANGE)
-    stranger = unlike or not np.isfinite(features[0])
-    if unlike:
-        reasons.append(f"unlike every {kind} known" if kind != NOT_DETERMINED else "unlike every kind known")
-    if stated and shares[stated] < CONTRADICTED:
-        stranger = True
-        reasons.append(f"looks like {max(shares, key=lambda own: shares[own])} rather than {stated}")
-    if kind == NOT_DETERMINED:
-        reasons.append(_between(shares, weathered))
-    return KindVerdict(kind, shares, weathered, stranger, stated is not None, tuple(reasons))
-
-
-def _weathered(law: KindModel, chance: FloatArray) -> FloatArray:
-    """Probability of a surface that space has weathered, (n,), of probabilities (n, k). [-]"""
-    return np.asarray(chance[:, [name in ("soil", "rover-rock") for name in law.components]].sum(axis=1))
-
-
-def _named(shares: Mapping[str, float]) -> str:
-    likely = max(shares, key=lambda kind: shares[kind])
-    return likely if shares[likely] >= SURE[likely] else NOT_DETERMINED
+        reasons, outlier = ["too few channels from 450 to 2380 nm to know its kind", *reasons], True
+    else:
+        judged = [kind == NOT_DETERMINED or one == kind for one in law.kinds]
+        if likeness[judged].max() < SIGNIFICANCE:
+            reasons.append(f"unlike every {'kind' if kind == NOT_DETERMINED else kind} known")
+            outlier = True
+        if stated and shares[stated] < SIGNIFICANCE:
+            reasons.append(f"looks like {max(shares, key=shares.__getitem__)} rather than {stated}")
+            outlier = True
+        if kind == NOT_DETERMINED:
+            reasons.append(_between(shares, weathered))
+    return KindVerdict(kind, shares, weathered, outlier, stated is not None, tuple(reasons))
 
 
 def _between(shares: Mapping[str, float], weathered: float) -> str:
     pair = ["weathered-soil", "solid-rock"] if weathered >= WEATHERED else list(shares)
-    told = [f"{name} {100 * shares[name]:.0f} %" for name in sorted(pair, key=lambda kind: -shares[kind])[:2]]
+    shown = [f"{name} {100 * shares[name]:.0f} %" for name in sorted(pair, key=lambda kind: -shares[kind])[:2]]
     alike = ", which look alike" if weathered >= WEATHERED else ""
-    return f"{', '.join(told)}{alike}: not decided, state the kind"
+    return f"{', '.join(shown)}{alike}: not decided, state the kind"

@@ -40,14 +40,14 @@ class PyroxeneShares:
 
     Attributes
     ----------
-    told : (n,) whether there is a ratio.
+    determined : (n,) whether there is a ratio.
     in_domain : (n,) whether both shares are likely within `GOOD`, and the kind of target is one that was tested.
     shares : (n, 2) of orthopyroxene and clinopyroxene; NaN without a ratio. [-]
     ends : (n, 2, 4) low, high, low95, high95 of each. [-]
     statuses : n sentences.
     """
 
-    told: BoolArray
+    determined: BoolArray
     in_domain: BoolArray
     shares: FloatArray
     ends: FloatArray
@@ -55,7 +55,7 @@ class PyroxeneShares:
 
     def abundance(self, row: int, name: str, rms_ln: float) -> Abundance | None:
         """What is found of one fit; None without a ratio."""
-        if not self.told[row]:
+        if not self.determined[row]:
             return None
         pairs = zip(PYROXENES, self.shares[row].tolist(), self.ends[row].tolist(), strict=True)
         fractions = tuple(MineralFraction(mineral, share, *ends) for mineral, share, ends in pairs)
@@ -74,10 +74,10 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows) -> PyroxeneSha
     """
     from scipy.special import stdtr, stdtrit
 
-    told, weathered = _is_told(batch), np.zeros(len(batch), dtype=bool)
-    if told.any():
-        own = np.flatnonzero(told)
-        weathered[own] = kinds_of_rows(*rows.seen(own))[2]
+    determined, weathered = _has_ratio(batch), np.zeros(len(batch), dtype=bool)
+    if determined.any():
+        rows_here = np.flatnonzero(determined)
+        weathered[rows_here] = kinds_of_rows(*rows.seen(rows_here))[2]
     ratio, sigma = batch.um2[:, 0], np.nan_to_num(batch.um2[:, 2])
     spread = np.where(weathered, 1.0, 4.0 * ratio * (1.0 - ratio))
     law = _law_of(batch.model.assemblage.name)
@@ -87,8 +87,8 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows) -> PyroxeneSha
     shares = np.column_stack([ratio, 1.0 - ratio])
     ends = np.clip(shares[:, :, None] + scale[:, None, None] * reach, 0.0, 1.0)
     doubted = batch.strained.any(axis=1) | batch.beyond_trend.any(axis=1) | batch.ratios_differ
-    inside = told & ~weathered & ~doubted & (near >= LIKELY)
-    return PyroxeneShares(told, inside, shares, ends, list(map(_status, near, weathered, doubted, inside)))
+    inside = determined & ~weathered & ~doubted & (near >= LIKELY)
+    return PyroxeneShares(determined, inside, shares, ends, list(map(_status, near, weathered, doubted, inside)))
 
 
 def _law_of(assemblage: str) -> Mapping[str, str]:
@@ -105,15 +105,15 @@ def _status(near: float, weathered: bool, doubted: bool, inside: bool) -> str:
     return within if inside else f"out of domain: only {within}, as of one pyroxene that has the bands of two"
 
 
-def _is_told(batch: FitBatch) -> BoolArray:
+def _has_ratio(batch: FitBatch) -> BoolArray:
     """(n,) whether there is a ratio of which shares could be made."""
     return np.asarray(np.isfinite(batch.um2[:, 0]) & (not batch.model.whole))
 
 
 def nbsr_abundance(fit: MgmFit) -> Abundance | None:
     """`pyroxene_shares` of one fit; None without a ratio, and of fits by damping."""
-    found = pyroxene_shares(batch_of(fit), MgmRows.together([fit.data]))
-    return None if fit.prior == "damping" else found.abundance(0, fit.id, fit.rms_ln)
+    result = pyroxene_shares(batch_of(fit), MgmRows.together([fit.data]))
+    return None if fit.prior == "damping" else result.abundance(0, fit.id, fit.rms_ln)
 
 
 class PyroxeneAbundances(Mapping[int, list[Abundance]]):
@@ -124,27 +124,27 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         self._converged = fits.gathered(lambda batch: batch.converged) > 0
 
     @property
-    def any_told(self) -> bool:
+    def any_determined(self) -> bool:
         """Whether of any of them shares could be made."""
-        found = self._fits.gathered(lambda batch: _is_told(batch))
-        return bool(((found > 0) & self._converged).any())
+        result = self._fits.gathered(lambda batch: _has_ratio(batch))
+        return bool(((result > 0) & self._converged).any())
 
     @cached_property
     def shares(self) -> PyroxeneShares:
         """Of all spectra."""
         count = len(self._fits)
-        found = PyroxeneShares(
+        whole = PyroxeneShares(
             np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), np.full((count, 2), np.nan),
             np.full((count, 2, 4), np.nan), [""] * count,
         )  # fmt: skip
         for positions, rows, batch in self._fits.parts:
-            own = pyroxene_shares(batch, rows)
-            found.told[positions], found.in_domain[positions] = own.told, own.in_domain
-            found.shares[positions], found.ends[positions] = own.shares, own.ends
-            for position, status in zip(positions.tolist(), own.statuses, strict=True):
-                found.statuses[position] = status
-        found.told[~self._converged] = False
-        return found
+            part = pyroxene_shares(batch, rows)
+            whole.determined[positions], whole.in_domain[positions] = part.determined, part.in_domain
+            whole.shares[positions], whole.ends[positions] = part.shares, part.ends
+            for position, status in zip(positions.tolist(), part.statuses, strict=True):
+                whole.statuses[position] = status
+        whole.determined[~self._converged] = False
+        return whole
 
     def __len__(self) -> int:
         return int(self._converged.sum())
@@ -155,18 +155,18 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
     def __getitem__(self, position: int) -> list[Abundance]:
         if not (0 <= position < self._converged.size and self._converged[position]):
             raise KeyError(position)
-        found = self.shares.abundance(position, self._names[position], float(self._rms[position]))
-        return [found] if found else []
+        result = self.shares.abundance(position, self._names[position], float(self._rms[position]))
+        return [result] if result else []
 
     def record_columns(self) -> dict[str, Column]:
         """The key `abundance` of records."""
 
-        own, keys = self.shares, ("low", "high", "low95", "high95")
+        shares, keys = self.shares, ("low", "high", "low95", "high95")
         one: dict[str, Column] = {
             "method": "nbsr",
-            "in_domain": own.in_domain,
+            "in_domain": shares.in_domain,
             "not_weighed": Same([mineral for mineral in CHEMISTRY if mineral not in PYROXENES]),
-            "status": own.statuses,
+            "status": shares.statuses,
             "rms_ln": self._rms,
             "learned": None,
             "ratios": Same({}),
@@ -176,20 +176,20 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         }
         for k, mineral in enumerate(PYROXENES):
             one[mineral] = {
-                "fraction": own.shares[:, k],
-                **dict(zip(keys, own.ends[:, k].T, strict=True)),
+                "fraction": shares.shares[:, k],
+                **dict(zip(keys, shares.ends[:, k].T, strict=True)),
                 "present": None,
             }
-        return {"abundance": Where(own.told, one)}
+        return {"abundance": Where(shares.determined, one)}
 
     def table_columns(self) -> dict[str, Column]:
         """`nbsr_in_domain`, `nbsr_orthopyroxene` and the like."""
-        own = self.shares
-        columns: dict[str, Column] = {"nbsr_in_domain": Where(own.told, own.in_domain)}
+        shares = self.shares
+        columns: dict[str, Column] = {"nbsr_in_domain": Where(shares.determined, shares.in_domain)}
         for k, mineral in enumerate(PYROXENES):
-            columns[f"nbsr_{mineral}"] = Where(own.told, own.shares[:, k])
+            columns[f"nbsr_{mineral}"] = Where(shares.determined, shares.shares[:, k])
             for number, end in enumerate(("low", "high", "low95", "high95")):
-                columns[f"nbsr_{mineral}_{end}"] = Where(own.told, own.ends[:, k, number])
+                columns[f"nbsr_{mineral}_{end}"] = Where(shares.determined, shares.ends[:, k, number])
         return columns
 
 

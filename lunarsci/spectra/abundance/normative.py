@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import as_label, headline, page
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import WINDOWS_NM, KindVerdict, spectral_features
+from lunarsci.spectra.abundance.result import Bar, BarPanel, bar_pages
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ class Normative:
 
     def to_dict(self) -> dict[str, Any]:
         """The key `normative` of `lunarsci spectra unmix --json`."""
-        found = {name: value.to_dict() for name, value in self.values.items()}
-        return {name: found.get(name) for name in FEATURES} | {"in_domain": self.in_domain, "status": self.status}
+        records = {name: value.to_dict() for name, value in self.values.items()}
+        return {name: records.get(name) for name in FEATURES} | {"in_domain": self.in_domain, "status": self.status}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,11 +117,11 @@ def soil_features(spectrum: Spectrum) -> dict[str, float]:
     ----------
     Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1999JE001117 (the angle).
     """
-    found = dict(zip(WINDOWS_NM, spectral_features(spectrum)[0], strict=True))
+    features = dict(zip(WINDOWS_NM, spectral_features(spectrum)[0], strict=True))
     return {
-        "darkness": float(np.arctan2(np.exp(found["blue"]) - ORIGIN, np.exp(found["level"]))),
-        "depth_2um": float(found["um1_96"] - 0.5 * (found["um1_52"] + found["um2_30"])),
-        "blue": float(found["blue"]),
+        "darkness": float(np.arctan2(np.exp(features["blue"]) - ORIGIN, np.exp(features["level"]))),
+        "depth_2um": float(features["um1_96"] - 0.5 * (features["um1_52"] + features["um2_30"])),
+        "blue": float(features["blue"]),
     }
 
 
@@ -156,56 +156,40 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
     """
     if reason := _unfit(kind):
         return Normative({}, False, f"not determined: {reason}")
-    found, laws = soil_features(spectrum), laws or embedded_regressions()
-    if not np.isfinite(list(found.values())).all():
+    features, laws = soil_features(spectrum), laws or embedded_regressions()
+    if not np.isfinite(list(features.values())).all():
         return Normative({}, False, "not determined: too few channels")
-    values = {name: law.estimate(np.array([found[key] for key in law.features])) for name, law in laws.items()}
+    values = {name: law.estimate(np.array([features[key] for key in law.features])) for name, law in laws.items()}
     doubt = "" if kind.kind == "weathered-soil" else "; if it is a soil, and no rock"
-    told = f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}"
+    text = f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}"
     if far := [name for name, value in values.items() if not value.within]:
-        told = f"out of domain: {', '.join(far)} lie beyond the soils learned from, so that errors are wide; {told}"
-    return Normative(values, not far, told)
+        text = f"out of domain: {', '.join(far)} lie beyond the soils learned from, so that errors are wide; {text}"
+    return Normative(values, not far, text)
 
 
 def _unfit(kind: KindVerdict) -> str:
     if not kind.is_weathered:
         return f"no weathered soil ({kind.kind})"
-    if kind.stranger:
+    if kind.outlier:
         return "; ".join(kind.reasons)
     soil, rock = (kind.probabilities[name] for name in ("weathered-soil", "solid-rock"))
-    told = f"solid rock {100 * rock:.0f} %, soil {100 * soil:.0f} %: not decided, state the kind"
-    return told if rock > soil and not kind.stated else ""
+    text = f"solid rock {100 * rock:.0f} %, soil {100 * soil:.0f} %: not decided, state the kind"
+    return text if rock > soil and not kind.stated else ""
 
 
-PER_PAGE = 40
 TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
+COLOR = "#0072B2"
 
 
-def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterator[Figure]":
+def normative_pages(names: Sequence[str], soils: Sequence[Normative]) -> "Iterator[Figure]":
     """One panel a quantity, one row a soil; a soil that is not determined has an empty row."""
-
-    for start in range(0, len(found), PER_PAGE):
-        part, labels = found[start : start + PER_PAGE], names[start : start + PER_PAGE]
-        figure = page(1.4 + 0.2 * len(part))
-        panels = figure.subplots(1, len(TITLES), sharey=True)
-        for panel, (name, title) in zip(panels, TITLES.items(), strict=True):
-            for row, item in enumerate(part):
-                _draw(panel, row, item.values.get(name))
-            panel.set_xlabel(title)
-            panel.set_xlim(left=0.0)
-            panel.grid(axis="x", color="0.9")
-        panels[0].set_yticks(np.arange(len(part)), [as_label(name, 28) for name in labels])
-        panels[0].set_ylim(len(part) - 0.5, -0.5)
-        headline(
-            figure,
-            "weathered soils: composition by regression, no modes of minerals\n"
-            "bars: 68 and 95 %; an empty row: not determined",
-        )
-        yield figure
-
-
-def _draw(panel: Any, row: int, value: NormativeValue | None) -> None:
-    if value is not None:
-        for low, high, width in ((value.low95, value.high95, 1.0), (value.low, value.high, 3.5)):
-            panel.plot([low, high], [row, row], color="#0072B2", linewidth=width, solid_capstyle="butt")
-        panel.plot(value.value, row, "o", color="#0072B2", markersize=5)
+    panels = []
+    for name, title in TITLES.items():
+        values = [item.values.get(name) for item in soils]
+        bars: list[Bar] = [(np.array([*value.to_dict().values()]), COLOR, COLOR) if value else None for value in values]
+        panels.append(BarPanel({"xlabel": title, "xlim": (0.0, None)}, bars))
+    text = (
+        "weathered soils: composition by regression, no modes of minerals\n"
+        "bars: 68 and 95 %; an empty row: not determined"
+    )
+    return bar_pages(names, panels, text)

@@ -6,10 +6,11 @@ The picture has one row for each spectrum and one panel for each mineral.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.figure import as_label, headline, page
 from lunarsci.spectra.library.end_member import CHEMISTRY
 from lunarsci.spectra.mgm.figure import COLORS, OTHER
@@ -93,7 +94,7 @@ class Abundance:
 
 
 def _values(item: MineralFraction) -> dict[str, float]:
-    return {name: getattr(item, name) for name in ("fraction", "low", "high", "low95", "high95", "present")}
+    return {name: getattr(item, name) for name in (*ENDS, "present")}
 
 
 def open_share(name: str) -> MineralFraction:
@@ -112,36 +113,53 @@ BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8
 """What is published of solid rocks seen by a rover, to be set beside their ratios."""
 
 
-def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
+def share_pages(abundances: Sequence[Abundance]) -> "Iterator[Figure]":
     """Shares in per cent; spectra outside the domain of the method have open circles, what is not determined none."""
+    panels = []
+    for mineral in dict.fromkeys(item.mineral for one in abundances for item in one.fractions):
+        color, bars = COLORS.get(mineral, OTHER), []
+        for one in abundances:
+            shares = [item for item in one.fractions if item.mineral == mineral]
+            face = color if one.in_domain else "white"
+            bars.append((100 * np.array([getattr(shares[0], end) for end in ENDS]), color, face) if shares else None)
+        panels.append(BarPanel({"title": mineral, "xlabel": "share [%]", "xlim": (-3, 103)}, bars))
+    text = "bars: 68 and 95 %; open: outside the domain; no dot: not determined"
+    return bar_pages([one.id for one in abundances], panels, f"mineral shares by {abundances[0].method}; {text}")
 
-    minerals = list(dict.fromkeys(item.mineral for one in found for item in one.fractions))
-    for start in range(0, len(found), PER_PAGE):
-        part = found[start : start + PER_PAGE]
-        figure = page(1.4 + 0.2 * len(part))
-        panels = figure.subplots(1, len(minerals), sharey=True, squeeze=False)[0]
-        for panel, mineral in zip(panels, minerals, strict=True):
-            for row, one in enumerate(part):
-                _draw(panel, row, one, mineral)
-            panel.set_title(mineral)
-            panel.set_xlim(-3, 103)
-            panel.set_xlabel("share [%]")
-            panel.grid(axis="x", color="0.9")
-        panels[0].set_yticks(np.arange(len(part)), [as_label(one.id, 28) for one in part])
-        panels[0].set_ylim(len(part) - 0.5, -0.5)
-        title = (
-            f"mineral shares by {found[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
-        )
-        headline(figure, title)
+
+ENDS = ("fraction", "low", "high", "low95", "high95")
+Bar: TypeAlias = tuple[FloatArray, str, str] | None
+"""Value, low, high, low95 and high95 of a row; colours of bar and dot."""
+
+
+class BarPanel(NamedTuple):
+    """A panel's properties (`Axes.set`), and the bar of each row."""
+
+    looks: dict[str, Any]
+    bars: Sequence[Bar]
+
+
+def bar_pages(names: Sequence[str], panels: Sequence[BarPanel], text: str) -> "Iterator[Figure]":
+    """A row for each name: a dot, and bars of 68 and 95 %; `PER_PAGE` rows a page."""
+    for start in range(0, len(names), PER_PAGE):
+        labels = names[start : start + PER_PAGE]
+        figure = page(1.4 + 0.2 * len(labels))
+        drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        for axes, (looks, bars) in zip(drawn, panels, strict=True):
+            for row, bar in enumerate(bars[start : start + PER_PAGE]):
+                _draw(axes, row, bar)
+            axes.set(**looks)
+            axes.grid(axis="x", color="0.9")
+        drawn[0].set_yticks(np.arange(len(labels)), [as_label(name, 28) for name in labels])
+        drawn[0].set_ylim(len(labels) - 0.5, -0.5)
+        headline(figure, text)
         yield figure
 
 
-def _draw(panel: Any, row: int, one: Abundance, mineral: str) -> None:
-
-    color = COLORS.get(mineral, OTHER)
-    for item in one.fractions:
-        if item.mineral == mineral:
-            for low, high, width in ((item.low95, item.high95, 1.0), (item.low, item.high, 3.5)):
-                panel.plot([100 * low, 100 * high], [row, row], color=color, linewidth=width, solid_capstyle="butt")
-            face = color if one.in_domain else "white"
-            panel.plot(100 * item.fraction, row, "o", color=color, markerfacecolor=face, markersize=5)
+def _draw(axes: Any, row: int, bar: Bar) -> None:
+    if bar is None:
+        return
+    (value, low, high, low95, high95), color, face = bar
+    for ends, width in (((low95, high95), 1.0), ((low, high), 3.5)):
+        axes.plot(ends, [row, row], color=color, linewidth=width, solid_capstyle="butt")
+    axes.plot(value, row, "o", color=color, markerfacecolor=face, markersize=5)

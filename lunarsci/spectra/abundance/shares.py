@@ -12,12 +12,26 @@ That a mineral is there has the odds that p' gives to shares above 5 %, brought 
 
 `share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
 networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
+
+Where it is asked for, shares of minerals in rocks that were brought back from the Moon are the prior: a mixture of
+Dirichlet distributions, one about each rock of `lunar_rock_modes.csv`, of parameters 1 + modes/h (Aitchison & Lauder
+1985, Applied Statistics 34, 129). The five classes of the table count alike, the rocks of a class alike. The width h is
+that by which each rock is likeliest by the others. Of pyroxene that was not divided in counting, pigeonite among it,
+any part may be orthopyroxene: of mare basalts nothing is known of it but by the spectrum.
+
+Shares s of m minerals drawn from the prior are weighed by what the spectrum says of each mineral k,
+
+    w = prod_k [(1 - d) p_k(s_k)/p0_k(s_k) + d]^((m - 1)/m),
+
+p_k its probabilities without the doubt d, which weighs nothing, and p0_k those of the mixtures that the networks
+learned from. The power is there since m shares that sum to 1 have m - 1 degrees of freedom.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import combinations
+from typing import TypeAlias
 
 import numpy as np
 
@@ -27,9 +41,101 @@ from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import WEATHERED, KindVerdict
 from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only, shared_out
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
-from lunarsci.spectra.abundance.rock_prior import KEPT, PRIOR, posterior
+
+ROCK_MODES = "lunar_rock_modes.csv"
+PRIOR = "lunar-rocks"
+RETURNED = 0.9
+"""Probability that a rock is of the kinds that were returned, before its spectrum is seen; assumed."""
+POWDERS = (0.5, 0.28, 0.13, 0.09)
+"""Of 1, 2, 3, 4 minerals in mixtures that the networks learned from, as `make_share_networks.py` has them; measured:
+a mineral alone is so often drawn as 6 to 11 %, and absent as 44 to 57 %."""
+DRAWN, RETAINED = 40_000, 4000
+"""Shares that are drawn, and those retained; measured: with 20 spectra of RELAB they weigh as much as 660 or more that
+weigh alike, 5,900 in the median, so that a mean errs by 0.04 of the standard deviation at most."""
+LEAST = 0.005
+"""Least mode where the width is found: none or a trace; assumed."""
+WIDTHS = np.geomspace(0.002, 0.5, 60)
+"""Of which the likeliest is taken, 0.013 as measured, far from both ends."""
+
+
+def rocks() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Modes of olivine, orthopyroxene, clinopyroxene and plagioclase (n, 4) and of undivided pyroxene (n,), which sum
+    to 1, and weights of the rocks (n,)."""
+    rows = table_rows(ROCK_MODES)
+    counted = np.array([[float(row[name] or 0.0) for name in (*MINERALS, "pyroxene")] for row in rows])
+    counted /= counted.sum(axis=1, keepdims=True)
+    _, place, count = np.unique([row["class"] for row in rows], return_inverse=True, return_counts=True)
+    return counted[:, :-1], counted[:, -1], 1.0 / (count[place] * count.size)
+
+
+@cache
+def width() -> float:
+    """The h of the highest likelihood of each rock by the others, of olivine, pyroxene and plagioclase. [-]"""
+    from scipy.special import gammaln
+
+    modes, undivided, weight = rocks()
+    parts = np.column_stack([modes[:, 0], modes[:, 1] + modes[:, 2] + undivided, modes[:, 3]])
+    ln_parts = np.log(np.maximum(parts, LEAST))
+    others = weight * (1.0 - np.eye(len(weight)))
+    others /= others.sum(axis=1, keepdims=True)
+    likelihood = []
+    for h in WIDTHS:
+        power = parts / h + (0.0, 1.0, 0.0)
+        norm = gammaln((power + 1.0).sum(axis=1)) - gammaln(power + 1.0).sum(axis=1)
+        likelihood.append(weight @ np.log(others * np.exp(norm + ln_parts @ power.T) @ np.ones(len(weight))))
+    return float(WIDTHS[int(np.argmax(likelihood))])
+
+
+@cache
+def drawn_rocks(allowed: tuple[bool, ...]) -> FloatArray:
+    """Shares (DRAWN, 4) of rocks without the minerals that may not be there."""
+    rng = np.random.default_rng(0)
+    modes, undivided, weight = rocks()
+    row = rng.choice(len(weight), DRAWN, p=weight)
+    part = rng.random(DRAWN) * undivided[row]
+    mean = modes[row] + np.stack([0 * part, part, undivided[row] - part, 0 * part], axis=-1)
+    return _of(rng.standard_gamma(1.0 + mean / width()), allowed)
+
+
+@cache
+def drawn_powders(allowed: tuple[bool, ...]) -> tuple[FloatArray, FloatArray]:
+    """Shares (DRAWN, 4) as the networks learned them, each mineral alike, and how often there are `SHARES`, (4, 21)."""
+    rng = np.random.default_rng(1)
+    count = rng.choice(np.arange(1, len(POWDERS) + 1), DRAWN, p=POWDERS)
+    there = rng.random((DRAWN, len(MINERALS))).argsort(axis=1) < count[:, None]
+    shares = _of(rng.standard_gamma(1.0, there.shape) * there, allowed)
+    return shares, shared_out(shares).mean(axis=0)
+
+
+def _of(amounts: FloatArray, allowed: tuple[bool, ...]) -> FloatArray:
+    amounts = amounts * allowed
+    amounts = amounts[amounts.sum(axis=1) > 0]
+    return np.asarray(amounts / amounts.sum(axis=1, keepdims=True))
+
+
+def posterior(probabilities: FloatArray, doubt: float, allowed: tuple[bool, ...]) -> tuple[FloatArray, float]:
+    """Shares (RETAINED, 4) of rocks that a spectrum may be of, and the probability that it is of one like these.
+
+    `probabilities` : of `SHARES` of each mineral by the spectrum, (4, 21), doubt included.
+    """
+    rock, (powder, usual) = drawn_rocks(allowed), drawn_powders(allowed)
+    sure = np.maximum(probabilities - doubt / SHARES.size, 0.0)
+    ratio = sure / np.maximum(usual, 1e-9) + doubt
+    weigh, other = (_weights(shares, ratio, allowed) for shares in (rock, powder))
+    odds = RETURNED * weigh.mean() / ((1.0 - RETURNED) * other.mean())
+    retained = np.random.default_rng(2).choice(len(rock), RETAINED, p=weigh / weigh.sum())
+    return rock[retained], float(odds / (1.0 + odds))
+
+
+def _weights(shares: FloatArray, ratio: FloatArray, allowed: tuple[bool, ...]) -> FloatArray:
+    places = np.flatnonzero(allowed)
+    each = [np.log(np.maximum(np.interp(shares[:, k], SHARES, ratio[k]), 1e-9)) for k in places]
+    return np.asarray(np.exp((places.size - 1) / places.size * np.sum(each, axis=0)))
+
 
 TABLE = "share_calibration.csv"
+Coefficients: TypeAlias = Mapping[tuple[str, str], float]
+"""By quantity and term."""
 GOOD = 0.15
 """How near all shares must be for a good answer; assumed."""
 LIKELY = 0.7
@@ -50,14 +156,14 @@ RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene"
 class Mixed:
     """What mixtures of end members say: probabilities of `SHARES`, (n, 4, 21); what they miss, (n,); rms of ln R, (n,).
 
-    `series` : whether the spectra were taken together. `own` : whether the end members are the user's, who knows them.
+    `series` : whether the spectra were taken together. `trusted` : whether the end members are the user's own.
     """
 
     probabilities: FloatArray
     strange: FloatArray
     rms_ln: FloatArray
     series: bool = False
-    own: bool = False
+    trusted: bool = False
 
     @property
     def weight_name(self) -> str:
@@ -101,19 +207,19 @@ class CalibratedShares:
         some = np.clip(1.0 - _at(self.below, np.full(self.mean.shape, SOME)), 1e-4, 1.0 - 1e-4)
         return np.asarray(np.log(some / (1.0 - some)))
 
-    def present(self, calibration: Mapping[tuple[str, str], float]) -> FloatArray:
+    def present(self, calibration: Coefficients) -> FloatArray:
         """Probability of more than `SOME` of each mineral, (n, 4), as often right as it says."""
         constant, slope = (calibration["logit_present", term] for term in ("constant", "ln_odds"))
         return _logistic(constant + slope * self.ln_odds_of_some())
 
     def drawn(self, row: int) -> FloatArray:
-        """Shares (KEPT, 4) of one spectrum: of rocks, or each mineral by itself, so that they sum to 1 on the mean."""
+        """Shares (RETAINED, 4) of one spectrum: of rocks, or each mineral by itself: they sum to 1 on the mean."""
         if self.alone is not None and self.returned is not None:
-            own = self.alone
-            rocks, _ = posterior(own.probabilities[row], own.doubt[row], own.there(row))
-            like_them = np.linspace(0.0, 1.0, KEPT, endpoint=False)[:, None] < self.returned[row]
-            return np.where(like_them, rocks, own.drawn(row))
-        uniform = np.random.default_rng(0).random((KEPT, len(MINERALS)))
+            alone = self.alone
+            rocks, _ = posterior(alone.probabilities[row], alone.doubt[row], alone.there(row))
+            like_them = np.linspace(0.0, 1.0, RETAINED, endpoint=False)[:, None] < self.returned[row]
+            return np.where(like_them, rocks, alone.drawn(row))
+        uniform = np.random.default_rng(0).random((RETAINED, len(MINERALS)))
         each = [np.interp(uniform[:, k], self.below[row, k], FINE) for k in range(len(MINERALS))]
         return np.column_stack(each) * self.there(row)
 
@@ -128,21 +234,21 @@ class CalibratedShares:
         """Which minerals there may be in a spectrum."""
         return tuple((self.probabilities[row, :, 0] < 1.0).tolist())
 
-    def intervals(self, calibration: Mapping[tuple[str, str], float]) -> tuple[FloatArray, FloatArray]:
+    def intervals(self, calibration: Coefficients) -> tuple[FloatArray, FloatArray]:
         """Shortest intervals of 68 and of 95 %, the first within the second, (n, 4, 2) each."""
         below = self.below.reshape(-1, FINE.size)
-        found = []
+        levels = []
         for name in ("level68", "level95"):
             level = np.where(self.weight < 0.5, calibration[name, "alone"], calibration[name, "mixed"])
             ends = _shortest(below, np.repeat(level, len(MINERALS))).reshape(*self.mean.shape, 2)
-            found.append(np.stack([np.minimum(ends[..., 0], self.mean), np.maximum(ends[..., 1], self.mean)], axis=-1))
-        inner, outer = found
+            levels.append(np.stack([np.minimum(ends[..., 0], self.mean), np.maximum(ends[..., 1], self.mean)], axis=-1))
+        inner, outer = levels
         low, high = np.minimum(outer[..., 0], inner[..., 0]), np.maximum(outer[..., 1], inner[..., 1])
         return inner, np.stack([low, high], axis=-1)
 
 
 @cache
-def calibration() -> Mapping[tuple[str, str], float]:
+def calibration() -> Coefficients:
     """Coefficients by quantity and term."""
     return {(row["quantity"], row["term"]): float(row["value"]) for row in table_rows(TABLE)}
 
@@ -169,7 +275,7 @@ def _at(below: FloatArray, share: FloatArray) -> FloatArray:
 def _shortest(below: FloatArray, level: FloatArray) -> FloatArray:  # pragma: no cover
     """(n, 2) ends of the shortest interval that holds a level (n,) of each distribution (n, 201)."""
     count, last = below.shape[0], below.shape[1] - 1
-    found = np.empty((count, 2))
+    ends = np.empty((count, 2))
     for row in range(count):
         end, best, at = 0, last + 1, 0
         for start in range(last + 1):
@@ -181,29 +287,29 @@ def _shortest(below: FloatArray, level: FloatArray) -> FloatArray:  # pragma: no
                 best, at = end - start, start
         if best > last:
             best, at = last, 0
-        found[row, 0] = at / last if at > 1 else 0.0
-        found[row, 1] = (at + best) / last if at + best < last - 1 else 1.0
-    return found
+        ends[row, 0] = at / last if at > 1 else 0.0
+        ends[row, 1] = (at + best) / last if at + best < last - 1 else 1.0
+    return ends
 
 
 def pooled(
-    foretold: Foretold, mixed: Mixed | None, dark: FloatArray, known: Mapping[tuple[str, str], float]
+    foretold: Foretold, mixed: Mixed | None, dark: FloatArray, table: Coefficients
 ) -> tuple[FloatArray, FloatArray]:
     """Probabilities of both estimates together, (n, 4, 21), and the weight of the end members', (n,)."""
     if mixed is None:
         return foretold.probabilities, np.zeros(len(dark))
-    weight = weight_of_mixtures(foretold, mixed, dark, known)
+    weight = weight_of_mixtures(foretold, mixed, dark, table)
     part = weight[:, None, None]
     return (1.0 - part) * foretold.probabilities + part * mixed.probabilities, weight
 
 
-def weight_of_mixtures(foretold: Foretold, mixed: Mixed, dark: FloatArray, known: Mapping[tuple[str, str], float]
+def weight_of_mixtures(foretold: Foretold, mixed: Mixed, dark: FloatArray, table: Coefficients
                        ) -> FloatArray:  # fmt: skip
     """Of the end members' estimate beside the networks', (n,); 1 where the user knows them. [-]"""
-    if mixed.own:
+    if mixed.trusted:
         return np.ones(len(dark))
     terms = weight_terms(foretold, mixed, dark)
-    return _logistic(np.sum([known[mixed.weight_name, key] * term for key, term in terms.items()], axis=0))
+    return _logistic(np.sum([table[mixed.weight_name, key] * term for key, term in terms.items()], axis=0))
 
 
 def weight_terms(foretold: Foretold, mixed: Mixed, dark: FloatArray) -> dict[str, FloatArray]:
@@ -227,11 +333,14 @@ def how_dark(kinds: Sequence[KindVerdict]) -> FloatArray:
 
 
 def sharpened(
-    pooled: FloatArray, allowed: FloatArray, terms: Mapping[str, FloatArray], known: Mapping[tuple[str, str], float]
+    pooled: FloatArray,
+    allowed: FloatArray,
+    terms: Mapping[str, FloatArray],
+    table: Coefficients,
 ) -> tuple[FloatArray, FloatArray]:
     """The calibrated probabilities and the doubt, as the head of this module has them."""
-    power = np.exp(sum(known["ln_sharpness", key] * term for key, term in terms.items()))
-    doubt = _logistic(np.sum([known["logit_doubt", key] * term for key, term in terms.items()], axis=0))
+    power = np.exp(sum(table["ln_sharpness", key] * term for key, term in terms.items()))
+    doubt = _logistic(np.sum([table["logit_doubt", key] * term for key, term in terms.items()], axis=0))
     sharp = np.maximum(pooled, 1e-6) ** power[:, None, None]
     sharp /= sharp.sum(axis=-1, keepdims=True)
     mixed = (1.0 - doubt)[:, None, None] * sharp + doubt[:, None, None] / SHARES.size
@@ -240,20 +349,24 @@ def sharpened(
 
 def _summing_to_one(probabilities: FloatArray, allowed: FloatArray) -> FloatArray:
     """Of one mineral the share is 1; of two that of one is 1 less that of the other, which both tell."""
-    found, count = probabilities.copy(), (allowed > 0).sum(axis=1)
-    found[count == 1] = np.where((allowed[count == 1] > 0)[:, :, None], SHARES == 1.0, SHARES == 0.0)
+    closed, count = probabilities.copy(), (allowed > 0).sum(axis=1)
+    closed[count == 1] = np.where((allowed[count == 1] > 0)[:, :, None], SHARES == 1.0, SHARES == 0.0)
     for row in np.flatnonzero(count == 2):
         one, two = np.flatnonzero(allowed[row])
-        found[row, one] = 0.5 * (found[row, one] + found[row, two, ::-1])
-        found[row, two] = found[row, one, ::-1]
-    return found
+        closed[row, one] = 0.5 * (closed[row, one] + closed[row, two, ::-1])
+        closed[row, two] = closed[row, one, ::-1]
+    return closed
 
 
 def terms_of(
-    foretold: Foretold, dark: FloatArray, rock: FloatArray, weight: FloatArray, known: Mapping[tuple[str, str], float]
+    foretold: Foretold,
+    dark: FloatArray,
+    rock: FloatArray,
+    weight: FloatArray,
+    table: Coefficients,
 ) -> dict[str, FloatArray]:
     """What sharpness and doubt depend on; `strange` counts standard deviations beyond the usual distance."""
-    far = np.maximum((foretold.ln_distance - known["ln_distance", "usual"]) / known["ln_distance", "spread"], 0.0)
+    far = np.maximum((foretold.ln_distance - table["ln_distance", "usual"]) / table["ln_distance", "spread"], 0.0)
     return {"constant": np.ones_like(dark), "dark": dark, "strange": far, "rock": rock, "mixed": weight,
             "missing": foretold.missing, "shallow": foretold.shallow}  # fmt: skip
 
@@ -264,7 +377,7 @@ def answer(
     dark: FloatArray,
     rock: FloatArray,
     mixed: Mixed | None = None,
-    known: Mapping[tuple[str, str], float] | None = None,
+    table: Coefficients | None = None,
 ) -> CalibratedShares:
     """Calibrated probabilities of shares of n spectra.
 
@@ -275,21 +388,21 @@ def answer(
     dark, rock : (n,) probability of no mixture of powders, and of a solid rock. [-]
     mixed : what mixtures of end members say, if anything.
     """
-    known = known or calibration()
-    both, weight = pooled(foretold, mixed, dark, known)
-    return CalibratedShares(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, known), known), weight)
+    table = table or calibration()
+    both, weight = pooled(foretold, mixed, dark, table)
+    return CalibratedShares(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, table), table), weight)
 
 
-def with_rocks(own: CalibratedShares) -> CalibratedShares:
+def with_rocks(alone: CalibratedShares) -> CalibratedShares:
     """The answer where spectra are of rocks like those that were returned, unless they are like none of them.
 
     Nothing is left of the doubt: where the spectra say nothing it is the prior.
     """
-    both, returned = own.probabilities.copy(), np.empty(len(own.doubt))
+    both, returned = alone.probabilities.copy(), np.empty(len(alone.doubt))
     for row in range(len(returned)):
-        rocks, returned[row] = posterior(own.probabilities[row], own.doubt[row], own.there(row))
+        rocks, returned[row] = posterior(alone.probabilities[row], alone.doubt[row], alone.there(row))
         both[row] += returned[row] * (shared_out(rocks).mean(axis=0) - both[row])
-    return CalibratedShares(both, np.zeros_like(returned), own.weight, own, returned)
+    return CalibratedShares(both, np.zeros_like(returned), alone.weight, alone, returned)
 
 
 def abundances(
@@ -303,32 +416,34 @@ def abundances(
 ) -> list[Abundance]:
     """Shares of the minerals that there may be, by volume, with intervals and a verdict."""
     rock = np.array([float(kind.stated and kind.kind == "solid-rock") for kind in kinds])
-    own = answer(foretold, allowed, how_dark(kinds), rock, mixed)
-    found = with_rocks(own) if prior == PRIOR else own
-    trusted = own.near() >= LIKELY
-    mean, near, present = found.mean, found.near(), found.present(calibration())
-    ends = np.concatenate(found.intervals(calibration()), axis=-1)
+    unweighted = answer(foretold, allowed, how_dark(kinds), rock, mixed)
+    result = with_rocks(unweighted) if prior == PRIOR else unweighted
+    trusted = unweighted.near() >= LIKELY
+    mean, near, present = result.mean, result.near(), result.present(calibration())
+    ends = np.concatenate(result.intervals(calibration()), axis=-1)
     results = []
     for row, name in enumerate(names):
-        told = found.doubt[row] < NOTHING
-        value = mean[row] if told else np.full(len(MINERALS), np.nan)
+        determined = result.doubt[row] < NOTHING
+        value = mean[row] if determined else np.full(len(MINERALS), np.nan)
         numbers = np.column_stack([value, ends[row], present[row]]).tolist()
         fractions = tuple(
-            MineralFraction(mineral, *own)
-            for k, (mineral, own) in enumerate(zip(MINERALS, numbers, strict=True))
+            MineralFraction(mineral, *ends_of)
+            for k, (mineral, ends_of) in enumerate(zip(MINERALS, numbers, strict=True))
             if allowed[row, k]
         )
         weathered = kinds[row].weathered >= WEATHERED
-        inside = bool(told and trusted[row] and near[row] >= LIKELY and not weathered)
-        status = _status(found, row, near[row], weathered, fractions)
-        if mixed is not None and found.weight[row] < SOME:
+        inside = bool(determined and trusted[row] and near[row] >= LIKELY and not weathered)
+        status = _status(result, row, near[row], weathered, fractions)
+        if mixed is not None and result.weight[row] < SOME:
             status += "; mixtures of end members have no weight in it"
         left = None if mixed is None else float(mixed.rms_ln[row])
-        one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - found.weight[row]),
+        one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - result.weight[row]),
                         prior=prior)  # fmt: skip
-        if found.returned is not None:
-            one = _with_prior(one, float(found.returned[row]), mean[row] - own.mean[row], own.doubt[row] >= NOTHING)
-        results.append(replace(one, ratios=_ratios(found.drawn(row), allowed[row] > 0)) if rock[row] else one)
+        if result.returned is not None:
+            one = _with_prior(
+                one, float(result.returned[row]), mean[row] - unweighted.mean[row], unweighted.doubt[row] >= NOTHING
+            )
+        results.append(replace(one, ratios=_ratios(result.drawn(row), allowed[row] > 0)) if rock[row] else one)
     return results
 
 
@@ -337,10 +452,10 @@ def _with_prior(one: Abundance, returned: float, moved: FloatArray, alone: bool)
     k = int(np.argmax(np.abs(moved)))
     none = "" if one.in_domain or "out of domain" in one.status else "out of domain: without the prior it would be; "
     status = none + one.status
-    said = f"prior of returned rocks (like them with a probability of {returned:.2f}): {MINERALS[k]} moves by "
-    said += f"{100 * moved[k]:+.0f} %"
-    said += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
-    return replace(one, prior=PRIOR, returned=returned, status=f"{status}; {said}")
+    moves = f"prior of returned rocks (like them with a probability of {returned:.2f}): {MINERALS[k]} moves by "
+    moves += f"{100 * moved[k]:+.0f} %"
+    moves += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
+    return replace(one, prior=PRIOR, returned=returned, status=f"{status}; {moves}")
 
 
 def shares_of_rows(
@@ -352,21 +467,21 @@ def shares_of_rows(
     mixed: Mixed | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Of many spectra shares (n, 4), low, high, low95 and high95 (n, 4, 4), and whether they are in domain (n,)."""
-    found = answer(foretold, allowed, dark, rock, mixed)
-    told = found.doubt < NOTHING
-    mean = np.where(told[:, None], found.mean, np.nan)
-    ends = np.concatenate(found.intervals(calibration()), axis=-1)
-    return mean, ends, told & ~weathered & (found.near() >= LIKELY)
+    result = answer(foretold, allowed, dark, rock, mixed)
+    determined = result.doubt < NOTHING
+    mean = np.where(determined[:, None], result.mean, np.nan)
+    ends = np.concatenate(result.intervals(calibration()), axis=-1)
+    return mean, ends, determined & ~weathered & (result.near() >= LIKELY)
 
 
 def _status(
-    found: CalibratedShares, row: int, near: float, weathered: bool, fractions: Sequence[MineralFraction]
+    result: CalibratedShares, row: int, near: float, weathered: bool, fractions: Sequence[MineralFraction]
 ) -> str:
-    if found.doubt[row] >= NOTHING:
+    if result.doubt[row] >= NOTHING:
         return "not determined: unlike all spectra of known shares, so that nothing is known of these minerals"
     if len(fractions) == 1:
         return "the only mineral that there may be"
-    near = found.near()[row]
+    near = result.near()[row]
     parts = [
         f"{'' if near >= LIKELY else 'only '}with a probability of {near:.2f} each share is within {100 * GOOD:.0f} %"
     ]
@@ -374,17 +489,17 @@ def _status(
         parts.insert(0, "it looks weathered, as no spectrum of known shares does")
     if weathered or near < LIKELY:
         parts[0] = f"out of domain: {parts[0]}"
-    return "; ".join([*parts, *_open(found, row, fractions)])
+    return "; ".join([*parts, *_open(result, row, fractions)])
 
 
-def _open(found: CalibratedShares, row: int, fractions: Sequence[MineralFraction]) -> list[str]:
+def _open(result: CalibratedShares, row: int, fractions: Sequence[MineralFraction]) -> list[str]:
     """Minerals that may be there or not, and those of them that stand for each other."""
     open_ones = [item.mineral for item in fractions if OPEN[0] < item.present < OPEN[1]]
-    pair, parts = found.exchanged(row, [MINERALS.index(name) for name in open_ones]), []
+    pair, parts = result.exchanged(row, [MINERALS.index(name) for name in open_ones]), []
     if pair is not None:
         names = [MINERALS[k] for k in pair]
         between = ", or a pyroxene between both, such as pigeonite" if {*MAFIC[1:]} == {*names} else ""
-        total = 100 * found.mean[row, list(pair)].sum()
+        total = 100 * result.mean[row, list(pair)].sum()
         parts = [f"not told apart: {' or '.join(names)}{between} (together {total:.0f} %)"]
         open_ones = [name for name in open_ones if name not in names]
     return parts + ([f"may be absent: {' or '.join(open_ones)}"] if open_ones else [])

@@ -19,11 +19,16 @@ from lunarsci.spectra.jobs.other_causes import with_causes
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, TABLES
+from lunarsci.spectra.mgm.batch import beyond_any, compositions
 from lunarsci.spectra.mgm.columns import FitColumns, rows_of, rows_one_by_one
-from lunarsci.spectra.mgm.compositions import beyond_any, compositions
-from lunarsci.spectra.mgm.continua import check_continuum_removed, spread_over_continua
 from lunarsci.spectra.mgm.damping import fit_damping
-from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR, SpectraFits, fit_spectra
+from lunarsci.spectra.mgm.fit import (
+    DEFAULT_MODEL_ERROR,
+    SpectraFits,
+    check_continuum_removed,
+    fit_spectra,
+    spread_over_continua,
+)
 from lunarsci.spectra.mgm.fit_file import fit_file_of, fit_file_text, read_fit_file, read_start
 from lunarsci.spectra.mgm.intervals import Intervals, intervals_of
 from lunarsci.spectra.mgm.model import MgmModel, constrained, mgm_model, parse_compositions, stated_for
@@ -158,7 +163,7 @@ class MgmFits(Result):
 
         if not self._as_arrays:
             return rows_one_by_one(self.records, self.abundances, bands=bands)
-        shown = self.abundances.any_told  # type: ignore[attr-defined]
+        shown = self.abundances.any_determined  # type: ignore[attr-defined]
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)

@@ -19,9 +19,9 @@ from lunarsci.constants import MGM, NBSR, PAPER, SMOOTHING
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.end_members import StatedModes
 from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
 from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-from lunarsci.spectra.abundance.known_modes import KnownModes
 from lunarsci.spectra.abundance.learned import MINERALS, foretell
 from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
@@ -369,7 +369,7 @@ class UnmixProduct:
             mixed = None
             if own:
                 spectra = _spectra(wavelength_nm, reflectance)
-                mixed = mixed_estimate(spectra, foretold, allowed, KnownModes({}, {}), None, UnmixRequest(), None)
+                mixed = mixed_estimate(spectra, foretold, allowed, StatedModes({}, {}), None, UnmixRequest(), None)
             mean, ends, inside = shares_of_rows(foretold, allowed, dark, rock, weathered, mixed)
             values[f"shares{own}_in_domain"] = inside
             for k in map(MINERALS.index, self.minerals):
@@ -404,7 +404,7 @@ class MatchProduct:
         """Of the craters whose composition is known."""
 
         found = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))
-        return [crater.name for crater in found if crater.composition.known]
+        return [crater.name for crater in found if crater.composition.comparable]
 
     @property
     def layers(self) -> Sequence[Layer]:

@@ -16,7 +16,6 @@ from lunarsci.options import request_of
 from lunarsci.parallel.blocks import Progress
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.jobs.requests import MatchRequest
-from lunarsci.spectra.origin.assumptions import assumptions
 from lunarsci.spectra.origin.catalogue import (
     TABLE,
     Crater,
@@ -35,7 +34,15 @@ from lunarsci.spectra.origin.composition import (
     stated_composition,
     stated_number,
 )
-from lunarsci.spectra.origin.match import MatchSettings, RockMatch, RockMatches, match_records, match_rocks, match_table
+from lunarsci.spectra.origin.match import (
+    MatchSettings,
+    RockMatch,
+    RockMatches,
+    assumptions,
+    match_records,
+    match_rocks,
+    match_table,
+)
 from lunarsci.spectra.origin.mineral_map import MapReport, minerals_of, with_maps
 from lunarsci.spectra.origin.prior import CHANG_E_4, LAW_SOURCES, SURVIVAL_SOURCE, PriorSettings, Range
 

@@ -16,21 +16,19 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, reaches
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, StatedModes, reaches, read_modes
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
-from lunarsci.spectra.abundance.known_modes import KnownModes, read_modes
 from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each
 from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
 from lunarsci.spectra.abundance.mixing import IRON_TABLE
 from lunarsci.spectra.abundance.normative import TABLE as SOIL
 from lunarsci.spectra.abundance.normative import Normative, normative, normative_pages
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction, refused, share_pages
-from lunarsci.spectra.abundance.rock_prior import PRIOR
-from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
-from lunarsci.spectra.abundance.shares import SOME, Mixed, abundances
+from lunarsci.spectra.abundance.shares import PRIOR, SOME, Mixed, abundances
+from lunarsci.spectra.abundance.shares import ROCK_MODES as ROCKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
@@ -222,7 +220,7 @@ def _shares(
     spectra: Sequence[Spectrum],
     kinds: Sequence[KindVerdict],
     named: Sequence[str],
-    modes: KnownModes,
+    modes: StatedModes,
     end_members: Sequence[EndMember] | None,
     request: UnmixRequest,
     progress: Progress | None,
@@ -234,12 +232,12 @@ def _shares(
     for row, spectrum in zip(allowed, spectra, strict=True):
         for mineral in modes.absent.get(spectrum.id, ()):
             row[MINERALS.index(mineral)] = 0.0
-        if mineral_shares := modes.known.get(spectrum.id):
+        if mineral_shares := modes.shares.get(spectrum.id):
             row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
     foretold = foretell_each(spectra, allowed)
     mixed = mixed_estimate(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
     found = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior)
-    return [_as_stated(one, modes.known[one.id]) if one.id in modes.known else one for one in found]
+    return [_as_stated(one, modes.shares[one.id]) if one.id in modes.shares else one for one in found]
 
 
 def _as_stated(found: Abundance, known: Mapping[str, float]) -> Abundance:
@@ -257,7 +255,7 @@ def mixed_estimate(
     spectra: Sequence[Spectrum],
     foretold: Foretold,
     allowed: FloatArray,
-    modes: KnownModes,
+    modes: StatedModes,
     end_members: Sequence[EndMember] | None,
     request: UnmixRequest,
     progress: Progress | None,
@@ -277,9 +275,9 @@ def mixed_estimate(
     names = [[name for k, name in enumerate(MINERALS) if row[k]] for row in allowed]
     if request.in_series:
         groups, minerals = [there], [name for k, name in enumerate(MINERALS) if allowed[:, k].any()]
-        known = [modes.known.get(spectrum.id) for spectrum in spectra]
+        known = [modes.shares.get(spectrum.id) for spectrum in spectra]
         free = [None if told else some + dark for told, some in zip(known, names, strict=True)]
-        how |= {"present": [free[k] for k in there], "known": [known[k] for k in there]}
+        how |= {"present": [free[k] for k in there], "given": [known[k] for k in there]}
     else:
         groups = [[index] for index in there if len(names[index]) > 1]
     if not there and end_members is not None:
@@ -296,13 +294,13 @@ def mixed_estimate(
     return found
 
 
-def _known_modes(names: Sequence[str], file: InputFile | None) -> KnownModes:
+def _known_modes(names: Sequence[str], file: InputFile | None) -> StatedModes:
     """Modes stated of the spectra."""
 
     if file is None:
-        return KnownModes({}, {})
+        return StatedModes({}, {})
     modes = read_modes(file)
-    told = {*modes.known, *modes.absent}
+    told = {*modes.shares, *modes.absent}
     doubled = [name for name in names if name in told and names.count(name) > 1]
     if doubled:
         raise ParameterError(f"{file.name}: '{doubled[0]}' is the id of two spectra; give each its own")

@@ -19,8 +19,8 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.figure import LINE_STYLES, as_label, page
 from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import plain
-from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.columns import assign_roles
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -146,34 +146,16 @@ def _rows(table: str, name: str, minerals: set[str]) -> list[Mapping[str, str]]:
 
 
 def _band(row: Mapping[str, str]) -> BandPrior:
-    return BandPrior(
-        row["band"],
-        row["mineral"],
-        row["region"],
-        row["composition"],
-        float(row["center_nm"]),
-        float(row["center_slope_nm"]),
-        float(row["center_prior_sigma_nm"]),
-        float(row["fwhm_nm"]),
-        float(row["fwhm_prior_sigma_nm"]),
-        float(row["strength_prior_sigma"]),
-        row["source"],
-        row["composition_2"],
-        float(row["center_slope_2_nm"]),
-        float(row["strength_loading"]),
-    )
+    texts = (row["band"], row["mineral"], row["region"], row["composition"])
+    columns = "center_nm center_slope_nm center_prior_sigma_nm fwhm_nm fwhm_prior_sigma_nm strength_prior_sigma"
+    center, slope, scatter, fwhm, fwhm_sigma, strength_sigma = (float(row[name]) for name in columns.split())
+    second = (row["composition_2"], float(row["center_slope_2_nm"]), float(row["strength_loading"]))
+    return BandPrior(*texts, center, slope, scatter, fwhm, fwhm_sigma, strength_sigma, row["source"], *second)
 
 
 def _composition(row: Mapping[str, str]) -> CompositionPrior:
-    return CompositionPrior(
-        row["composition"],
-        row["mineral"],
-        float(row["mean_percent"]),
-        float(row["sigma_percent"]),
-        float(row["lowest_percent"]),
-        float(row["highest_percent"]),
-        row["source"],
-    )
+    mean, sigma, low, high = (float(row[f"{name}_percent"]) for name in ("mean", "sigma", "lowest", "highest"))
+    return CompositionPrior(row["composition"], row["mineral"], mean, sigma, low, high, row["source"])
 
 
 def others_of(mineral: str) -> set[str]:
@@ -182,8 +164,8 @@ def others_of(mineral: str) -> set[str]:
     >>> others_of("orthopyroxene"), others_of("olivine")
     ({'clinopyroxene'}, set())
     """
-    own = [{MINERALS[key] for key in keys} for keys in GROUPS.values()]
-    return set[str]().union(*(members - {mineral} for members in own if mineral in members))
+    groups = [{MINERALS[key] for key in keys} for keys in GROUPS.values()]
+    return set[str]().union(*(members - {mineral} for members in groups if mineral in members))
 
 
 def chances(probabilities: Mapping[str, float]) -> dict[str, float]:
@@ -212,13 +194,13 @@ def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cau
     >>> standing({"CPX": 1.0})["open"]
     ['orthopyroxene']
     """
-    found = chances(probabilities)
+    chance = chances(probabilities)
     beyond = (*beyond, *PYROXENES) if cause else beyond
-    sure = [name for name in MINERALS.values() if found[name] >= SURE]
-    absent = [name for name in MINERALS.values() if found[name] <= 1 - SURE]
+    sure = [name for name in MINERALS.values() if chance[name] >= SURE]
+    absent = [name for name in MINERALS.values() if chance[name] <= 1 - SURE]
     for group, keys in GROUPS.items():
         members = {MINERALS[key] for key in keys}
-        if found[group] >= SURE:
+        if chance[group] >= SURE:
             absent = [name for name in absent if name not in members]
             sure += [group] if members.isdisjoint(sure) else []
     sure = [name for name in sure if name not in beyond]
@@ -226,36 +208,36 @@ def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cau
     return {"sure": sure, "open": left, "not_needed": absent}
 
 
-def told(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cause: str = "") -> str:
+def verdict(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cause: str = "") -> str:
     """The verdict on minerals, by words: `standing`, and what is known of a pyroxene that is sure alone.
 
-    >>> told({"OL": 0.97, "OL-OPX": 0.03}).partition(";")[0]
+    >>> verdict({"OL": 0.97, "OL-OPX": 0.03}).partition(";")[0]
     'sure: olivine'
     """
-    found, known = chances(probabilities), standing(probabilities, beyond, cause)
-    left, parts = list(known["open"]), []
-    pairs = [(one, other) for one in known["sure"] for other in others_of(one) & set(left)]
+    chance, status = chances(probabilities), standing(probabilities, beyond, cause)
+    left, parts = list(status["open"]), []
+    pairs = [(one, other) for one in status["sure"] for other in others_of(one) & set(left)]
     alone = [one for one, _ in pairs]
-    if sure := [name for name in known["sure"] if name not in (*GROUPS, *alone)]:
+    if sure := [name for name in status["sure"] if name not in (*GROUPS, *alone)]:
         parts.append(f"sure: {', '.join(sure)}")
     for one, other in pairs:
         left.remove(other)
         parts.append(
-            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * found[other]:.0f} %): it "
+            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * chance[other]:.0f} %): it "
             f"was up to {100 * HIDDEN[other]:.0f} % in mixtures that {one} fitted alone, and the only pyroxene in "
             f"{WRONG_ONE[0]} of {WRONG_ONE[1]} such fits of one"
         )
-    for group in GROUPS.keys() & set(known["sure"]):
+    for group in GROUPS.keys() & set(status["sure"]):
         members = [MINERALS[key] for key in GROUPS[group]]
         left = [name for name in left if name not in members]
-        shown = ", ".join(f"{name} {100 * found[name]:.0f} %" for name in members)
+        shown = ", ".join(f"{name} {100 * chance[name]:.0f} %" for name in members)
         parts.append(f"a {group} is sure, which one is open ({shown})")
-    doubted = [name for name in left if name in beyond and not (cause and name in PYROXENES) and found[name] >= SURE]
+    doubted = [name for name in left if name in beyond and not (cause and name in PYROXENES) and chance[name] >= SURE]
     left = [name for name in left if name not in doubted]
     parts += [f"{name} is fitted, but its centres are those of no {name}: open" for name in doubted]
-    more = "also open" if len(left) < len(known["open"]) else "open"
+    more = "also open" if len(left) < len(status["open"]) else "open"
     parts = parts or ["no mineral is sure"]
-    parts += [f"pyroxene is fitted, but open: {cause}"] if cause and found["pyroxene"] >= SURE else []
-    parts += [f"{more}: {', '.join(f'{name} ({100 * found[name]:.0f} %)' for name in left)}"] if left else []
-    absent = ", ".join(known["not_needed"])
+    parts += [f"pyroxene is fitted, but open: {cause}"] if cause and chance["pyroxene"] >= SURE else []
+    parts += [f"{more}: {', '.join(f'{name} ({100 * chance[name]:.0f} %)' for name in left)}"] if left else []
+    absent = ", ".join(status["not_needed"])
     return "; ".join([*parts, *([f"not needed to fit, but not ruled out: {absent}"] if absent else [])])

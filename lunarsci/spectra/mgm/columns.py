@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.io.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
 from lunarsci.spectra.mgm import TREND_SIGMA
-from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
+from lunarsci.spectra.mgm.batch import compositions_of
 from lunarsci.spectra.mgm.fit import SpectraFits
 from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import ERROR_COVERS
@@ -43,8 +43,8 @@ class FitColumns:
 
     def records(self, more: Mapping[str, Column]) -> Records:
         """The objects of `--json`, with further keys."""
-        fits, told = self.fits, {region: np.isfinite(numbers[:, 0]) for region, numbers in self.ratios.items()}
-        ratios = {region: Where(told[region], _ratio(numbers)) for region, numbers in self.ratios.items()}
+        fits, determined = self.fits, {region: np.isfinite(numbers[:, 0]) for region, numbers in self.ratios.items()}
+        ratios = {region: Where(determined[region], _ratio(numbers)) for region, numbers in self.ratios.items()}
         coefficients = fits.gathered(lambda batch: batch.values[:, : batch.model.degrees])
         bands = self._bands()
         columns: dict[str, Column] = {
@@ -79,8 +79,8 @@ class FitColumns:
         place = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
         spectra = Records(columns | dict(more), self.size).taken(row)
         shown = self.there[row] & (self._count > 0)
-        own = {key: Where(shown, _stacked(column, row, place)) for key, column in self._bands().items()}
-        return Records({**spectra.columns, **own}, row.size)
+        band_columns = {key: Where(shown, _stacked(column, row, place)) for key, column in self._bands().items()}
+        return Records({**spectra.columns, **band_columns}, row.size)
 
     @property
     def _count(self) -> int:
@@ -95,22 +95,22 @@ class FitColumns:
         held = np.nan_to_num(self.fits.gathered(lambda batch: batch.at_bound[:, m:])).astype(int)
         unit = {"center": NM_PER_UM, "fwhm": NM_PER_UM, "strength": 1.0}
         keys = {"center": "center_nm", "fwhm": "fwhm_nm", "strength": "strength"}
-        found: dict[str, Any] = {key: [getattr(band, key) for band in bands] for key in ("name", "mineral", "region")}
+        result: dict[str, Any] = {key: [getattr(band, key) for band in bands] for key in ("name", "mineral", "region")}
         for k, part in enumerate(PARTS):
-            found[keys[part]] = value[:, k::3] * unit[part]
-            found[_between(keys[part], "sigma")] = sigma[:, k::3] * unit[part]
+            result[keys[part]] = value[:, k::3] * unit[part]
+            result[_between(keys[part], "sigma")] = sigma[:, k::3] * unit[part]
         for k, part in enumerate(PARTS):
-            found[_between(keys[part], "calibration")] = shared[:, k::3] * unit[part]
-        found["shrinkage"] = {part: shrinkage[:, k::3] for k, part in enumerate(PARTS)}
-        found["at_bound"] = held[:, ::3] + 2 * held[:, 1::3] + 4 * held[:, 2::3]
-        return found | dict.fromkeys(_between(keys[part], "continuum") for part in PARTS)
+            result[_between(keys[part], "calibration")] = shared[:, k::3] * unit[part]
+        result["shrinkage"] = {part: shrinkage[:, k::3] for k, part in enumerate(PARTS)}
+        result["at_bound"] = held[:, ::3] + 2 * held[:, 1::3] + 4 * held[:, 2::3]
+        return result | dict.fromkeys(_between(keys[part], "continuum") for part in PARTS)
 
     def _compositions(self) -> dict[str, dict[str, Column]]:
-        found: dict[str, dict[str, Column]] = {}
-        numbers = self.fits.gathered(lambda batch: _stack(compositions_of(batch), len(batch)))
+        result: dict[str, dict[str, Column]] = {}
+        numbers = self.fits.gathered(compositions_of)
         for k, item in enumerate(self.model.assemblage.compositions):
             mean, sigma = numbers[:, k].T
-            found[item.key] = {
+            result[item.key] = {
                 "key": item.key,
                 "mineral": item.mineral,
                 "mean": mean,
@@ -122,17 +122,12 @@ class FitColumns:
                 "in_range": (item.lowest <= mean) & (mean <= item.highest),
                 "domain": Same(self.model.assemblage.domain(item.mineral)),
             }
-        return found
+        return result
 
 
 def rows_of(fits: SpectraFits) -> IntArray:
     """(n,) rows of `--csv` that each spectrum has."""
     return np.where(fits.there, max(1, len(fits.model.assemblage.bands)), 1)
-
-
-def _stack(columns: Sequence[CompositionColumn], size: int) -> FloatArray:
-    """(n, compositions, 2) means and sigmas."""
-    return np.array([[column.mean, column.sigma] for column in columns]).reshape(-1, 2, size).transpose(2, 0, 1)
 
 
 def _ratio(numbers: FloatArray) -> dict[str, Column]:
@@ -146,15 +141,15 @@ def _between(name: str, part: str) -> str:
 
 def _slot(bands: Mapping[str, Any], k: int) -> dict[str, Column]:
     """What a list of objects holds at its place k."""
-    found: dict[str, Column] = {}
+    result: dict[str, Column] = {}
     for key, column in bands.items():
         if isinstance(column, dict):
-            found[key] = {name: numbers[:, k] for name, numbers in column.items()}
+            result[key] = {name: numbers[:, k] for name, numbers in column.items()}
         elif key == "at_bound":
-            found[key] = Codes(column[:, k], ON_BOUND)
+            result[key] = Codes(column[:, k], ON_BOUND)
         else:
-            found[key] = column[:, k] if isinstance(column, np.ndarray) else column[k] if column else None
-    return found
+            result[key] = column[:, k] if isinstance(column, np.ndarray) else column[k] if column else None
+    return result
 
 
 def _stacked(column: Any, row: IntArray, place: IntArray) -> Column:
@@ -169,47 +164,45 @@ def _stacked(column: Any, row: IntArray, place: IntArray) -> Column:
 def rows_one_by_one(
     records: Sequence[Mapping[str, Any]], shares: Mapping[int, Sequence[Any]], *, bands: bool = True
 ) -> list[dict[str, Any]]:
-    """The rows of `--csv` of records that were made one by one, and the shares of some by position."""
-    found = ((record, _share_columns(shares.get(index, ()))) for index, record in enumerate(records))
-    each = ((record, _spectrum_row(record, columns)) for record, columns in found)
-    return [row for record, own in each for row in (_band_rows(record, own) if bands else [own])]
+    """The rows of `--csv` of records that were made one by one, and the shares of some by position.
+
+    One a band; a spectrum without a fit, and each without `bands`, has one.
+    """
+    rows: list[dict[str, Any]] = []
+    for index, record in enumerate(records):
+        ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
+        common = _spectrum_row(record, _share_columns(shares.get(index, ())))
+        common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx")}, ends)
+        for band in record["bands"] if bands else ():
+            key = band["name"].lower().replace(" ", "_").replace("-", "_")
+            columns = {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
+            rows.append(common | flat(band) | _interval_columns(columns, ends))
+        if not (bands and record["bands"]):
+            rows.append(common)
+    return rows
 
 
 def _spectrum_row(record: Mapping[str, Any], shares: Mapping[str, Any]) -> dict[str, Any]:
     """The columns of a spectrum, which are the same in the rows of all its bands."""
     common = {key: record[key] for key in COMMON}
-    for region in ("um1", "um2"):
+    for region in REGIONS:
         ratio = (record["nbsr"] or {}).get(region) or {}
-        for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
-            common[f"nbsr_{region}_{key}"] = ratio.get(key)
+        common |= {f"nbsr_{region}_{key}": ratio.get(key) for key in CSV_RATIO}
     for key, item in record["compositions"].items():
         common |= {f"{key}_{name}": item[name] for name in OF_COMPOSITION}
     common |= shares
-    if record["choice"]:
-        choice = record["choice"]
+    if choice := record["choice"]:
         common |= {f"choice_{key}": choice[key] for key in ("margin", "strong")}
         common |= {key: "+".join(choice[key]) for key in ("sure", "open", "not_needed")}
-        found = choice["mineral_probability"] | choice["group_probability"]
-        common |= {f"probability_of_{name}": chance for name, chance in found.items()}
-    ends = _ends(record)
-    return common | _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
+        chances = choice["mineral_probability"] | choice["group_probability"]
+        common |= {f"probability_of_{name}": chance for name, chance in chances.items()}
+    return common
 
 
-def _ends(record: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Intervals by parameter."""
-    return {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
-
-
-def _band_rows(record: Mapping[str, Any], common: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row per band; a spectrum without a fit has one row with its status."""
-    ends = _ends(record)
-    return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
-
-
-def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
+def _share_columns(result: Sequence[Any]) -> dict[str, Any]:
     """`nbsr_in_domain`, `nbsr_orthopyroxene`, `nbsr_orthopyroxene_low` and the like."""
     columns: dict[str, Any] = {}
-    for modes in found:
+    for modes in result:
         columns[f"{modes.method}_in_domain"] = modes.in_domain
         for share in modes.fractions:
             name = f"{modes.method}_{share.mineral}"
@@ -218,17 +211,11 @@ def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
     return columns
 
 
-def _of_band(band: Mapping[str, Any]) -> dict[str, str]:
-    """Columns of a band by the name of its parameter."""
-    key = band["name"].lower().replace(" ", "_").replace("-", "_")
-    return {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
-
-
 def _interval_columns(columns: Mapping[str, str], ends: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """`center_low68_nm` and the like."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for name, column in columns.items():
         stem, unit = (column[:-3], "_nm") if column.endswith("_nm") else (column, "")
         if name in ends:
-            found |= {f"{stem}_{end}{unit}": ends[name][end] for end in ("low68", "high68", "low95", "high95")}
-    return found
+            result |= {f"{stem}_{end}{unit}": ends[name][end] for end in ("low68", "high68", "low95", "high95")}
+    return result

@@ -8,17 +8,18 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.mgm.data import MgmData, prepare
-from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH
+from lunarsci.spectra.mgm.batch import ratio_of, strength_ratios
+from lunarsci.spectra.mgm.data import MgmData, MgmRows, prepare
+from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH, check_options
 from lunarsci.spectra.mgm.fit_file import LIMITS, WAVENUMBER_NM, FitFile, ProgramParameters, parameters_of, raw_basis
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel
 from lunarsci.spectra.mgm.result import (
+    REACH_NM,
     FittedBand,
     MgmFailure,
     MgmFit,
     StrengthRatio,
-    band_strength_ratios,
     pyroxene_pair,
 )
 from lunarsci.spectra.spectrum import Spectrum
@@ -70,54 +71,38 @@ def fit_damping(
     file : start file whose uncertainties damp; without one, the standard deviations of the model's prior do, as if
         they were written to a file.
     rms_limit, improvement_limit : of ln R, 0 or above. [-]
-    start : (p,) or (n_spectra, p), in the units of `MgmModel`; by default the values of the file, or the prior's mean
+    start : (p,) in the units of `MgmModel`, with widths above 0; by default the values of the file, or the prior's mean
         with strengths of -0.1 where that is 0 and a level continuum at the upper end of the spectrum.
     model_error : of ln R, in the weights of chi-square, above 0 and below 1. [-]
     progress : called with (done, total).
 
     Raises
     ------
-    ParameterError for limits, a model error or a start out of range.
+    ParameterError for limits or a model error out of range.
 
     References
     ----------
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955 (model and program);
     Tarantola & Valette (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (step).
     """
-    _check(model_error, rms_limit, improvement_limit)
-    starts = None if start is None else _given(start, len(spectra), model)
-    own = parameters_of(model, file)
+    check_options(model_error)
+    if not (0 <= rms_limit < math.inf and 0 <= improvement_limit < math.inf):
+        raise ParameterError(f"limits of the rms are {rms_limit:g} and {improvement_limit:g}; give 0 or above")
+    parameters = parameters_of(model, file)
     results: list[MgmFit | MgmFailure] = []
     for index, spectrum in enumerate(spectra):
         try:
             data = prepare(spectrum, model_error, whole=model.whole)
-            first = own.of_kernel(_first(model, data) if starts is None else starts[index])
-            if file is not None and starts is None:
-                first = own.on_planes(own.values)
-            problem = _DampedProblem(data, own, raw_basis(model.continuum, data.wavelength_nm))
+            first = parameters.of_kernel(_first(model, data) if start is None else start)
+            if file is not None and start is None:
+                first = parameters.on_planes(parameters.values)
+            problem = _DampedProblem(data, parameters, raw_basis(model.continuum, data.wavelength_nm))
             results.append(_described(problem, _descent(problem, first, rms_limit, improvement_limit)))
         except DataError as error:
             results.append(MgmFailure(spectrum.id, model.assemblage.name, model.continuum, f"no result: {error}"))
         if progress:
             progress(index + 1, len(spectra))
     return results
-
-
-def _check(model_error: float, rms_limit: float, improvement_limit: float) -> None:
-    if not 0 < model_error < 1:
-        raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
-    for name, limit in (("rms limit", rms_limit), ("improvement limit", improvement_limit)):
-        if not 0 <= limit < math.inf:
-            raise ParameterError(f"{name} is {limit:g}; give a number of 0 or above, such as 1e-6")
-
-
-def _given(start: FloatArray, n_spectra: int, model: MgmModel) -> FloatArray:
-    start = np.asarray(start, dtype=np.float64)
-    if start.shape not in {(model.prior.size,), (n_spectra, model.prior.size)}:
-        raise ParameterError(f"start has shape {start.shape}; give ({model.prior.size},) or one such row per spectrum")
-    if not np.isfinite(start).all() or not (start[..., model.degrees + 1 :: 3] > 0).all():
-        raise ParameterError("a start is not finite, or a width in it not above 0; correct it")
-    return np.broadcast_to(start, (n_spectra, model.prior.size))
 
 
 def _first(model: MgmModel, data: MgmData) -> FloatArray:
@@ -157,23 +142,23 @@ class _DampedProblem:
     """One spectrum, and the program's parameters with their basis of the continuum, (n, m)."""
 
     data: MgmData
-    own: ProgramParameters
+    parameters: ProgramParameters
     basis: FloatArray
 
     def at(self, point: FloatArray) -> _State | None:
         """None where the continuum is not above 0, or a width or wavenumber is 0."""
-        model, m, point = self.own.model, self.own.model.degrees, point.copy()
-        if not self.own.tied:
+        model, m, point = self.parameters.model, self.parameters.model.degrees, point.copy()
+        if not self.parameters.tied:
             point[m + 1 :: 3] = np.abs(point[m + 1 :: 3])
         if not ((point[m + 1 :: 3] > 0).all() and point[m::3].all()):
             return None
         wavelengths = point.copy()
         wavelengths[m::3] = WAVENUMBER_NM / point[m::3] / NM_PER_UM
         wavelengths[m + 1 :: 3] /= NM_PER_UM
-        found = model_and_jacobian(wavelengths, self.data.wavelength_nm / NM_PER_UM, self.basis, model.logarithmic)
-        if found is None or not np.abs(found[1]).max(initial=0.0) < STEEPEST:
+        modelled = model_and_jacobian(wavelengths, self.data.wavelength_nm / NM_PER_UM, self.basis, model.logarithmic)
+        if modelled is None or not np.abs(modelled[1]).max(initial=0.0) < STEEPEST:
             return None
-        ln, jacobian = found
+        ln, jacobian = modelled
         jacobian[m::3] *= (-wavelengths[m::3] / point[m::3])[:, None]
         jacobian[m + 1 :: 3] /= NM_PER_UM
         residual = np.log(self.data.reflectance) - ln
@@ -181,14 +166,14 @@ class _DampedProblem:
 
     def step(self, here: _State) -> FloatArray:
         """(G'G + P)^-1 G'r along the directions that are free."""
-        directions = self.own.directions(here.point)
+        directions = self.parameters.directions(here.point)
         slopes = directions.T @ here.jacobian
-        matrix = slopes @ slopes.T + (directions.T * self.own.precision) @ directions
+        matrix = slopes @ slopes.T + (directions.T * self.parameters.precision) @ directions
         return np.asarray(directions @ _solved(matrix, slopes @ here.residual), dtype=np.float64)
 
     def covariance(self, here: _State) -> FloatArray:
         """(G'G)^-1 of the kernel's parameters; NaN where the data leave a direction undetermined."""
-        directions = self.own.directions(here.point)
+        directions = self.parameters.directions(here.point)
         slopes = (directions.T @ here.jacobian).T
         scale = np.linalg.norm(slopes, axis=0)
         scale[scale == 0] = 1.0
@@ -197,7 +182,7 @@ class _DampedProblem:
         if len(singular) < scale.size or not singular.min(initial=1.0) > RANK_TOLERANCE:
             return unknown
         with np.errstate(over="ignore", invalid="ignore"):
-            along = self.own.kernel_slopes(here.point) @ directions
+            along = self.parameters.kernel_slopes(here.point) @ directions
             root = along @ ((vectors / singular[:, None]).T / scale[:, None])
             inverse = root @ root.T
         return inverse if np.isfinite(inverse).all() else unknown
@@ -243,21 +228,21 @@ def _shortened(problem: _DampedProblem, here: _State) -> tuple[_State | None, bo
     """The longest of the step, its half, ... that lowers the rms; if none, whether the shortest was off limits."""
     step, there = problem.step(here), None
     for halving in range(HALVINGS + 1):
-        there = problem.at(problem.own.on_planes(here.point + step / 2**halving))
+        there = problem.at(problem.parameters.on_planes(here.point + step / 2**halving))
         if there is not None and there.rms < here.rms:
             return there, False
     return None, there is None
 
 
 def _described(problem: _DampedProblem, end: _End) -> MgmFit:
-    data, model, state = problem.data, problem.own.model, end.state
-    m, inverse, point = model.degrees, problem.covariance(state), problem.own.to_kernel(state.point)
+    data, model, state = problem.data, problem.parameters.model, end.state
+    m, inverse, point = model.degrees, problem.covariance(state), problem.parameters.to_kernel(state.point)
     covariance = inverse * state.rms**2
-    by_kernel = np.linalg.solve(problem.own.kernel_slopes(state.point).T, state.jacobian)
+    by_kernel = np.linalg.solve(problem.parameters.kernel_slopes(state.point).T, state.jacobian)
     shared = data.shifts @ by_kernel.T @ inverse
     shared = _where_determined(covariance, shared, m)
     bands = _bands(model, point[m:], covariance[m:, m:], shared[:, m:])
-    chi2, count = float(data.weight @ state.residual**2), problem.own.directions(state.point).shape[1]
+    chi2, count = float(data.weight @ state.residual**2), problem.parameters.directions(state.point).shape[1]
     return MgmFit(
         id=data.id,
         assemblage=model.assemblage.name,
@@ -271,7 +256,7 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
         bic=chi2 + count * math.log(data.reflectance.size),
         continuum_coefficients=tuple(point[:m].tolist()),
         bands=bands,
-        nbsr=_ratios(bands, covariance[m:, m:], shared[:, m:], data),
+        nbsr=_ratios(bands, model, data, point, covariance, shared),
         model=model,
         data=data,
         parameters=point,
@@ -286,13 +271,13 @@ def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int) 
     They are of first order: where the data hold a band nowhere within the spectrum, the order says nothing, and its
     digits are those of the rounding.
     """
-    found = shared.copy()
+    moves = shared.copy()
     together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.zeros(len(covariance))
     with np.errstate(invalid="ignore"):
         widest = np.maximum(np.sqrt(np.diag(covariance)), together)[degrees:].reshape(-1, 3)[:, :2].max(axis=1)
     for band in np.flatnonzero(~(widest * NM_PER_UM <= MEANINGLESS_NM)):
-        found[:, degrees + 3 * band : degrees + 3 * band + 3] = np.nan
-    return found
+        moves[:, degrees + 3 * band : degrees + 3 * band + 3] = np.nan
+    return moves
 
 
 def _bands(model: MgmModel, point: FloatArray, covariance: FloatArray, shared: FloatArray) -> tuple[FittedBand, ...]:
@@ -321,13 +306,14 @@ def _remarks(bands: Sequence[FittedBand], covariance: FloatArray, shifted: bool)
 
 
 def _ratios(
-    bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, data: MgmData
-) -> dict[str, StrengthRatio | None]:
+    bands: Sequence[FittedBand], model: MgmModel, data: MgmData, point: FloatArray, covariance: FloatArray,
+    shared: FloatArray,
+) -> dict[str, StrengthRatio | None]:  # fmt: skip
     """Whatever their errors, which know no prior; None where one of the two bands is positive."""
-    ratios = band_strength_ratios(bands, covariance, shared, data.wavelength_nm, undetermined=math.inf)
-    positive = {
-        region
-        for region in ratios
-        if any(bands[position].strength > 0 for position in pyroxene_pair(bands, region) or ())
-    }
-    return {region: None if region in positive else ratio for region, ratio in ratios.items()}
+    ratios: dict[str, StrengthRatio | None] = dict.fromkeys(REACH_NM)
+    for region in ratios:
+        pair = pyroxene_pair(bands, region)
+        if pair and all(bands[position].strength <= 0 for position in pair):
+            fit = (MgmRows.together([data]), model, point[None], covariance[None], shared[None])
+            ratios[region] = ratio_of(strength_ratios(*fit, region, undetermined=math.inf)[0])
+    return ratios

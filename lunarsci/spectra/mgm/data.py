@@ -138,18 +138,20 @@ def prepare_rows(
     than 100 nm out there.
     """
     keep = _inside(wavelength_nm, whole)
-    kept = wavelength_nm[keep]
-    if kept.size < MIN_CHANNELS:
+    nm = wavelength_nm[keep]
+    if nm.size < MIN_CHANNELS:
         between = "" if whole else " between {:g} and {:g} nm".format(*FIT_RANGE_NM)
-        raise DataError(f"{kept.size} usable channels{between}; {MIN_CHANNELS} are needed")
+        raise DataError(f"{nm.size} usable channels{between}; {MIN_CHANNELS} are needed")
     if not whole:
-        _check_reach(kept)
+        _check_reach(nm)
     noise = scatter_noise_rows(reflectance) if sigma is None else sigma
-    own = np.ascontiguousarray(reflectance[:, keep])
-    error = expected_misfit(kept, own) if model_error is None else np.broadcast_to(np.float64(model_error), len(own))
-    weight = 1 / ((noise[:, keep] / own) ** 2 + error[:, None] ** 2)
-    shared = np.empty((len(own), 0, kept.size)) if shifts is None else shifts[:, :, keep] / own[:, None]
-    return MgmRows(kept, own, weight, shared, error)
+    fitted = np.ascontiguousarray(reflectance[:, keep])
+    error = (
+        expected_misfit(nm, fitted) if model_error is None else np.broadcast_to(np.float64(model_error), len(fitted))
+    )
+    weight = 1 / ((noise[:, keep] / fitted) ** 2 + error[:, None] ** 2)
+    shared = np.empty((len(fitted), 0, nm.size)) if shifts is None else shifts[:, :, keep] / fitted[:, None]
+    return MgmRows(nm, fitted, weight, shared, error)
 
 
 def _check_reach(wavelength_nm: FloatArray) -> None:
@@ -190,9 +192,9 @@ class SpectraRows:
 
     def seen(self, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Channels and reflectances of some of them, as `prepared` has them, without the rest. [nm, -]"""
-        found = self.spectra.taken(rows).arrays()
-        inside = _inside(found.wavelength_nm, self.whole)
-        return found.wavelength_nm[inside], found.reflectance[:, inside]
+        arrays = self.spectra.taken(rows).arrays()
+        inside = _inside(arrays.wavelength_nm, self.whole)
+        return arrays.wavelength_nm[inside], arrays.reflectance[:, inside]
 
     def at(self, row: int, name: str) -> MgmData:
         """One of them, prepared."""

@@ -193,6 +193,6 @@ def _draw_depth(axes: Any, wavelength: Any, reflectance: Any, columns: Any, name
 def _index_lines(columns: Mapping[str, IndexColumn], number: int) -> Iterator[str]:
     for name, column in columns.items():
         unit = "" if INDICES[name].unit == "-" else f" {INDICES[name].unit}"
-        known = column.status[number] == OK
-        value = f"{column.value[number]:.3g} ± {column.sigma[number]:.1g}{unit}" if known else "-"
+        determined = column.status[number] == OK
+        value = f"{column.value[number]:.3g} ± {column.sigma[number]:.1g}{unit}" if determined else "-"
         yield f"{INDICES[name].title}: {value}"

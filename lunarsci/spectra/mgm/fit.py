@@ -1,9 +1,11 @@
 """Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all.
 
-Fits of many spectra to one model, each of which is made when it is asked for.
+Fits of many spectra are arrays, of which a fit is made when it is asked for (`SpectraFits`). The same spectra under
+several continua say what the choice of the continuum does to a fit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,12 +18,12 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection
-from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, describe_rows, joined
+from lunarsci.spectra.mgm import MgmContinuum
+from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, channels_of, describe_rows, joined, problem_of
 from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows, prepare_rows
-from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
-from lunarsci.spectra.mgm.model import MgmModel
-from lunarsci.spectra.mgm.multistart import Multistart
-from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits, Multistart
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmModel
+from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio
 from lunarsci.spectra.spectrum import Spectrum
 
 
@@ -67,10 +69,10 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
         """Those of some spectra, next to each other."""
         parts = []
         for positions, rows, batch in self.parts:
-            own = slice(*np.searchsorted(positions, (block.start, block.stop)).tolist())
-            if own.stop > own.start:
-                parts.append((positions[own] - block.start, rows.part(own), batch.part(own)))
-        failures = {k - block.start: found for k, found in self.failures.items() if k in block}
+            rows_here = slice(*np.searchsorted(positions, (block.start, block.stop)).tolist())
+            if rows_here.stop > rows_here.start:
+                parts.append((positions[rows_here] - block.start, rows.part(rows_here), batch.part(rows_here)))
+        failures = {k - block.start: failure for k, failure in self.failures.items() if k in block}
         return SpectraFits(self.names[block.start : block.stop], self.model, parts, failures)
 
     @property
@@ -81,19 +83,19 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
     @property
     def statuses(self) -> list[str]:
         """A sentence about each."""
-        found = [self.failures[k].status if k in self.failures else "" for k in range(len(self))]
+        result = [self.failures[k].status if k in self.failures else "" for k in range(len(self))]
         for positions, _, batch in self.parts:
             for position, text in zip(positions.tolist(), batch.statuses(), strict=True):
-                found[position] = text
-        return found
+                result[position] = text
+        return result
 
     def gathered(self, column: Callable[[FitBatch], Any]) -> FloatArray:
         """What `column` makes of each batch, (n, ...), in the order of the spectra; NaN without a fit."""
         parts = [(positions, np.asarray(column(batch))) for positions, _, batch in self.parts]
-        found = np.full((len(self), *(parts[0][1].shape[1:] if parts else ())), np.nan)
+        result = np.full((len(self), *(parts[0][1].shape[1:] if parts else ())), np.nan)
         for positions, values in parts:
-            found[positions] = values
-        return found
+            result[positions] = values
+        return result
 
 
 DEFAULT_MODEL_ERROR = 0.02
@@ -144,24 +146,24 @@ def fit_spectra(
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955 (model); Tarantola & Valette
     (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (prior).
     """
-    _check_options(model_error, starts)
+    check_options(model_error, starts)
     collection = SpectrumCollection.of(spectra)
     names = collection.ids
     parts: list[tuple[IndexArray, SpectraRows, FitBatch]] = []
     failures: dict[int, MgmFailure] = {}
     for group in collection.alike():
         before = len(failures) + sum(len(part[0]) for part in parts)
-        told = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
+        report = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
         rows = SpectraRows(collection.taken(group), model_error, model.whole)
         try:
             rows.at(0, "")
         except DataError as error:
             name, why = model.assemblage.name, f"no result: {error}"
             failures |= {k: MgmFailure(names[k], name, model.continuum, why) for k in group.tolist()}
-            if told:
-                told(len(group), 0)
+            if report:
+                report(len(group), 0)
         else:
-            parts.append((group, rows, _fit_in_blocks(rows, model, starts, told)))
+            parts.append((group, rows, _fit_in_blocks(rows, model, starts, report)))
     return SpectraFits(names, model, parts, failures)
 
 
@@ -169,7 +171,7 @@ def _fit_in_blocks(
     rows: SpectraRows, model: MgmModel, starts: int, progress: Callable[[int, int], None] | None
 ) -> FitBatch:
     channels = len(rows.spectra[0].wavelength_nm)
-    found = arrays_in_blocks(
+    result = arrays_in_blocks(
         partial(_columns_of_fits, model=model, starts=starts),
         len(rows.spectra),
         rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=kept_rows(len(rows.spectra), CHUNK)),
@@ -183,7 +185,7 @@ def _fit_in_blocks(
         fetch=lambda block: rows.part(slice(block.start, block.stop)).arguments(),
         progress=progress,
     )
-    return FitBatch(model=model, **found)
+    return FitBatch(model=model, **result)
 
 
 def model_digest(model: MgmModel) -> str:
@@ -197,7 +199,7 @@ def _columns_of_fits(spectra: dict[str, Any], *, model: MgmModel, starts: int) -
     return fit_rows(prepare_rows(**spectra), model, starts).columns()
 
 
-def _check_options(model_error: Any, starts: Any) -> None:
+def check_options(model_error: Any, starts: Any = 1) -> None:
     if model_error is not None and not ((np.asarray(model_error) > 0) & (np.asarray(model_error) < 1)).all():
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
     if isinstance(starts, int) and starts < 1:
@@ -233,16 +235,16 @@ def fit_arrays(
     ------
     ParameterError as `fit_spectra`.
     """
-    _check_options(model_error, starts)
+    check_options(model_error, starts)
     usable = np.isfinite(reflectance) & (reflectance > 0)
     parts = []
     for rows in same_channels(usable):
         keep = usable[rows[0]]
         errors = model_error if model_error is None or np.ndim(model_error) == 0 else np.asarray(model_error)[rows]
-        own = None if sigma is None else sigma[np.ix_(rows, keep)]
+        noise = None if sigma is None else sigma[np.ix_(rows, keep)]
         try:
             prepared = prepare_rows(
-                wavelength_nm[keep], reflectance[np.ix_(rows, keep)], sigma=own, model_error=errors, whole=model.whole
+                wavelength_nm[keep], reflectance[np.ix_(rows, keep)], sigma=noise, model_error=errors, whole=model.whole
             )
         except DataError:
             continue
@@ -268,83 +270,57 @@ def fit_rows(rows: MgmRows, model: MgmModel, starts: int | FloatArray) -> FitBat
         points, hops = starting_points(model, shifted, starts), hops_of(model)
     else:
         points, hops = scaled(model, starts, -level)[None], NO_HOPS
-    solved = fit_batch(
-        shifted, rows.weight, rows.wavelength_nm / 1e3, model.basis(rows.wavelength_nm), model.logarithmic,
-        model.prior, model.precision, model.lower, model.upper, points, hops, TOLERANCE, MAX_ITERATIONS,
-    )  # fmt: skip
+    spectra, problem = channels_of(rows, model, shifted), problem_of(model)
+    solved = fit_batch(spectra, problem, points, hops, TOLERANCE, MAX_ITERATIONS)
     return describe_rows(rows, model, solved, scaled(model, solved.parameters, level))
 
 
 def scaled(model: MgmModel, points: FloatArray, level: FloatArray) -> FloatArray:
     """Parameters, (n, p), of reflectance whose logarithm is higher by `level`, (n,)."""
-    found, m = np.array(points, dtype=np.float64), model.degrees
+    moved, m = np.array(points, dtype=np.float64), model.degrees
     if model.logarithmic:
-        found[:, : min(m, 1)] += level[:, None]
+        moved[:, : min(m, 1)] += level[:, None]
     else:
-        found[:, :m] *= np.exp(level)[:, None]
-    return found
+        moved[:, :m] *= np.exp(level)[:, None]
+    return moved
 
 
 def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[MgmFit]:
     """Fit prepared spectra that share their channels."""
-    found = fit_rows(MgmRows.together(batch), model, starts)
-    return [found.fit(row, data) for row, data in enumerate(batch)]
+    result = fit_rows(MgmRows.together(batch), model, starts)
+    return [result.fit(row, data) for row, data in enumerate(batch)]
 
 
 def fit_batch(
-    data: FloatArray, weight: FloatArray, wavelength: FloatArray, basis: FloatArray, logarithmic: bool,
-    prior: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray, starts: FloatArray,
-    hops: FloatArray, tolerance: float, max_iterations: int,
-) -> KernelFits:  # fmt: skip
-    """Fit every row of `data` from every start, in all threads.
+    spectra: Channels, problem: FitProblem, starts: FloatArray, hops: FloatArray, tolerance: float, max_iterations: int
+) -> KernelFits:
+    """Fit all spectra from every start, in all threads.
 
     Parameters
     ----------
-    data, weight : (n_spectra, n) ln R and 1/sigma^2, 0 where masked; the datum there does not matter.
-    wavelength, basis, logarithmic : (n,) [um]; (n, m) continuum basis, of C or of ln C.
-    prior, precision : (p,) and (p, p), mean and inverse covariance (0 for a flat prior).
-    lower, upper : (p,) bounds; equal for a fixed parameter.
     starts : (n_starts, n_spectra, p).
     hops : (n_hops, 2) index of a parameter and by how many posterior standard deviations to move it, the others
         following their correlation, from the minimum found so far: a descent from there finds what random starts rarely
         do, the minimum in which a neighbouring band does the work. (0, 2) for none.
     tolerance : expected decrease of the objective, in units of chi-square, at which a fit has converged.
     """
-    n_spectra = len(data)
-    problem = FitProblem(
-        basis.shape[1], logarithmic, *(np.ascontiguousarray(part) for part in (prior, precision, lower, upper))
-    )
-    usable = weight > 0
-    spectra = Channels(
-        np.ascontiguousarray(wavelength)[None],
-        np.ascontiguousarray(basis.T)[None],
-        np.ascontiguousarray(np.where(usable, data, 0.0)),
-        np.ascontiguousarray(np.sqrt(np.where(usable, weight, 0.0))),
-    )
-    parts = max(1, -(-n_spectra // MOST_ROWS), min(threads(), n_spectra // LANES))
-    edges = np.linspace(0, n_spectra, parts + 1).astype(int)
-    searches: list[Multistart | None] = [None] * parts
+    count = len(spectra.data)
+    parts = max(1, -(-count // MOST_ROWS), min(threads(), count // LANES))
+    edges = np.linspace(0, count, parts + 1).astype(int)
+    searches: list[Any] = [None] * parts
 
     def some(part: int) -> None:
         rows = slice(edges[part], edges[part + 1])
-        search = Multistart(spectra.part(rows), problem, tolerance, max_iterations)
-        search.start(starts[:, rows])
-        search.hop(hops)
-        searches[part] = search
+        searches[part] = Multistart(spectra.part(rows), problem, tolerance, max_iterations)
+        searches[part].start(starts[:, rows])
+        searches[part].hop(hops)
 
     each_in_threads(some, parts)
-    found = [search for search in searches if search is not None]
-    chi2, objective, iterations, status = np.concatenate([search.outcome for search in found]).T
-    return KernelFits(
-        np.concatenate([search.best for search in found]),
-        np.concatenate([search.covariance for search in found]),
-        chi2,
-        objective,
-        iterations,
-        status,
-        np.concatenate([search.competing for search in found]),
-        np.concatenate([search.competing_sigmas for search in found]),
+    best, covariance, outcome, *others = (
+        np.concatenate([getattr(search, name) for search in searches])
+        for name in ("best", "covariance", "outcome", "competing", "competing_sigmas")
     )
+    return KernelFits(best, covariance, *outcome.T, *others)
 
 
 def starting_points(model: MgmModel, ln_reflectance: FloatArray, starts: int) -> FloatArray:
@@ -378,3 +354,103 @@ def hops_of(model: MgmModel) -> FloatArray:
     deeper = [(m + 3 * band + 2, -HOP_SIGMAS) for band in range(count)]
     aside = [(m + 3 * band, sign * HOP_SIGMAS) for band in range(count) for sign in (-1, 1)]
     return np.array(deeper + aside, dtype=float)
+
+
+SPREAD_CONTINUA: tuple[MgmContinuum, ...] = tuple(name for name in MGM_CONTINUA if name != "none")
+"""All that can follow a spectrum; `none` fits only what had its continuum removed before."""
+
+
+REMOVED = (0.7, 1.3)
+"""Highest reflectance (95 % quantile) of a spectrum that was divided by its continuum, whose tops are at 1; assumed."""
+
+
+def check_continuum_removed(spectra: Sequence[Spectrum]) -> None:
+    """Raises DataError for the first spectrum whose continuum is still there, which `none` does not fit."""
+    for spectrum in spectra:
+        top = float(np.quantile(spectrum.reflectance[spectrum.usable], CONTINUUM_QUANTILE))
+        if not REMOVED[0] <= top <= REMOVED[1]:
+            raise DataError(
+                f"{spectrum.id}: continuum none is for spectra divided by their continuum, whose highest reflectance "
+                f"is near 1, not {top:.2g}; take another continuum"
+            )
+
+
+def fit_continua(
+    spectra: Sequence[Spectrum],
+    build: Callable[[MgmContinuum], MgmModel],
+    *,
+    continua: Sequence[MgmContinuum] = SPREAD_CONTINUA,
+    model_error: float | None = None,
+    starts: int = DEFAULT_STARTS,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[dict[MgmContinuum, MgmFit | MgmFailure]]:
+    """Fits of every spectrum by continuum; `build` makes the model of one. Arguments as in `fit_spectra`."""
+    result: list[dict[MgmContinuum, MgmFit | MgmFailure]] = [{} for _ in spectra]
+    for number, name in enumerate(continua):
+
+        def report(done: int, total: int, before: int = number) -> None:
+            if progress:
+                progress(before * total + done, len(continua) * total)
+
+        fits = fit_spectra(spectra, build(name), model_error=model_error, starts=starts, progress=report)
+        for by_name, fit in zip(result, fits, strict=True):
+            by_name[name] = fit
+    return result
+
+
+def spread_over_continua(
+    spectra: Sequence[Spectrum],
+    fits: Sequence[MgmFit | MgmFailure],
+    build: Callable[[str, MgmContinuum], MgmModel],
+    *,
+    model_error: float | None = None,
+    starts: int = DEFAULT_STARTS,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[MgmFit | MgmFailure]:
+    """Fits with what the choice of the continuum does; `build` makes the model of an assemblage under a continuum."""
+    result = list(fits)
+    members = {index: item.assemblage for index, item in enumerate(fits) if isinstance(item, MgmFit)}
+    for name in dict.fromkeys(members.values()):
+        indices = [index for index, assemblage in members.items() if assemblage == name]
+        others = fit_continua(
+            [spectra[index] for index in indices],
+            partial(build, name),
+            model_error=model_error,
+            starts=starts,
+            progress=progress,
+        )
+        for index, other in zip(indices, others, strict=True):
+            result[index] = with_continuum_spread(result[index], other)  # type: ignore[arg-type]
+    return result
+
+
+def with_continuum_spread(fit: MgmFit, others: Mapping[MgmContinuum, MgmFit | MgmFailure]) -> MgmFit:
+    """`fit` with how far its bands and ratios go under the continua that converged.
+
+    Continua are no sample of anything: the spread is the largest distance of any of them, so that it covers all that
+    was seen, and says what the choice does, not how likely a value is. Han et al. (2020), arXiv:2003.07856, report such
+    differences for olivine and orthopyroxene.
+    """
+    fits = [other for other in others.values() if isinstance(other, MgmFit) and other.converged]
+    if not any(other.continuum != fit.continuum for other in fits):
+        return fit
+    bands = tuple(_spread_band(band, [other.bands[k] for other in fits]) for k, band in enumerate(fit.bands))
+    ratios = {key: _spread_ratio(ratio, [other.nbsr.get(key) for other in fits]) for key, ratio in fit.nbsr.items()}
+    return replace(fit, bands=bands, nbsr=ratios)
+
+
+def _spread_band(band: FittedBand, others: Sequence[FittedBand]) -> FittedBand:
+    return replace(
+        band,
+        center_continuum_nm=max(abs(other.center_nm - band.center_nm) for other in others),
+        fwhm_continuum_nm=max(abs(other.fwhm_nm - band.fwhm_nm) for other in others),
+        strength_continuum=max(abs(other.strength - band.strength) for other in others),
+    )
+
+
+def _spread_ratio(ratio: StrengthRatio | None, others: Sequence[StrengthRatio | None]) -> StrengthRatio | None:
+    if ratio is None:
+        return None
+    seen = [ratio.opx, *(other.opx for other in others if other)]
+    low, high = (0.0, 1.0) if None in others else (min(seen), max(seen))
+    return replace(ratio, continuum=max(ratio.opx - low, high - ratio.opx), continuum_low=low, continuum_high=high)

@@ -109,8 +109,9 @@ class FitFile:
     bands: tuple[FitBand, ...]
 
     def __post_init__(self) -> None:
-        for line, fault in chain(_header_faults(self), _continuum_faults(self), _band_faults(self)):
-            raise ParameterError(f"line {line}: {fault}")
+        for line, good, fault in _lines_of(self):
+            if not good:
+                raise ParameterError(f"line {line}: {fault}")
 
     @property
     def first_band_line(self) -> int:
@@ -118,55 +119,39 @@ class FitFile:
         return FIRST_BAND_LINE if self.coefficients else FIRST_BAND_LINE - 2
 
 
-def _header_faults(file: FitFile) -> Iterator[tuple[int, str]]:
+def _lines_of(file: FitFile) -> Iterator[tuple[int, bool, str]]:
+    """Number of each line, whether it is right, and what is wrong if not."""
     for line, name in ((1, file.folder), (2, file.spectrum)):
-        if name != name.strip() or re.search(r"[\r\n\0]", name):
-            yield line, f"name {_shown(name)} begins or ends with a blank or breaks the line; give it without"
-    if not file.spectrum:
-        yield 2, "is empty; it must name the file of the spectrum"
+        plain = name == name.strip() and not re.search(r"[\r\n\0]", name)
+        yield line, plain, f"name {_shown(name)} begins or ends with a blank or breaks the line; give it without"
+    yield 2, bool(file.spectrum), "is empty; it must name the file of the spectrum"
     for line, axis in ((3, file.plot_axis), (4, file.wavelength_axis)):
-        if not _are_numbers(axis, 3):
-            yield line, "the axis of the plot is not three finite numbers up to 1e15; give them"
-    if not _are_numbers((file.rms_limit, file.improvement_limit), 2, lowest=0):
-        yield 5, f"limits of the rms {file.rms_limit:g} and {file.improvement_limit:g}; give finite ones, 0 or above"
+        yield line, _are_numbers(axis, 3), "the axis of the plot is not three finite numbers up to 1e15; give them"
+    limits = (file.rms_limit, file.improvement_limit)
+    yield 5, _are_numbers(limits, 2, lowest=0), f"limits of the rms {limits}; give finite ones, 0 or above"
+    unknown = f"continuum {_shown(file.continuum)} is unknown; give one letter of {', '.join(CONTINUA)}"
+    yield 6, file.continuum in CONTINUA, unknown
+    if file.continuum != "N" or file.coefficients or file.coefficients_95:
+        fault = "the continuum is not four finite coefficients up to 1e15; give c0 to c3, 0 where unused"
+        yield 7, _are_numbers(file.coefficients, 4), fault
+        fault = "the uncertainties of the continuum are not four finite numbers from 0 to 1e15; give them"
+        yield 8, _are_numbers(file.coefficients_95, 4, lowest=0), fault
+    yield file.first_band_line - 1, bool(file.bands), "no band; give one or more"
+    for number, band in enumerate(file.bands):
+        for after, good, fault in _lines_of_band(band):
+            yield file.first_band_line + 2 * number + after, good, f"band {number + 1}: {fault}"
 
 
-def _continuum_faults(file: FitFile) -> Iterator[tuple[int, str]]:
-    if file.continuum not in CONTINUA:
-        yield 6, f"continuum {_shown(file.continuum)} is unknown; give one letter of {', '.join(CONTINUA)}"
-    if file.continuum == "N" and file.coefficients == file.coefficients_95 == ():
-        return
-    if not _are_numbers(file.coefficients, 4):
-        yield 7, "the continuum is not four finite coefficients up to 1e15; give c0 to c3, 0 where unused"
-    if not _are_numbers(file.coefficients_95, 4, lowest=0):
-        yield 8, "the uncertainties of the continuum are not four finite numbers from 0 to 1e15; give them"
-
-
-def _band_faults(file: FitFile) -> Iterator[tuple[int, str]]:
-    if not file.bands:
-        yield file.first_band_line - 1, "no band; give one or more"
-    for number, band in enumerate(file.bands, start=1):
-        for beyond, fault in _faults_of(band):
-            yield file.first_band_line + 2 * (number - 1) + beyond, f"band {number}: {fault}"
-
-
-def _faults_of(band: FitBand) -> Iterator[tuple[int, str]]:
-    """Of a band: how many lines behind its first, and what is wrong there."""
-    if not _are_numbers(band.values, 3):
-        yield 0, "centre, FWHM or strength is not finite or beyond 1e15; give three numbers"
-    if abs(band.center_nm) < LEAST:
-        yield 0, "centre of 0 nm, which has no wavenumber; give another"
-    if 0 < band.center_nm < LEAST_NM and abs(band.fwhm_nm) < LEAST_NM:
-        yield 0, f"centre of {band.center_nm:g} nm; these files are in nm, is this um?"
-    if abs(band.fwhm_nm) < LEAST:
-        yield 0, "FWHM of 0 nm; give one above 0"
-    if band.mineral and band.mineral not in MINERALS:
-        yield 0, f"mineral {_shown(band.mineral)} is unknown; give one of {', '.join(MINERALS)}, or none"
-    if not (_are_numbers(band.uncertainties, 3) and _are_numbers(band.uncertainties[1:], 2, lowest=0)):
-        yield (
-            1,
-            "uncertainties are not finite, beyond 1e15 or, of FWHM and strength, below 0; values come first",
-        )
+def _lines_of_band(band: FitBand) -> Iterator[tuple[int, bool, str]]:
+    in_um = 0 < band.center_nm < LEAST_NM and abs(band.fwhm_nm) < LEAST_NM
+    yield 0, _are_numbers(band.values, 3), "centre, FWHM or strength is not finite or beyond 1e15; give three numbers"
+    yield 0, not abs(band.center_nm) < LEAST, "centre of 0 nm, which has no wavenumber; give another"
+    yield 0, not in_um, f"centre of {band.center_nm:g} nm; these files are in nm, is this um?"
+    yield 0, not abs(band.fwhm_nm) < LEAST, "FWHM of 0 nm; give one above 0"
+    unknown = f"mineral {_shown(band.mineral)} is unknown; give one of {', '.join(MINERALS)}, or none"
+    yield 0, not band.mineral or band.mineral in MINERALS, unknown
+    good = _are_numbers(band.uncertainties, 3) and _are_numbers(band.uncertainties[1:], 2, lowest=0)
+    yield 1, good, "uncertainties are not finite, beyond 1e15 or, of FWHM and strength, below 0; values come first"
 
 
 def _are_numbers(values: Numbers, count: int, lowest: float = -LARGEST) -> bool:
@@ -227,8 +212,8 @@ def _read_bands(lines: "_Lines", first: int) -> tuple[FitBand, ...]:
 def _mineral_in(comment: str) -> str:
     """The first mineral that a line names, by its abbreviation or its name."""
     keys = {word: key for key, name in MINERALS.items() for word in (key.lower(), name)}
-    found = [keys[word] for word in re.findall(r"[a-z]+", comment.lower()) if word in keys]
-    return found[0] if found else ""
+    named = [keys[word] for word in re.findall(r"[a-z]+", comment.lower()) if word in keys]
+    return named[0] if named else ""
 
 
 def _parts(line: str) -> list[str]:
@@ -427,21 +412,20 @@ def parse_minerals(text: str) -> dict[int, str]:
 
     Raises ParameterError for anything else.
     """
-    found: dict[int, str] = {}
+    minerals: dict[int, str] = {}
     for part in text.split(","):
         number, equals, mineral = (piece.strip() for piece in part.partition("="))
-        if not (equals and number.isascii() and number.isdigit()) or int(number[:9]) in found:
+        if not (equals and number.isascii() and number.isdigit()) or int(number[:9]) in minerals:
             raise ParameterError(f"minerals '{text}': write NUMBER=MINERAL for each band once, such as 4=OPX,5=CPX")
-        found[int(number[:9])] = mineral.upper()
-    return found
+        minerals[int(number[:9])] = mineral.upper()
+    return minerals
 
 
 def _named(bands: tuple[FitBand, ...], minerals: Mapping[int, str]) -> tuple[FitBand, ...]:
     for number, mineral in minerals.items():
-        if not 1 <= number <= len(bands):
-            raise ParameterError(f"there is no band {number} to be {mineral}; the file has bands 1 to {len(bands)}")
-        if mineral not in MINERALS:
-            raise ParameterError(f"band {number}: mineral '{mineral}' is unknown; give one of {', '.join(MINERALS)}")
+        if not 1 <= number <= len(bands) or mineral not in MINERALS:
+            names = ", ".join(MINERALS)
+            raise ParameterError(f"band {number} is no '{mineral}'; give bands 1 to {len(bands)}, and one of {names}")
     return tuple(
         dataclasses.replace(band, mineral=minerals.get(number, band.mineral)) for number, band in enumerate(bands, 1)
     )
@@ -507,49 +491,49 @@ class ProgramParameters:
 
     def of_kernel(self, kernel: FloatArray) -> FloatArray:
         """The program's parameters of the kernel's, with those held and tied where they belong."""
-        m, own = self.model.degrees, kernel * self.units
-        own[:m] = to_raw(self.model.continuum) @ kernel[:m]
-        own[m::3] = WAVENUMBER_NM / own[m::3]
-        return self.on_planes(np.where(self.held, self.values, own))
+        m, program = self.model.degrees, kernel * self.units
+        program[:m] = to_raw(self.model.continuum) @ kernel[:m]
+        program[m::3] = WAVENUMBER_NM / program[m::3]
+        return self.on_planes(np.where(self.held, self.values, program))
 
-    def to_kernel(self, own: FloatArray) -> FloatArray:
+    def to_kernel(self, program: FloatArray) -> FloatArray:
         """The kernel's parameters of the program's."""
-        m, kernel = self.model.degrees, own.copy()
-        kernel[:m] = np.linalg.solve(to_raw(self.model.continuum), own[:m])
-        kernel[m::3] = WAVENUMBER_NM / own[m::3]
+        m, kernel = self.model.degrees, program.copy()
+        kernel[:m] = np.linalg.solve(to_raw(self.model.continuum), program[:m])
+        kernel[m::3] = WAVENUMBER_NM / program[m::3]
         return np.where(self.model.fixed, self.model.lower, kernel / self.units)
 
-    def kernel_slopes(self, own: FloatArray) -> FloatArray:
+    def kernel_slopes(self, program: FloatArray) -> FloatArray:
         """Derivatives, (p, p), of the kernel's parameters by the program's."""
-        m, slopes = self.model.degrees, np.diag(self._slope(own) / self.units)
+        m, slopes = self.model.degrees, np.diag(self._slope(program) / self.units)
         slopes[:m, :m] = np.linalg.inv(to_raw(self.model.continuum))
         return slopes
 
-    def directions(self, own: FloatArray) -> FloatArray:
+    def directions(self, program: FloatArray) -> FloatArray:
         """(p, q) directions in which the parameters may move from here."""
-        free = np.eye(own.size)[:, ~self.held]
+        free = np.eye(program.size)[:, ~self.held]
         if not self.tied:
             return free
         from scipy.linalg import null_space
 
         along = free @ null_space((self.planes * self.scale)[:, ~self.held])
-        return np.asarray((self.scale / self._slope(own))[:, None] * along)
+        return np.asarray((self.scale / self._slope(program))[:, None] * along)
 
-    def on_planes(self, own: FloatArray) -> FloatArray:
+    def on_planes(self, program: FloatArray) -> FloatArray:
         """The nearest parameters that obey the ties."""
         if not self.tied:
-            return own
-        m, free, there = self.model.degrees, ~self.held, own.copy()
+            return program
+        m, free, there = self.model.degrees, ~self.held, program.copy()
         there[m::3] = WAVENUMBER_NM / there[m::3]
         inverse = np.linalg.pinv((self.planes * self.scale)[:, free])
         there[free] += self.scale[free] * (inverse @ (self.targets - self.planes @ there))
         there[m::3] = WAVENUMBER_NM / there[m::3]
         return there
 
-    def _slope(self, own: FloatArray) -> FloatArray:
+    def _slope(self, program: FloatArray) -> FloatArray:
         """(p,) derivatives of the parameters with centres in nm by those with centres in cm^-1."""
-        m, slope = self.model.degrees, np.ones(own.size)
-        slope[m::3] = -WAVENUMBER_NM / own[m::3] ** 2
+        m, slope = self.model.degrees, np.ones(program.size)
+        slope[m::3] = -WAVENUMBER_NM / program[m::3] ** 2
         return slope
 
 
@@ -607,7 +591,7 @@ def fit_file_of(fit: MgmFit, header: FitFile | None = None) -> FitFile:
     if not np.isfinite(rows).all():
         raise ParameterError(f"{fit.id}: the fit has no errors, and a .fit file needs them; fix or remove a band")
     coefficients, coefficients_95 = _raw_coefficients(fit)
-    found = FitFile(
+    result = FitFile(
         folder="",
         spectrum=" ".join(fit.id.split()) or "spectrum",
         plot_axis=PLOT_AXIS,
@@ -620,9 +604,9 @@ def fit_file_of(fit: MgmFit, header: FitFile | None = None) -> FitFile:
         bands=tuple(FitBand(*row) for row in rows.clip(-LARGEST, LARGEST).tolist()),
     )
     if header is None:
-        return found
-    kept = ("folder", "spectrum", "plot_axis", "wavelength_axis", "rms_limit", "improvement_limit")
-    return dataclasses.replace(found, **{name: getattr(header, name) for name in kept})
+        return result
+    header_fields = ("folder", "spectrum", "plot_axis", "wavelength_axis", "rms_limit", "improvement_limit")
+    return dataclasses.replace(result, **{name: getattr(header, name) for name in header_fields})
 
 
 def _band_rows(fit: MgmFit) -> tuple[FloatArray, FloatArray]:
@@ -650,9 +634,9 @@ def _letter(continuum: MgmContinuum, header: FitFile | None) -> str:
     """Letter of a continuum: that of the start, else of a straight line the one for straight lines."""
     if header and continuum in CONTINUA[header.continuum]:
         return header.continuum
-    found = [letter for letter, choices in CONTINUA.items() if continuum in choices]
-    if not found:
-        known = ", ".join(dict.fromkeys(name for choices in CONTINUA.values() for name in choices))
-        raise ParameterError(f"a .fit file has no letter for the continuum {continuum}; fit with one of: {known}")
-    straight = continuum == CONTINUA[found[0]][0]
-    return found[-1] if straight else found[0]
+    letters = [letter for letter, choices in CONTINUA.items() if continuum in choices]
+    if not letters:
+        names = ", ".join(dict.fromkeys(name for choices in CONTINUA.values() for name in choices))
+        raise ParameterError(f"a .fit file has no letter for the continuum {continuum}; fit with one of: {names}")
+    straight = continuum == CONTINUA[letters[0]][0]
+    return letters[-1] if straight else letters[0]

@@ -1,7 +1,18 @@
-"""The Modified Gaussian Model itself, compiled: ln R and its derivatives with respect to every parameter.
+"""The Modified Gaussian Model, compiled: ln R, its derivatives, and what descents and samplers make of them.
 
-The energy of a particle, half the objective, and its slope: what the sampler's trajectories feel. The energy counts on
-all channels; the force may come from neighbouring channels put together, see `force_of`.
+`residuals` has one spectrum, for what a fit does once. Descents work on eight spectra side by side: the derivatives of
+a band are its Gaussian times a polynomial of second degree in wavelength, so what the normal equations need of two
+bands are five moments of the product of their Gaussians, not nine products of derivatives (`evaluate`, `update`). The
+sums are taken over a few channels at a time, which stay in the fastest memory. The objective is `scale` times
+chi-square plus (p - prior)' precision (p - prior), its step Marquardt's within bounds (`solve_step`).
+
+Matrices have the side - `TILE` rows of the system, padded to a multiple of `TILE` by those of the identity, and `TILE`
+columns more, of which the first is a right-hand side and the others are 0. The upper triangle is overwritten by the
+factor U of A = U' U, its diagonal by 1/U_kk; the factorisation solves U' y = b on its way. What lies below the diagonal
+has no meaning.
+
+The sampler's trajectories feel the energy of a particle, half the objective, on all channels; the force may come from
+neighbouring channels put together (`force_of`).
 """
 
 import math
@@ -11,8 +22,257 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.compiled.lanes import exponential, logarithm
-from lunarsci.spectra.mgm.normal_equations import prior_share
+from lunarsci.compiled.lanes import aligned, choose, exponential, highest, load, logarithm, lowest, root, spread, store
+
+TILE = 4
+"""Rows and columns worked on together, so that each number read is used four times."""
+LEAST_PIVOT = 1e-300
+
+
+def padded_matrix(size: int) -> FloatArray:
+    """Workspace for the matrix of a system of so many unknowns, (rows columns, 8)."""
+    rows = -(-size // TILE) * TILE
+    side = rows + TILE
+    matrix = aligned(rows * side)
+    for k in range(size, rows):
+        matrix[k * side + k] = 1.0
+    return matrix
+
+
+@compiled
+def matrix_side(matrix: Any) -> int:
+    """Columns of a matrix: rows (rows + `TILE`) = its size."""
+    rows = TILE
+    while rows * (rows + TILE) < matrix.shape[0]:
+        rows += TILE
+    return rows + TILE
+
+
+@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+def _tile(matrix: Any, side: int, k: int, j: int) -> None:
+    """A_kj - sum_i U_ik U_ij, i < k, of `TILE` rows from k and columns from j, each sum in a register of its own."""
+    at = k * side + j
+    s00, s01, s02, s03 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    at = (k + 1) * side + j
+    s10, s11, s12, s13 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    at = (k + 2) * side + j
+    s20, s21, s22, s23 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    at = (k + 3) * side + j
+    s30, s31, s32, s33 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    for i in range(k):
+        left, above = i * side + k, i * side + j
+        a, b, c, d = load(matrix, above), load(matrix, above + 1), load(matrix, above + 2), load(matrix, above + 3)
+        lead = load(matrix, left)
+        s00 -= lead * a
+        s01 -= lead * b
+        s02 -= lead * c
+        s03 -= lead * d
+        lead = load(matrix, left + 1)
+        s10 -= lead * a
+        s11 -= lead * b
+        s12 -= lead * c
+        s13 -= lead * d
+        lead = load(matrix, left + 2)
+        s20 -= lead * a
+        s21 -= lead * b
+        s22 -= lead * c
+        s23 -= lead * d
+        lead = load(matrix, left + 3)
+        s30 -= lead * a
+        s31 -= lead * b
+        s32 -= lead * c
+        s33 -= lead * d
+    at = k * side + j
+    store(matrix, at, s00)
+    store(matrix, at + 1, s01)
+    store(matrix, at + 2, s02)
+    store(matrix, at + 3, s03)
+    at = (k + 1) * side + j
+    store(matrix, at, s10)
+    store(matrix, at + 1, s11)
+    store(matrix, at + 2, s12)
+    store(matrix, at + 3, s13)
+    at = (k + 2) * side + j
+    store(matrix, at, s20)
+    store(matrix, at + 1, s21)
+    store(matrix, at + 2, s22)
+    store(matrix, at + 3, s23)
+    at = (k + 3) * side + j
+    store(matrix, at, s30)
+    store(matrix, at + 1, s31)
+    store(matrix, at + 2, s32)
+    store(matrix, at + 3, s33)
+
+
+@compiled
+def factorise(matrix: Any, side: int) -> Any:
+    """Factor in place; the least pivot, which is not above 0 where there is no factor."""
+    least = spread(1.0)
+    for block in range(0, side - TILE, TILE):
+        for j in range(block, side, TILE):
+            _tile(matrix, side, block, j)
+        for k in range(block, block + TILE):
+            pivot = load(matrix, k * side + k)
+            least = lowest(pivot, least)
+            inverse = spread(1.0) / root(highest(pivot, spread(LEAST_PIVOT)))
+            store(matrix, k * side + k, inverse)
+            for j in range(k + 1, side):
+                store(matrix, k * side + j, load(matrix, k * side + j) * inverse)
+            for row in range(k + 1, block + TILE):
+                lead = load(matrix, k * side + row)
+                for j in range(row, side):
+                    store(matrix, row * side + j, load(matrix, row * side + j) - lead * load(matrix, k * side + j))
+    return least
+
+
+@compiled
+def back_substitute(matrix: Any, size: int, side: int, solution: Any) -> None:
+    """Solve U x = y, where y is the right-hand side of the factorised matrix."""
+    for k in range(size):
+        store(solution, k, load(matrix, (k + 1) * side - TILE))
+    for k in range(size - 1, -1, -1):
+        value = load(solution, k) * load(matrix, k * side + k)
+        store(solution, k, value)
+        for i in range(k):
+            store(solution, i, load(solution, i) - load(matrix, i * side + k) * value)
+
+
+@compiled
+def invert(matrix: Any, size: int, side: int, inverse: Any) -> None:
+    """Fill the upper triangle of `inverse` (size size, 8) from a factor: V = U^-1 row by row, then V V'."""
+    for p in range(size - 1, -1, -1):
+        diagonal = load(matrix, p * side + p)
+        store(inverse, p * size + p, diagonal)
+        for q in range(p + 1, size):
+            total = spread(0.0)
+            for k in range(p + 1, q + 1):
+                total += load(matrix, p * side + k) * load(inverse, k * size + q)
+            store(inverse, p * size + q, total * diagonal * -1.0)
+    for p in range(size):
+        for q in range(p, size):
+            total = spread(0.0)
+            for k in range(q, size):
+                total += load(inverse, p * size + k) * load(inverse, q * size + k)
+            store(inverse, p * size + q, total)
+
+
+@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
+    """(p - prior)' precision (p - prior) of one point."""
+    share = 0.0
+    for p in range(parameters.size):
+        pull, row = 0.0, precision[p]
+        for q in range(parameters.size):
+            pull += row[q] * (parameters[q] - prior[q])
+        share += pull * (parameters[p] - prior[p])
+    return share
+
+
+@compiled
+def prior_pull(point: Any, prior: Any, precision: Any, pull: Any) -> Any:
+    """Fill `pull` with precision (p - prior); (p - prior)' precision (p - prior)."""
+    size, share = prior.size, spread(0.0)
+    for p in range(size):
+        total = spread(0.0)
+        for q in range(size):
+            if precision[p, q] != 0.0:
+                total += (load(point, q) - prior[q]) * precision[p, q]
+        store(pull, p, total)
+        share += total * (load(point, p) - prior[p])
+    return share
+
+
+@compiled
+def damped(
+    curvature: Any, precision: Any, scale: Any, growth: Any, free: Any, size: int, side: int, matrix: Any
+) -> None:
+    """scale J J' + precision, its diagonal times `growth`; rows and columns that are not free are those of 1."""
+    for p in range(size):
+        is_free = load(free, p)
+        for q in range(p, size):
+            value = load(curvature, p * size + q) * scale + precision[p, q]
+            store(matrix, p * side + q, value * is_free * load(free, q))
+        diagonal = load(matrix, p * side + p) * growth
+        store(matrix, p * side + p, choose(is_free, diagonal, spread(1.0)))
+
+
+@compiled
+def _right_side(
+    curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, free: Any, step: Any, held_steps: int,
+    side: int, matrix: Any,
+) -> None:  # fmt: skip
+    """Half the descent of the objective, less what the steps of parameters that stop at a bound do to it."""
+    size = free.shape[0]
+    for p in range(size):
+        total = load(slope, p) * scale - load(pull, p)
+        for q in range(size * held_steps):
+            held = (spread(1.0) - load(free, q)) * load(step, q)
+            low, high = min(p, q), max(p, q)
+            total -= (load(curvature, low * size + high) * scale + precision[p, q]) * held
+        store(matrix, (p + 1) * side - TILE, choose(load(free, p), total, load(step, p)))
+
+
+@compiled
+def solve_step(
+    curvature: Any, precision: Any, scale: Any, growth: Any, slope: Any, pull: Any, free: Any, held_steps: int,
+    matrix: Any, step: Any,
+) -> Any:  # fmt: skip
+    """Marquardt's step of the free parameters, that of the others given; the least pivot."""
+    size, side = free.shape[0], matrix_side(matrix)
+    damped(curvature, precision, scale, growth, free, size, side, matrix)
+    _right_side(curvature, precision, scale, slope, pull, free, step, held_steps, side, matrix)
+    least = factorise(matrix, side)
+    back_substitute(matrix, size, side, step)
+    return least
+
+
+@compiled
+def clip_to_bounds(point: Any, lower: Any, upper: Any, step: Any, free: Any) -> Any:
+    """Stop at its bound each step that would cross it, and free its parameter no longer; above 0 where one did."""
+    crossed = spread(0.0)
+    for p in range(lower.size):
+        wanted, here, is_free = load(step, p), load(point, p), load(free, p)
+        allowed = lowest(highest(wanted, lower[p] - here), upper[p] - here)
+        beyond = (allowed - wanted) * (allowed - wanted) * is_free
+        store(step, p, choose(is_free, allowed, wanted))
+        store(free, p, choose(beyond, spread(0.0), is_free))
+        crossed = highest(crossed, choose(beyond, spread(1.0), spread(0.0)))
+    return crossed
+
+
+@compiled
+def free_again(
+    point: Any, lower: Any, upper: Any, scale: Any, slope: Any, pull: Any, renewed: Any, free: Any, step: Any
+) -> None:
+    """In the lanes where `renewed` is above 0: no step, and every parameter free but those on a bound away from which
+    the objective does not fall."""
+    for p in range(lower.size):
+        here, gradient = load(point, p), load(slope, p) * scale - load(pull, p)
+        zero, one = spread(0.0), spread(1.0)
+        if lower[p] == upper[p]:
+            is_free = zero
+        else:
+            off_lower = choose(here - lower[p], one, choose(gradient, one, zero))
+            off_upper = choose(upper[p] - here, one, choose(zero - gradient, one, zero))
+            is_free = off_lower * off_upper
+        store(free, p, choose(renewed, is_free, load(free, p)))
+        store(step, p, choose(renewed, zero, load(step, p)))
+
+
+@compiled
+def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, step: Any) -> Any:
+    """By how much the quadratic model of the objective falls along a step."""
+    size, decrease = step.shape[0], spread(0.0)
+    for p in range(size):
+        move = load(step, p)
+        bend = (load(curvature, p * size + p) * scale + precision[p, p]) * move * 0.5
+        for q in range(p + 1, size):
+            bend += (load(curvature, p * size + q) * scale + precision[p, q]) * load(step, q)
+        decrease += move * (load(slope, p) * scale - load(pull, p) - bend) * 2.0
+    return decrease
+
+
+LEAST_CONTINUUM = 1e-12
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
@@ -91,26 +351,10 @@ def _continuum(
 ) -> bool:  # fmt: skip
     """The continuum's share of `residual` and `jacobian`; False where it is not above 0."""
     degrees, channels = columns.shape
+    if not _subtract_continuum(parameters, columns, logarithmic, data, work, residual):
+        return False
     for i in range(channels):
-        work[i] = 0.0
-    for m in range(degrees):
-        coefficient, column = parameters[m], columns[m]
-        for i in range(channels):
-            work[i] += column[i] * coefficient
-    if logarithmic:
-        for i in range(channels):
-            residual[i] = data[i] - work[i]
-            work[i] = root_weight[i]
-    else:
-        lowest = work[0]
-        for i in range(channels):
-            lowest = min(lowest, work[i])
-        if not lowest > 0.0:
-            return False
-        for i in range(channels):
-            residual[i] = data[i] - logarithm(work[i])
-        for i in range(channels):
-            work[i] = root_weight[i] / work[i]
+        work[i] *= root_weight[i]
     for m in range(degrees):
         row, column = jacobian[m], columns[m]
         for i in range(channels):
@@ -118,24 +362,41 @@ def _continuum(
     return True
 
 
-RIDGE = 1e-10
-"""Added to the diagonal of a matrix, relatively, before it is factorised."""
-LEAST_CONTINUUM = 1e-12
-
-
-@compiled
-def _chi2(channels: Any, logarithmic: bool, point: Any, space: Any) -> float:
-    wavelength, columns, data, root_weight = channels
-    jacobian, residual, work = space
-    chi2: float = residuals(point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work)
-    return chi2
+@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def _subtract_continuum(
+    parameters: Any, columns: Any, logarithmic: bool, data: Any, level: Any, rest: Any
+) -> bool:  # fmt: skip
+    """Fill `rest` with data - ln C and `level` with what a change of C means for ln C; False where C is not above 0."""
+    for i in range(level.size):
+        level[i] = 0.0
+    for m in range(columns.shape[0]):
+        coefficient, column = parameters[m], columns[m]
+        for i in range(level.size):
+            level[i] += column[i] * coefficient
+    if logarithmic:
+        for i in range(level.size):
+            rest[i] = data[i] - level[i]
+            level[i] = 1.0
+        return True
+    lowest = level[0]
+    for i in range(level.size):
+        lowest = min(lowest, level[i])
+    if not lowest > LEAST_CONTINUUM:
+        return False
+    for i in range(level.size):
+        rest[i] = data[i] - logarithm(level[i])
+        level[i] = 1.0 / level[i]
+    return True
 
 
 @compiled
 def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
     """Halves of chi-square, of the prior's share, and of the squared distance of the continuum from its start."""
     channels, _, logarithmic, prior, precision, start = target[:6]
-    energy[0] = 0.5 * _chi2(channels, logarithmic, point, space[0])
+    wavelength, columns, data, root_weight = channels
+    jacobian, residual, work = space[0]
+    chi2 = residuals(point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work)
+    energy[0] = 0.5 * chi2
     energy[1] = 0.5 * prior_share(point, prior, precision)
     energy[2] = 0.0
     for m in range(start.shape[1]):
@@ -152,13 +413,7 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
     (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
     shapes, rest, level = space[1]
     degrees, channels = columns.shape
-    for i in range(channels):
-        level[i] = 0.0
-    for m in range(degrees):
-        coefficient, column = point[m], columns[m]
-        for i in range(channels):
-            level[i] += column[i] * coefficient
-    if not _subtract_continuum(data, level, logarithmic, rest):
+    if not _subtract_continuum(point, columns, logarithmic, data, level, rest):
         return False
     for row in range(degrees, point.size, 3):
         strength, shape = point[row + 2], shapes[row]
@@ -169,31 +424,12 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
         rest[i] *= root_weight[i] * root_weight[i] * beta
     _project(point, wavelength, columns, rest, level, shapes, force)
     for p in range(point.size):
-        pull, own = 0.0, precision[p]
+        pull, weights = 0.0, precision[p]
         for q in range(point.size):
-            pull += own[q] * (point[q] - prior[q])
+            pull += weights[q] * (point[q] - prior[q])
         force[p] -= pull
     for m in range(degrees):
         force[m] -= (1.0 - beta) * start[1, m] * (point[m] - start[0, m])
-    return True
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _subtract_continuum(data: Any, level: Any, logarithmic: bool, rest: Any) -> bool:
-    """Fill `rest` with data - ln C and turn `level` into what a change of C means for ln C."""
-    if logarithmic:
-        for i in range(level.size):
-            rest[i] = data[i] - level[i]
-            level[i] = 1.0
-        return True
-    lowest = level[0]
-    for i in range(level.size):
-        lowest = min(lowest, level[i])
-    if not lowest > LEAST_CONTINUUM:
-        return False
-    for i in range(level.size):
-        rest[i] = data[i] - logarithm(level[i])
-        level[i] = 1.0 / level[i]
     return True
 
 
@@ -220,58 +456,210 @@ def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, s
         force[row + 2] = by_strength
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def correct_coarse(target: Any, groups: Any, best: Any, space: Any) -> None:
-    """Set the coarse data so that residuals and slope at `best` are those of all channels.
+BLOCK = 8
+"""Channels worked on together; their number is a multiple of it."""
+ORIGIN = 1.4
+"""Wavelengths are counted from here, near the middle of the range, so that fourth powers lose few digits. [um]"""
+MOMENTS = 5
+LEAST = 1e-9
+"""A continuum below this, in a trial that will be refused, is replaced by it."""
 
-    Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
+
+def rows_of_work(degrees: int, bands: int) -> int:
+    """Of the workspace of `evaluate`."""
+    return (degrees + 1 + 3 * bands) * BLOCK
+
+
+def rows_of_sums(degrees: int, bands: int) -> int:
+    """Of the sums of `evaluate`: (m + 1)^2 of the plain rows among themselves, 3 of each with each band, 5 of each pair
+    of bands, and the lowest value of the continuum."""
+    plain = degrees + 1
+    return plain * plain + 3 * plain * bands + MOMENTS * bands * bands + 1
+
+
+@compiled
+def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
+    """Derivatives by the continuum's coefficients and ln R - ln C of one block; the lowest value of C."""
+    places, columns, data, roots = channels
+    count, least = places.shape[0], spread(1.0)
+    for i in range(BLOCK):
+        level = spread(0.0)
+        for m in range(degrees):
+            level += load(columns, m * count + first + i) * load(point, m)
+        slope = load(roots, first + i)
+        if logarithmic:
+            store(work, degrees * BLOCK + i, load(data, first + i) - level)
+        else:
+            least = lowest(least, level)
+            level = choose(level - LEAST, level, spread(LEAST))
+            slope = slope / level
+            store(work, degrees * BLOCK + i, load(data, first + i) - logarithm(level))
+        for m in range(degrees):
+            store(work, m * BLOCK + i, load(columns, m * count + first + i) * slope)
+    return least
+
+
+@compiled
+def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any) -> None:
+    """Weighted Gaussians times the powers 0, 1, 2 of wavelength, and the residual without the bands, of one block."""
+    places, _, _, roots = channels
+    at = degrees * BLOCK
+    row = at + BLOCK
+    for band in range(degrees, point.shape[0], 3):
+        centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
+        strength = load(point, band + 2)
+        for i in range(BLOCK):
+            place = load(places, first + i)
+            x = (place - centre) * inverse
+            shape = exponential(x * x * -0.5)
+            store(work, at + i, load(work, at + i) - strength * shape)
+            shape = shape * load(roots, first + i)
+            store(work, row + i, shape)
+            shape = shape * place
+            store(work, row + BLOCK + i, shape)
+            store(work, row + 2 * BLOCK + i, shape * place)
+        row += 3 * BLOCK
+    for i in range(BLOCK):
+        store(work, at + i, load(work, at + i) * load(roots, first + i))
+
+
+@compiled
+def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
+    """Sums of the continuum's rows and the residual among themselves and with every band."""
+    plain, target = degrees + 1, 0
+    for c in range(plain):
+        for d in range(plain):
+            total = load(sums, target)
+            for i in range(BLOCK):
+                total += load(work, c * BLOCK + i) * load(work, d * BLOCK + i)
+            store(sums, target, total)
+            target += 1
+    for c in range(plain):
+        for band in range(bands):
+            row = (plain + 3 * band) * BLOCK
+            s0, s1, s2 = load(sums, target), load(sums, target + 1), load(sums, target + 2)
+            for i in range(BLOCK):
+                row_value = load(work, c * BLOCK + i)
+                s0 += row_value * load(work, row + i)
+                s1 += row_value * load(work, row + BLOCK + i)
+                s2 += row_value * load(work, row + 2 * BLOCK + i)
+            store(sums, target, s0)
+            store(sums, target + 1, s1)
+            store(sums, target + 2, s2)
+            target += 3
+
+
+@compiled
+def _add_bands(work: Any, degrees: int, bands: int, sums: Any) -> None:
+    """Moments 0 to 4 of the product of every two bands."""
+    begin, start = (degrees + 1) * BLOCK, (degrees + 1) * (degrees + 1 + 3 * bands)
+    for a in range(bands):
+        p = begin + 3 * a * BLOCK
+        for b in range(a, bands):
+            q, target = begin + 3 * b * BLOCK, start + MOMENTS * (a * bands + b)
+            s0, s1, s2 = load(sums, target), load(sums, target + 1), load(sums, target + 2)
+            s3, s4 = load(sums, target + 3), load(sums, target + 4)
+            for i in range(BLOCK):
+                p0, p1, p2 = load(work, p + i), load(work, p + BLOCK + i), load(work, p + 2 * BLOCK + i)
+                q0, q1, q2 = load(work, q + i), load(work, q + BLOCK + i), load(work, q + 2 * BLOCK + i)
+                s0 += p0 * q0
+                s1 += p0 * q1
+                s2 += p1 * q1
+                s3 += p1 * q2
+                s4 += p2 * q2
+            store(sums, target, s0)
+            store(sums, target + 1, s1)
+            store(sums, target + 2, s2)
+            store(sums, target + 3, s3)
+            store(sums, target + 4, s4)
+
+
+@compiled
+def evaluate(
+    channels: Any, point: Any, degrees: int, logarithmic: bool, curved: int, work: Any, residuals: Any, sums: Any
+) -> None:
+    """Fill `sums`, in the order of `rows_of_sums`, at the points (p, 8); those of pairs of bands where `curved` is 1.
+
+    `channels` are wavelength from `ORIGIN`, basis, ln R and the root of the weight, each (n, 8), the basis (m n, 8).
+    `residuals` (n, 8) become data - model, times the root of the weight.
     """
-    channels, coarse, logarithmic, _, precision = target[:5]
-    _chi2(channels, logarithmic, best, space[0])
-    coarse[2][:] = 0.0
-    _chi2(coarse, logarithmic, best, space[1])
-    jacobian, wanted, root_weight, model = space[1][0], np.zeros(space[1][1].size), coarse[3], space[1][1]
-    for i in range(groups.size):
-        wanted[groups[i]] += channels[3][i] * space[0][1][i] / root_weight[groups[i]]
-    size = best.size
-    matrix, missing = np.empty((size, size)), np.zeros(size)
-    for p in range(size):
-        missing[p] = (space[0][0][p] * space[0][1]).sum() - (jacobian[p] * wanted).sum()
-        for q in range(p + 1):
-            matrix[p, q] = (jacobian[p] * jacobian[q]).sum() + precision[p, q]
-        matrix[p, p] *= 1.0 + RIDGE
-    if lower_factor(matrix):
-        solve_lower(matrix, missing)
-        for p in range(size):
-            wanted += missing[p] * jacobian[p]
-    for j in range(root_weight.size):
-        coarse[2][j] = (wanted[j] - model[j]) / root_weight[j]
+    bands, least = (point.shape[0] - degrees) // 3, spread(1.0)
+    last = sums.shape[0] - 1
+    for row in range(last):
+        store(sums, row, spread(0.0))
+    for first in range(0, channels[0].shape[0], BLOCK):
+        least = lowest(least, continuum_rows(channels, first, point, degrees, logarithmic, work))
+        gaussian_rows(channels, first, point, degrees, work)
+        _add_plain(work, degrees, bands, sums)
+        if curved > 0:
+            _add_bands(work, degrees, bands, sums)
+        for i in range(BLOCK):
+            store(residuals, first + i, load(work, degrees * BLOCK + i))
+    store(sums, last, least)
+
+
+@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+def _keep(target: Any, row: int, taken: Any, value: Any) -> None:
+    store(target, row, choose(taken, value, load(target, row)))
+
+
+@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+def _shape(point: Any, band: int) -> Any:
+    """A band's derivatives are g, by strength; by_centre (t - centre) g; and by_width (t - centre)^2 g."""
+    centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
+    by_centre = load(point, band + 2) * inverse * inverse
+    return centre, by_centre, by_centre / load(point, band + 1)
+
+
+@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+def _keep_band(target: Any, row: int, stride: int, taken: Any, shape: Any, s0: Any, s1: Any, s2: Any) -> None:
+    """Sums of something with g, t g, t^2 g become those with a band's derivatives by centre, width and strength."""
+    centre, by_centre, by_width = shape
+    _keep(target, row, taken, (s1 - s0 * centre) * by_centre)
+    _keep(target, row + stride, taken, (s2 - (s1 * 2.0 - s0 * centre) * centre) * by_width)
+    _keep(target, row + 2 * stride, taken, s0)
+
+
+@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+def _between_bands(sums: Any, row: int, first: Any, second: Any, target: Any, at: int, side: int, taken: Any) -> None:
+    """The nine products of the derivatives of two bands."""
+    s0, s1, s2 = load(sums, row), load(sums, row + 1), load(sums, row + 2)
+    s3, s4 = load(sums, row + 3), load(sums, row + 4)
+    centre, by_centre, by_width = first
+    _keep_band(
+        target, at, 1, taken, second, (s1 - s0 * centre) * by_centre, (s2 - s1 * centre) * by_centre,
+        (s3 - s2 * centre) * by_centre,
+    )  # fmt: skip
+    _keep_band(
+        target, at + side, 1, taken, second, (s2 - (s1 * 2.0 - s0 * centre) * centre) * by_width,
+        (s3 - (s2 * 2.0 - s1 * centre) * centre) * by_width, (s4 - (s3 * 2.0 - s2 * centre) * centre) * by_width,
+    )  # fmt: skip
+    _keep_band(target, at + 2 * side, 1, taken, second, s0, s1, s2)
 
 
 @compiled
-def lower_factor(matrix: Any) -> bool:
-    """Overwrite the lower triangle by its Cholesky factor; False where there is none."""
-    for k in range(matrix.shape[0]):
-        for j in range(k + 1):
-            total = matrix[k, j]
-            for i in range(j):
-                total -= matrix[k, i] * matrix[j, i]
-            if j < k:
-                matrix[k, j] = total / matrix[j, j]
-            elif total > 0.0:
-                matrix[k, k] = math.sqrt(total)
+def update(sums: Any, point: Any, degrees: int, taken: Any, curvature: Any, slope: Any) -> None:
+    """In the lanes where `taken` is above 0: the upper triangle of J J' into `curvature` (p p, 8), J r into `slope`."""
+    size, plain = point.shape[0], degrees + 1
+    bands = (size - degrees) // 3
+    with_bands = plain * plain
+    between = with_bands + 3 * plain * bands
+    for c in range(degrees):
+        for d in range(degrees):
+            _keep(curvature, c * size + d, taken, load(sums, c * plain + d))
+        _keep(slope, c, taken, load(sums, c * plain + degrees))
+    for a in range(bands):
+        p = degrees + 3 * a
+        first = _shape(point, p)
+        for c in range(plain):
+            row = with_bands + 3 * (c * bands + a)
+            s0, s1, s2 = load(sums, row), load(sums, row + 1), load(sums, row + 2)
+            if c < degrees:
+                _keep_band(curvature, c * size + p, 1, taken, first, s0, s1, s2)
             else:
-                return False
-    return True
-
-
-@compiled
-def solve_lower(factor: Any, right: Any) -> None:
-    for k in range(right.size):
-        for i in range(k):
-            right[k] -= factor[k, i] * right[i]
-        right[k] /= factor[k, k]
-    for k in range(right.size - 1, -1, -1):
-        for i in range(k + 1, right.size):
-            right[k] -= factor[i, k] * right[i]
-        right[k] /= factor[k, k]
+                _keep_band(slope, p, 1, taken, first, s0, s1, s2)
+        for b in range(a, bands):
+            q = degrees + 3 * b
+            _between_bands(
+                sums, between + MOMENTS * (a * bands + b), first, _shape(point, q), curvature, p * size + q, size, taken
+            )

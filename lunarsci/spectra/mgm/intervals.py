@@ -1,12 +1,18 @@
-"""Profile intervals: how far a parameter can go, all others following, before the objective has risen too much.
+"""Intervals of fitted parameters, and of ratios: by profile, or by draws from the posterior.
 
-Intervals of fitted parameters, whatever method they come from, and the ratios that both methods derive.
+A profile says how far a parameter can go, all others following, before the objective has risen too much. Draws are for
+hard cases, several minima, strengths at 0, curved valleys: a population is carried from the prior to the data
+(`tempering`), in which particles move by Hamiltonian trajectories that bounce off the bounds. All that the prior allows
+is there at the start, so separate minima keep their weights.
 
-Draws from the posterior of a fit, for hard cases: several minima, strengths at 0, curved valleys.
+Neal (2011), Handbook of Markov Chain Monte Carlo, ch. 5, 10.1201/b10905 (Hamiltonian trajectories, bounds); Buchholz,
+Chopin & Jacob (2021), Bayesian Anal. 16, 745, 10.1214/20-BA1222 (their tuning inside such a population).
 """
 
+import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import Any
@@ -14,13 +20,244 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.compiled import each_in_threads
+from lunarsci.compiled import VECTORS, compiled, each_in_threads
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.spectra.mgm.fit import fit_batch
+from lunarsci.spectra.mgm.batch import channels_of, problem_of
+from lunarsci.spectra.mgm.data import MgmRows
+from lunarsci.spectra.mgm.fit import MAX_ITERATIONS, NO_HOPS, TOLERANCE, fit_batch
+from lunarsci.spectra.mgm.forward import energies_of, force_of, residuals
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
-from lunarsci.spectra.mgm.sampler import run_population
 from lunarsci.spectra.spectrum import reaches_over
+from lunarsci.tempering import Moves, carry, forget
+
+WANTED_ACCEPTANCE, TUNING = 0.75, 1.0
+FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
+SHORTEST, LONGEST = 0.5, 3.5
+"""Lengths of trajectories in standard deviations, uniformly at random: a normal law is forgotten after pi / 2 and back,
+mirrored, after pi; the curved valleys of this model are longer."""
+MOST_LEAPS, MOST_BOUNCES = 400, 200
+AT_A_STEP, SETTLING = Moves(1, 30, 0.8, mirrored=True), Moves(24, 64, 0.12, mirrored=True)
+"""Trajectories of each particle at a step of beta, and before draws are kept."""
+FIRST_MOVES, FRESH = 10, 8
+"""Trajectories before the first step, which tune their length, and with one metric while the population settles."""
+RIDGE = 1e-10
+"""Added to the diagonal of a matrix, relatively, before it is factorised."""
+PARTED = 0.01
+"""Particles are labelled when beta passes this; the moves have forgotten by then where they came from."""
+
+
+@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def _velocity(factor: Any, momentum: Any, velocity: Any) -> None:
+    for k in range(momentum.size):
+        total, row = 0.0, factor[k]
+        for i in range(k + 1):
+            total += row[i] * momentum[i]
+        velocity[k] = total
+
+
+@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def _push(factor: Any, free: Any, gradient: Any, step: float, momentum: Any) -> None:
+    for k in range(momentum.size):
+        push, row = step * gradient[free[k]], factor[k]
+        for i in range(k + 1):
+            momentum[i] += push * row[i]
+
+
+@compiled
+def _drift(target: Any, factor: Any, point: Any, momentum: Any, velocity: Any, time: float) -> bool:
+    """Move for `time`, bouncing off the bounds; False where that takes too many bounces."""
+    lower, upper, free = target[6:9]
+    for _ in range(MOST_BOUNCES):
+        first, wall = time, -1
+        for k in range(free.size):
+            p = free[k]
+            if velocity[k] > 0.0 and point[p] + velocity[k] * first > upper[p]:
+                first, wall = max(0.0, (upper[p] - point[p]) / velocity[k]), k
+            elif velocity[k] < 0.0 and point[p] + velocity[k] * first < lower[p]:
+                first, wall = max(0.0, (lower[p] - point[p]) / velocity[k]), k
+        for k in range(free.size):
+            p = free[k]
+            point[p] = min(max(point[p] + velocity[k] * first, lower[p]), upper[p])
+        if wall < 0:
+            return True
+        time -= first
+        row, norm = factor[wall], 0.0
+        for i in range(wall + 1):
+            norm += row[i] * row[i]
+        for i in range(wall + 1):
+            momentum[i] -= 2.0 * velocity[wall] / norm * row[i]
+        _velocity(factor, momentum, velocity)
+    return False
+
+
+@compiled
+def _trajectory(
+    target: Any, beta: float, factor: Any, step: float, generator: Any, point: Any, energy: Any, space: Any
+) -> float:
+    """One Hamiltonian trajectory of `point`, accepted or not; its `energy` follows. Returns 1 where accepted."""
+    trial, momentum, velocity, gradient, ending = space[2]
+    free, change = target[8], 0.0
+    step *= generator.uniform(0.8, 1.2)
+    for k in range(momentum.size):
+        momentum[k] = generator.standard_normal()
+        change -= 0.5 * momentum[k] ** 2
+    trial[:] = point
+    leaps = min(MOST_LEAPS, math.ceil(generator.uniform(SHORTEST, LONGEST) / step))
+    if not force_of(target, beta, trial, space, gradient):
+        return 0.0
+    for leap in range(leaps):
+        _push(factor, free, gradient, 0.5 * step if leap == 0 else step, momentum)
+        _velocity(factor, momentum, velocity)
+        if not _drift(target, factor, trial, momentum, velocity, step):
+            return 0.0
+        if not force_of(target, beta, trial, space, gradient):
+            return 0.0
+    _push(factor, free, gradient, 0.5 * step, momentum)
+    for k in range(momentum.size):
+        change += 0.5 * momentum[k] ** 2
+    energies_of(target, trial, space, ending)
+    change += beta * (ending[0] - energy[0]) + ending[1] - energy[1] + (1.0 - beta) * (ending[2] - energy[2])
+    if not math.log(generator.random()) < -change:
+        return 0.0
+    point[:], energy[:] = trial, ending
+    return 1.0
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _move_all(
+    target: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, space: Any
+) -> None:
+    """One trajectory of every particle; `tuning` is the step's length, to be adapted, and the acceptance."""
+    accepted = 0.0
+    for i in range(particles.shape[0]):
+        accepted += _trajectory(target, beta, factor, tuning[0], generator, particles[i], energies[i], space)
+    tuning[1] = accepted / particles.shape[0]
+    tuning[0] *= math.exp(TUNING * (tuning[1] - WANTED_ACCEPTANCE))
+    tuning[0] = min(max(tuning[0], LEAST_STEP), MOST_STEP)
+
+
+def correct_coarse(target: Any, groups: IntArray, best: FloatArray, space: Any) -> None:
+    """Set the coarse data so that residuals and slope at `best` are those of all channels.
+
+    Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
+    """
+    channels, coarse, logarithmic, _, precision = target[:5]
+    coarse[2][:] = 0.0
+    for spectrum, (jacobian, residual, work) in ((channels, space[0]), (coarse, space[1])):
+        residuals(best, *spectrum[:2], logarithmic, *spectrum[2:], residual, jacobian, work)
+    (all_slopes, all_residuals, _), (slopes, minus_model, _), root = space[0], space[1], coarse[3]
+    wanted = np.bincount(groups, channels[3] * all_residuals, root.size) / root
+    matrix = slopes @ slopes.T + precision
+    matrix[np.diag_indices_from(matrix)] *= 1.0 + RIDGE
+    with suppress(np.linalg.LinAlgError):
+        np.linalg.cholesky(matrix)
+        wanted += np.linalg.solve(matrix, all_slopes @ all_residuals - slopes @ wanted) @ slopes
+    coarse[2][:] = (wanted - minus_model) / root
+
+
+@dataclass(slots=True, eq=False)
+class _Particles:
+    """A population of `tempering`; `run_population` says what `target`, `groups`, `factor` and `ancestors` are.
+
+    `energies` (n, 3) are those of `energies_of`; `tuning` has the step's length and the acceptance of the last moves.
+    Once `settling`, the metric is the population's own, renewed after every `FRESH` moves.
+    """
+
+    target: Any
+    groups: Any
+    factor: Any
+    generator: np.random.Generator
+    all_points: FloatArray
+    ancestors: IntArray
+    energies: FloatArray
+    space: Any
+    tuning: FloatArray
+    settling: bool = False
+    settled: int = 0
+
+    @property
+    def points(self) -> FloatArray:
+        return self.all_points[:, self.target[8]]
+
+    @property
+    def ln_likelihood(self) -> FloatArray:
+        """What beta brings in: the data, less the law that fades as they come."""
+        return self.energies[:, 2] - self.energies[:, 0]
+
+    def resample(self, beta: float, weight: FloatArray, chosen: IntArray) -> None:
+        self._take_metric(0.5 * (weight + 1.0 / weight.size))
+        for rows in (self.all_points, self.energies, self.ancestors):
+            rows[:] = rows[chosen]
+        best = self.all_points[np.argmin(self.energies[:, 0] + self.energies[:, 1])]
+        correct_coarse(self.target, self.groups, best, self.space)
+
+    def move(self, beta: float) -> None:
+        if self.settling:
+            if self.settled % FRESH == 0:
+                self._take_metric(np.full(len(self.energies), 1.0 / len(self.energies)))
+            self.settled += 1
+        _move_all(
+            self.target, beta, self.factor, self.tuning, self.generator, self.all_points, self.energies, self.space
+        )
+
+    def _take_metric(self, weight: FloatArray) -> None:
+        """The factor of the weighted covariance, where it has one."""
+        covariance = np.cov(self.points.T, ddof=0, aweights=weight).reshape(self.factor.shape)
+        covariance[np.diag_indices_from(covariance)] *= 1.0 + RIDGE
+        with suppress(np.linalg.LinAlgError):
+            self.factor[:] = np.linalg.cholesky(covariance)
+
+
+def _workspace(size: int, channels: int) -> Any:
+    return np.empty((size, channels)), np.empty(channels), np.empty(channels)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _energies_of_all(target: Any, particles: Any, space: Any, energies: Any) -> None:
+    for i in range(particles.shape[0]):
+        energies_of(target, particles[i], space, energies[i])
+
+
+def run_population(
+    target: Any, groups: Any, factor: Any, generator: Any, particles: Any, ancestors: Any, draws: Any,
+    objective: Any, report: Any,
+) -> None:  # fmt: skip
+    """Carry `particles` (n, p), draws from the prior, to the posterior; fill `draws` (rounds, n, p) with it, and
+    `objective` (rounds, n) with their chi-square and prior share together.
+
+    Parameters
+    ----------
+    target : (channels, coarse channels, logarithmic, prior, precision, `start`, lower, upper, indices of the free
+        parameters). Channels are wavelength [um], basis (m, n), ln R, root of the weight; `start` (2, m) holds centre
+        and inverse variance of a normal law of the continuum coefficients that fades as the data come in, so that flat
+        priors have somewhere to begin.
+    groups : (n,) to which coarse channel each channel belongs; the coarse data are overwritten.
+    factor : (f, f) Cholesky factor of the prior's covariance, with that law in it; overwritten.
+    ancestors : (n,) becomes from which particle at beta = `PARTED` each descends.
+    report : becomes steps of beta, trajectories per particle, mean acceptance and step length at the end.
+    """
+    free, (count, size) = target[8], particles.shape
+    points = (np.empty(size), np.empty(free.size), np.empty(free.size), np.empty(size), np.empty(3))
+    space = (_workspace(size, target[0][0].size), _workspace(size, target[1][0].size), points)
+    energies, tuning = np.empty((count, 3)), np.array([FIRST_STEP, 0.0])
+    _energies_of_all(target, particles, space, energies)
+    population = _Particles(target, groups, factor, generator, particles, ancestors, energies, space, tuning)
+    for _ in range(FIRST_MOVES):
+        population.move(0.0)
+    report[:], ancestors[:] = 0.0, np.arange(count)
+    for step in carry(population, generator, AT_A_STEP):
+        report[:2] += 1, step.moves
+        if step.beta < PARTED:
+            ancestors[:] = np.arange(count)
+    population.settling = True
+    report[1] += forget(population, 1.0, SETTLING)[0]
+    population.settling = False
+    for r in range(draws.shape[0]):
+        population.move(1.0)
+        report[2] += tuning[1] / draws.shape[0]
+        draws[r], objective[r] = particles, 2.0 * (energies[:, 0] + energies[:, 1])
+    report[3] = tuning[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +327,12 @@ def ratios_of(points: FloatArray, model: MgmModel, wavelength_nm: FloatArray) ->
 
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """
-    found = {}
+    result = {}
     for region, (opx, cpx) in ratio_rows(model, wavelength_nm).items():
         total = points[:, opx] + points[:, cpx]
         with np.errstate(invalid="ignore"):
-            found[f"nbsr_{region}_opx"] = np.asarray(points[:, opx] / total, dtype=np.float64)
-    return found
+            result[f"nbsr_{region}_opx"] = np.asarray(points[:, opx] / total, dtype=np.float64)
+    return result
 
 
 PROBABILITIES = (0.6827, 0.95)
@@ -109,8 +346,6 @@ LOWER_BY = 0.1
 """By how much an objective below the fit's says that the fit is not the minimum; assumed."""
 MISFIT = 1.5
 """Reduced chi-square above which intervals are too narrow; assumed."""
-TOLERANCE, MAX_ITERATIONS = 1e-4, 300
-NO_HOPS = np.zeros((0, 2))
 
 
 def profile_intervals(fit: MgmFit, names: Sequence[str] | None = None) -> Intervals:
@@ -152,7 +387,7 @@ def profile_intervals(fit: MgmFit, names: Sequence[str] | None = None) -> Interv
 
 @dataclass(slots=True)
 class _Profile:
-    """What is known of one profile: `restricted` fixes the parameter, `known` holds (value, root of rise, point)."""
+    """What is known of one profile: `restricted` fixes the parameter, `points` holds (value, root of rise, point)."""
 
     name: str
     fit: MgmFit
@@ -162,18 +397,18 @@ class _Profile:
     high: float
     restricted: Callable[[float], MgmModel]
     moved: Callable[[FloatArray, float], FloatArray]
-    known: list[tuple[float, float, FloatArray]] = field(default_factory=list)
+    points: list[tuple[float, float, FloatArray]] = field(default_factory=list)
     lowest: float = 0.0
 
     def rise(self, value: float) -> float:
         """Root of the rise of the objective where the parameter is `value`; starts from the nearest known points."""
-        nearest = sorted(self.known, key=lambda entry: abs(entry[0] - value))[:2]
+        nearest = sorted(self.points, key=lambda entry: abs(entry[0] - value))[:2]
         starts = [self.moved(point, value) for _, _, point in nearest]
         point, objective = _minimum(self.fit, self.restricted(value), starts)
         change = objective - self.fit.objective
         self.lowest = min(self.lowest, change)
         root = float(np.sqrt(max(change, 0.0))) if np.isfinite(change) else np.inf
-        self.known.append((value, root, point))
+        self.points.append((value, root, point))
         return root
 
 
@@ -199,7 +434,7 @@ def _parameter_profile(fit: MgmFit, name: str) -> _Profile:
         restricted,
         moved,
     )
-    profile.known.append((best, 0.0, fit.parameters))
+    profile.points.append((best, 0.0, fit.parameters))
     return profile
 
 
@@ -224,18 +459,16 @@ def _ratio_profile(fit: MgmFit, name: str) -> _Profile:
     slope = np.array([fit.parameters[cpx], -fit.parameters[opx]]) / total**2 if total < 0 else np.zeros(2)
     block = fit.covariance[np.ix_([opx, cpx], [opx, cpx])]
     profile = _Profile(name, fit, best, float(np.sqrt(slope @ block @ slope)), 0.0, 1.0, restricted, moved)
-    profile.known.append((best, 0.0, fit.parameters))
+    profile.points.append((best, 0.0, fit.parameters))
     return profile
 
 
 def _minimum(fit: MgmFit, model: MgmModel, starts: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Point and objective of the lowest minimum under `model`, the objective with the fit's own prior."""
 
-    solved = fit_batch(
-        np.log(fit.reflectance)[None], fit.data.weight[None], fit.wavelength_nm / 1e3, model.basis(fit.wavelength_nm),
-        model.logarithmic, model.prior, model.precision, model.lower, model.upper,
-        np.clip(np.array(starts), model.lower, model.upper)[:, None], NO_HOPS, TOLERANCE, MAX_ITERATIONS,
-    )  # fmt: skip
+    spectra = channels_of(MgmRows.together([fit.data]), model)
+    points = np.clip(np.array(starts), model.lower, model.upper)[:, None]
+    solved = fit_batch(spectra, problem_of(model), points, NO_HOPS, TOLERANCE, MAX_ITERATIONS)
     point = solved.parameters[0]
     pull = point - fit.model.prior
     return point, float(solved.chi2[0] + pull @ fit.model.precision @ pull)
@@ -274,7 +507,7 @@ def _ends(profile: _Profile, sign: int) -> Iterator[float]:
 
 def _end(profile: _Profile, sign: int, bound: float, wanted: float, start: float) -> float:
     """Where the root of the rise is `wanted`: outward in steps, then by the secant between the last two."""
-    inner, inner_root = start, min(profile.known, key=lambda entry: abs(entry[0] - start))[1]
+    inner, inner_root = start, min(profile.points, key=lambda entry: abs(entry[0] - start))[1]
     step = max(profile.sigma, 1e-9) * max(wanted - inner_root, 0.1)
     outer, outer_root, narrow = np.nan, np.nan, NARROW * max(profile.sigma, 1e-9)
     for _ in range(MOST_STEPS):
@@ -298,7 +531,6 @@ def _end(profile: _Profile, sign: int, bound: float, wanted: float, start: float
 
 DEFAULT_DRAWS = 4000
 DEFAULT_PARTICLES = 256
-LEAST_DRAWS, LEAST_PARTICLES = 100, 128
 GROUPS = 8
 """Into which the families of particles are put for R-hat."""
 LEAST_FAMILIES = 4
@@ -309,8 +541,6 @@ CONTINUUM_SPREAD = 0.5
 MOST_R_HAT, LEAST_EFFECTIVE, LEAST_ACCEPTANCE = 1.1, 100.0, 0.3
 """Beyond which draws are doubted; R-hat as of Gelman & Rubin (1992), Stat. Sci. 7, 457, 10.1214/ss/1177011136; the
 others assumed."""
-SAMPLED_LOWER_BY = 1.0
-"""By how much an objective below the fit's says that the fit is not the minimum; assumed."""
 SAMPLED_PROBABILITIES = (0.5, 0.15865, 0.84135, 0.025, 0.975)
 
 
@@ -352,13 +582,13 @@ def sample_posterior(
     Parameters
     ----------
     fit : a result of `fit_spectra`.
-    draws : how many, 100 or more; they are those of all particles after each of the last trajectories.
+    draws : how many; they are those of all particles after each of the last trajectories.
     seed : 0 or above.
-    particles : 128 or more; more find rarer minima and weigh them better, in proportion to the time.
+    particles : more find rarer minima and weigh them better, in proportion to the time.
 
     Raises
     ------
-    ParameterError for numbers below these.
+    ParameterError for a seed below 0.
 
     References
     ----------
@@ -366,9 +596,6 @@ def sample_posterior(
     (2018), Biometrika 105, 609, 10.1093/biomet/asy028 (error from families); Vehtari et al. (2021), Bayesian Anal. 16,
     667, 10.1214/20-BA1221 (R-hat).
     """
-    for what, value, least in (("draws", draws, LEAST_DRAWS), ("particles", particles, LEAST_PARTICLES)):
-        if value < least:
-            raise ParameterError(f"{value} {what}; give {least} or more")
     if seed < 0:
         raise ParameterError(f"seed {seed}; give 0 or above")
     generator = np.random.default_rng(seed)
@@ -394,13 +621,13 @@ def sample_batch(
 
     `progress` is called with (done, total). Raises what `sample_posterior` raises.
     """
-    found: dict[int, FitPosterior] = {}
+    result: dict[int, FitPosterior] = {}
 
     def one(index: int) -> None:
-        found[index] = sample_posterior(fits[index], draws=draws, seed=seed, particles=particles)
+        result[index] = sample_posterior(fits[index], draws=draws, seed=seed, particles=particles)
 
     each_in_threads(one, len(fits), progress)
-    return [found[index] for index in range(len(fits))]
+    return [result[index] for index in range(len(fits))]
 
 
 def posterior_intervals(posterior: FitPosterior) -> Intervals:
@@ -494,7 +721,7 @@ def _remarks(fit: MgmFit, lowest: float) -> list[str]:
     remarks, above = [], lowest - fit.objective
     if above > fit.parameters.size:
         remarks.append(f"the minimum of the fit was not found again: no draw comes nearer than {above:.0f} to it")
-    if above < -SAMPLED_LOWER_BY:
+    if above < -LOWER_BY:
         remarks.append(f"a draw lies {-above:.1f} below the objective of the fit: fit with more starts")
     if fit.reduced_chi2 > MISFIT:
         remarks.append(f"reduced chi-square is {fit.reduced_chi2:.1f}: errors are larger than stated to the fit")
@@ -535,9 +762,9 @@ def intervals_of(
     if errors == "sample":
         posteriors = sample_batch(list(fits.values()), seed=seed, progress=progress)
         return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
-    found = {}
+    result = {}
     for done, (index, item) in enumerate(fits.items(), start=1):
-        found[index] = profile_intervals(item)
+        result[index] = profile_intervals(item)
         if progress:
             progress(done, len(fits))
-    return found
+    return result

@@ -14,10 +14,19 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
-from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
+from lunarsci.spectra.mgm.forward import (
+    BLOCK,
+    FWHM_OVER_SIGMA,
+    ORIGIN,
+    continuum_rows,
+    damped,
+    factorise,
+    gaussian_rows,
+    invert,
+    matrix_side,
+    prior_pull,
+)
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
-from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, continuum_rows, gaussian_rows
-from lunarsci.spectra.mgm.normal_equations import damped, factorise, invert, matrix_side, prior_pull
 
 MISFIT, USED, WIDE, PIVOT, VARIANCE, BEND, CHI2, ALIVE = range(8)
 """Rows of a workspace's `state` here."""
@@ -53,39 +62,13 @@ def laplace_errors(spectra: Channels, problem: FitProblem, points: FloatArray, c
     """
     rows, size = points.shape
     space = workspace_for(size, problem.degrees, spectra.data.shape[1])
-    found = LaplaceErrors(np.empty(rows), np.empty(rows), np.empty((rows, size, size)))
-    _describe(spectra, problem, np.ascontiguousarray(points), chi2, space, _rooms(size), found)
-    return found
-
-
-def bounded_covariances(
-    curvature: FloatArray, gradient: FloatArray, points: FloatArray, problem: FitProblem
-) -> FloatArray:
-    """Covariances, (n, p, p), of given curvatures of half the objective, (n, p, p), and descents along it, (n, p)."""
-    rows, size = points.shape
-    space, found = workspace_for(size, size, 1), np.empty((rows, size, size))
-    _bound_all(curvature, gradient, points, problem, space, _rooms(size), found)
-    return found
+    result = LaplaceErrors(np.empty(rows), np.empty(rows), np.empty((rows, size, size)))
+    _describe(spectra, problem, np.ascontiguousarray(points), chi2, space, _rooms(size), result)
+    return result
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _bound_all(
-    curvature: Any, gradient: Any, points: Any, problem: Any, space: Any, rooms: Any, covariance: Any
-) -> None:
-    rows, size = points.shape
-    for first in range(0, rows, LANES):
-        for lane in range(LANES):
-            row = min(first + lane, rows - 1)
-            for p in range(size):
-                space.point[p, lane], space.slope[p, lane] = points[row, p], gradient[row, p]
-                for q in range(p, size):
-                    space.curvature[p * size + q, lane] = curvature[row, p, q]
-        _bounded(problem, space, rooms)
-        _hand_over(space, rooms[1], first, covariance)
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, found: Any) -> None:
+def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, result: Any) -> None:
     rows, size = points.shape
     channels, state = spectra.data.shape[1], space.state
     for first in range(0, rows, LANES):
@@ -106,11 +89,11 @@ def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, ro
         store(state, USED, reduced)
         for lane in range(min(LANES, rows - first)):
             alive = state[ALIVE, lane] > 0.0
-            found.rms_ln[first + lane] = state[MISFIT, lane] if alive else math.nan
-            found.reduced_chi2[first + lane] = state[USED, lane] if alive else math.nan
+            result.rms_ln[first + lane] = state[MISFIT, lane] if alive else math.nan
+            result.reduced_chi2[first + lane] = state[USED, lane] if alive else math.nan
             if not alive:
                 state[PIVOT, lane] = 0.0
-        _hand_over(space, rooms[1], first, found.covariance)
+        _hand_over(space, rooms[1], first, result.covariance)
 
 
 @compiled
@@ -156,16 +139,16 @@ def _add_products(space: Any, degrees: int) -> None:
     """Add the products of all derivatives, and with the residual, of one block."""
     size, work = space.point.shape[0], space.work
     for p in range(size):
-        own = (p + (p >= degrees)) * BLOCK
+        at = (p + (p >= degrees)) * BLOCK
         total = load(space.slope, p)
         for i in range(BLOCK):
-            total += load(work, own + i) * load(work, degrees * BLOCK + i)
+            total += load(work, at + i) * load(work, degrees * BLOCK + i)
         store(space.slope, p, total)
         for q in range(p, size):
             other = (q + (q >= degrees)) * BLOCK
             total = load(space.curvature, p * size + q)
             for i in range(BLOCK):
-                total += load(work, own + i) * load(work, other + i)
+                total += load(work, at + i) * load(work, other + i)
             store(space.curvature, p * size + q, total)
 
 
@@ -185,9 +168,9 @@ def _determined(problem: Any, space: Any, inverse: Any) -> None:
     number."""
     size, side, free = problem.prior.size, matrix_side(space.matrix), 0.0
     for p in range(size):
-        own = 0.0 if problem.lower[p] == problem.upper[p] else 1.0
-        store(space.free, p, spread(own))
-        free += own
+        is_free = 0.0 if problem.lower[p] == problem.upper[p] else 1.0
+        store(space.free, p, spread(is_free))
+        free += is_free
     one = spread(1.0)
     damped(space.curvature, problem.precision, one, one, space.free, size, side, space.matrix)
     pivot = factorise(space.matrix, side)
@@ -209,8 +192,8 @@ def _widen(problem: Any, space: Any) -> None:
     for p in range(size):
         store(space.slope, p, load(space.slope, p) * share - load(space.pull, p))
         for q in range(p, size):
-            own = load(space.curvature, p * size + q) * share
-            store(space.curvature, p * size + q, own + problem.precision[p, q])
+            bend = load(space.curvature, p * size + q) * share
+            store(space.curvature, p * size + q, bend + problem.precision[p, q])
 
 
 @compiled
@@ -223,9 +206,9 @@ def _bounded(problem: Any, space: Any, rooms: Any) -> None:
     store(space.state, PIVOT, factorise(space.matrix, side))
     invert(space.matrix, size, side, inverse)
     for p in range(size):
-        own = load(space.free, p)
+        is_free = load(space.free, p)
         for q in range(p, size):
-            value = load(inverse, p * size + q) * own * load(space.free, q)
+            value = load(inverse, p * size + q) * is_free * load(space.free, q)
             store(inverse, p * size + q, value)
             store(inverse, q * size + p, value)
             store(covariance, p * size + q, value)
@@ -257,10 +240,10 @@ def _any_held(problem: Any, space: Any, k: int) -> bool:
 def _free_part(space: Any, size: int, side: int) -> None:
     """The curvature of the free parameters as a matrix to be factorised; rows and columns of others are those of 1."""
     for p in range(size):
-        own = load(space.free, p)
+        is_free = load(space.free, p)
         for q in range(p + 1, size):
-            store(space.matrix, p * side + q, load(space.curvature, p * size + q) * own * load(space.free, q))
-        store(space.matrix, p * side + p, choose(own, load(space.curvature, p * size + p), spread(1.0)))
+            store(space.matrix, p * side + q, load(space.curvature, p * size + q) * is_free * load(space.free, q))
+        store(space.matrix, p * side + p, choose(is_free, load(space.curvature, p * size + p), spread(1.0)))
 
 
 @compiled
@@ -300,13 +283,13 @@ def _one_sided(slope: float, bend: float) -> float:
 
 
 @compiled
-def _hand_over(space: Any, covariance: Any, first: int, found: Any) -> None:
+def _hand_over(space: Any, covariance: Any, first: int, result: Any) -> None:
     """Write the covariances of the lanes to rows from `first` on."""
-    rows, size = found.shape[0], found.shape[1]
+    rows, size = result.shape[0], result.shape[1]
     for lane in range(min(LANES, rows - first)):
         regular = space.state[PIVOT, lane] > 0.0
         for p in range(size):
             for q in range(p, size):
                 value = covariance[p * size + q, lane] if regular else math.nan
-                found[first + lane, p, q] = value
-                found[first + lane, q, p] = value
+                result[first + lane, p, q] = value
+                result[first + lane, q, p] = value

@@ -125,11 +125,11 @@ class _Objective:
     def at(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals, (r,), and their derivatives, (r, p), in the kernel's units."""
         prior = self.rows @ (point - self.prior)
-        found = model_and_jacobian(point, self.wavelength_um, self.basis, self.logarithmic)
-        if found is None:
+        modelled = model_and_jacobian(point, self.wavelength_um, self.basis, self.logarithmic)
+        if modelled is None:
             size = self.data.size
             return np.concatenate([np.full(size, FAR), prior]), np.vstack([np.zeros((size, point.size)), self.rows])
-        ln_model, slope = found
+        ln_model, slope = modelled
         residual = np.concatenate([(self.data - ln_model) * self.root_weight, prior])
         return residual, np.vstack([-(slope * self.root_weight).T, self.rows])
 
@@ -150,10 +150,11 @@ class _Objective:
 def _check_names(model: MgmModel, parameters: "Parameters") -> None:
     missing = [name for name in model.names if name not in parameters]
     unknown = [name for name in parameters if name not in model.names and parameters[name].vary]
-    if missing:
-        raise ParameterError(f"the parameters lack {', '.join(missing)}; start from those of to_lmfit")
-    if unknown:
-        raise ParameterError(f"{', '.join(unknown)} vary but do not belong to the model; fix them or use expressions")
+    if missing or unknown:
+        raise ParameterError(
+            f"the parameters lack {', '.join(missing) or 'none'}, and {', '.join(unknown) or 'no others'} vary beside "
+            "the model's; start from those of to_lmfit, fix others or use expressions"
+        )
 
 
 def _released(model: MgmModel, parameters: "Parameters") -> "Parameters":
@@ -185,20 +186,16 @@ def _settled(model: MgmModel, point: FloatArray, fit: MgmFit) -> FloatArray:
 
 def _tied_model(model: MgmModel, parameters: "Parameters", point: FloatArray) -> MgmModel:
     """With a prior that leaves no room beside the tangents of all expressions at `point`."""
-    for name in model.names:
-        if parameters[name].expr is not None:
-            model = _tied(model, name, parameters, point)
+    m = model.degrees
+    for k, name in enumerate(model.names):
+        if (expression := parameters[name].expr) is None:
+            continue
+        row = -_slopes(model, name, parameters)
+        if any((j < m) != (k < m) for j in np.flatnonzero(row)):
+            raise ParameterError(f"{name} = {expression}: a continuum coefficient cannot be tied to a band")
+        row[k] += 1.0
+        model = model.on_plane(row, float(row @ point))
     return model
-
-
-def _tied(model: MgmModel, name: str, parameters: "Parameters", point: FloatArray) -> MgmModel:
-    k, m = model.index(name), model.degrees
-    row = -_slopes(model, name, parameters)
-    others = np.flatnonzero(row)
-    if any((j < m) != (k < m) for j in others):
-        raise ParameterError(f"{name} = {parameters[name].expr}: a continuum coefficient cannot be tied to a band")
-    row[k] += 1.0
-    return model.on_plane(row, float(row @ point))
 
 
 def _slopes(model: MgmModel, name: str, parameters: "Parameters") -> FloatArray:

@@ -127,12 +127,13 @@ class MgmModel:
         strengths above 0 unless the model has them (`model_of` a `.fit` file).
         """
         k, unit = self.index(name), unit_of(name)
-        if not lower <= upper:
-            raise ParameterError(f"{name}: bounds {lower:g} and {upper:g} are the wrong way round")
-        if name.endswith("fwhm_nm") and not lower > 0:
-            raise ParameterError(f"{name}: a width must stay above 0 nm; the lower bound is {lower:g}")
-        if name.endswith("strength") and upper > 0 and self.upper[k] <= 0:
-            raise ParameterError(f"{name}: bands absorb, strengths are 0 or below; the upper bound is {upper:g}")
+        faults = {
+            "bounds must rise": not lower <= upper,
+            "a width must stay above 0 nm": name.endswith("fwhm_nm") and not lower > 0,
+            "bands absorb, strengths are 0 or below": name.endswith("strength") and upper > 0 >= self.upper[k],
+        }
+        if wrong := [fault for fault, there in faults.items() if there]:
+            raise ParameterError(f"{name} from {lower:g} to {upper:g}: {wrong[0]}")
         low, high = self.lower.copy(), self.upper.copy()
         low[k], high[k] = lower / unit, upper / unit
         return replace(self, lower=low, upper=high)
@@ -144,10 +145,10 @@ class MgmModel:
         unknown name, one tied to itself, or a continuum coefficient tied to a band.
         """
         a, b = self.index(name), self.index(other)
-        if a == b:
-            raise ParameterError(f"{name} cannot be tied to itself")
-        if min(a, b) < self.degrees <= max(a, b):
-            raise ParameterError(f"{name} and {other}: a continuum coefficient cannot be tied to a band")
+        if a == b or min(a, b) < self.degrees <= max(a, b):
+            raise ParameterError(
+                f"{name} cannot be tied to {other}: none to itself, no continuum coefficient to a band"
+            )
         row = np.zeros(self.prior.size)
         row[a], row[b] = 1.0, -factor * unit_of(other) / unit_of(name)
         return self.on_plane(row, offset / unit_of(name))
@@ -225,8 +226,8 @@ def mgm_model(
 
 def stated_for(name: str, compositions: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
     """Those of the compositions that an assemblage has."""
-    own = {item.key for item in assemblage(name).compositions}
-    return {key: value for key, value in (compositions or {}).items() if key in own}
+    keys = {item.key for item in assemblage(name).compositions}
+    return {key: value for key, value in (compositions or {}).items() if key in keys}
 
 
 def _checked(
@@ -234,11 +235,11 @@ def _checked(
 ) -> dict[str, tuple[float, float]]:
     """By composition: how far its mean is from the table's, and its standard deviation. [mol %]"""
     for key, (mean, sigma) in wanted.items():
-        if key not in beliefs:
-            known = ", ".join(beliefs) or "none"
-            raise ParameterError(f"composition '{key}' does not belong to {name}; it has: {known}")
-        if not (0 <= mean <= 100 and 0 < sigma <= 100):
-            raise ParameterError(f"composition {key} = {mean:g} +- {sigma:g}: give 0-100 mol % and an error above 0")
+        if key not in beliefs or not (0 <= mean <= 100 and 0 < sigma <= 100):
+            names = ", ".join(beliefs) or "none"
+            raise ParameterError(
+                f"composition {key} = {mean:g} +- {sigma:g}: {name} has {names}; give 0-100 mol %, an error above 0"
+            )
     return {
         key: (wanted[key][0] - mean, wanted[key][1]) if key in wanted else (0.0, sigma)
         for key, (mean, sigma) in beliefs.items()
@@ -288,9 +289,18 @@ def prior_covariance(assemblage: Assemblage) -> FloatArray:
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 LARGEST = 1e6
+"""Factors and offsets beyond describe no bands."""
 SLACK = 1e-6
 """By which the sides of a tie may miss each other, in the units of names: rounding."""
-_TIE = re.compile(rf"(?:({_NUMBER})\*)?([a-z]\w*)([-+](?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?")
+_FORMS = {
+    "fix": (rf"(\w+)(?:=({_NUMBER}))?", "NAME or NAME=VALUE, such as opx_1_center_nm=920"),
+    "bound": (rf"(\w+)=({_NUMBER}):({_NUMBER})", "NAME=LOW:HIGH, such as opx_1_center_nm=900:940"),
+    "tie": (
+        rf"(\w+)=(?:({_NUMBER})\*)?([a-z]\w*)([-+](?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?",
+        "NAME=FACTOR*OTHER+OFFSET, such as cpx_1_fwhm_nm=opx_1_fwhm_nm+20",
+    ),
+    "composition": (rf"(\w+)=({_NUMBER}):({_NUMBER})", "KEY=MEAN:ERROR in mol %, such as fo=70:5"),
+}
 
 
 def constrained(
@@ -302,50 +312,39 @@ def constrained(
     `NAME=FACTOR*OTHER` or either with `+OFFSET`. Raises ParameterError for anything else, for unknown names, for a
     parameter that is constrained twice, and for ties in a circle or that no values within the bounds obey.
     """
-    _refuse_twice([text.partition("=")[0].strip() for text in (*fixed, *bounds, *ties)])
+    taken: set[str] = set()
     for text in fixed:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        at = _number(value, text) if equals else _prior_mean(model, name)
+        name, value = _parsed("fix", text, taken)
+        at = float(value) if value else _prior_mean(model, name)
         model = model.bounded(name, at, at)
     for text in bounds:
-        name, _, span = (part.strip() for part in text.partition("="))
-        low, colon, high = span.partition(":")
-        if not colon:
-            raise ParameterError(f"bound '{text}': write NAME=LOW:HIGH, such as opx_1_center_nm=900:940")
-        model = model.bounded(name, _number(low, text), _number(high, text))
+        name, low, high = _parsed("bound", text, taken)
+        model = model.bounded(name, float(low), float(high))
     others: dict[str, str] = {}
     for text in ties:
-        name, factor, other, offset = _tie(text)
+        name, factor, other, offset = _parsed("tie", text, taken)
         if name != other and name in _followed(other, others):
             raise ParameterError(f"tie '{text}' closes a circle: {other} follows {name} already")
         others[name] = other
-        _refuse_empty(model, text, name, factor, other, offset)
-        model = model.tied(name, factor, other, offset)
+        _refuse_empty(model, text, name, float(factor or 1), other, float(offset or 0))
+        model = model.tied(name, float(factor or 1), other, float(offset or 0))
     return model
 
 
-def _refuse_twice(names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise ParameterError(f"{name} is constrained {names.count(name)} times; leave one of `fix`, `bound`, `tie`")
+def _parsed(form: str, text: str, taken: set[str]) -> tuple[str, ...]:
+    """The parts of a constraint, of a name that is not `taken` yet."""
+    pattern, usage = _FORMS[form]
+    match = re.fullmatch(pattern, "".join(text.split()))
+    if not match or match[1] in taken:
+        raise ParameterError(f"{form} '{text}': write {usage}; each name once")
+    taken.add(match[1])
+    return match.groups()
 
 
 def _prior_mean(model: MgmModel, name: str) -> float:
     if model.index(name) < model.degrees:
         raise ParameterError(f"`fix` {name}: a continuum coefficient has no usual value; write {name}=VALUE")
     return float(model.prior[model.index(name)]) * unit_of(name)
-
-
-def _tie(text: str) -> tuple[str, float, str, float]:
-    """Name, factor, other name and offset."""
-    name, _, rule = text.replace(" ", "").partition("=")
-    found = _TIE.fullmatch(rule)
-    if not found:
-        raise ParameterError(f"tie '{text}': write NAME=FACTOR*OTHER+OFFSET, such as cpx_1_fwhm_nm=opx_1_fwhm_nm+20")
-    factor, offset = float(found[1] or 1), float(found[3] or 0)
-    if max(abs(factor), abs(offset)) > LARGEST:
-        raise ParameterError(f"tie '{text}': factor and offset beyond {LARGEST:g} describe no bands")
-    return name, factor, found[2], offset
 
 
 def _followed(name: str, others: Mapping[str, str]) -> Iterator[str]:
@@ -359,13 +358,14 @@ def _followed(name: str, others: Mapping[str, str]) -> Iterator[str]:
 def _refuse_empty(model: MgmModel, text: str, name: str, factor: float, other: str, offset: float) -> None:
     """Refuse a tie whose two sides have no value in common within the bounds."""
     ends = np.array([[model.lower[k], model.upper[k]] for k in (model.index(name), model.index(other))])
-    own, source = ends[0] * unit_of(name), ends[1] * unit_of(other)
-    with np.errstate(invalid="ignore"):
-        there = np.sort(np.nan_to_num(factor * source, nan=0.0) + offset)
-    if max(own[0], there[0]) > min(own[1], there[1]) + SLACK:
+    left, right = ends[0] * unit_of(name), ends[1] * unit_of(other)
+    with np.errstate(invalid="ignore", over="ignore"):
+        right = np.sort(np.nan_to_num(factor * right, nan=0.0) + offset)
+    large = max(abs(factor), abs(offset)) > LARGEST
+    if large or max(left[0], right[0]) > min(left[1], right[1]) + SLACK:
         raise ParameterError(
-            f"tie '{text}' cannot hold: {name} stays within {own[0]:g} to {own[1]:g}, its other side within "
-            f"{there[0]:g} to {there[1]:g}"
+            f"tie '{text}' cannot hold: {name} stays within {left[0]:g} to {left[1]:g}, its other side within "
+            f"{right[0]:g} to {right[1]:g}"
         )
 
 
@@ -374,19 +374,6 @@ def parse_compositions(text: str) -> dict[str, tuple[float, float]]:
 
     Raises ParameterError for anything else.
     """
-    found = {}
-    for part in text.split(","):
-        key, _, values = part.strip().partition("=")
-        if key.strip().lower() in found:
-            raise ParameterError(f"composition '{text}' gives {key.strip()} twice")
-        mean, colon, sigma = values.partition(":")
-        if not colon:
-            raise ParameterError(f"composition '{part}': write KEY=MEAN:ERROR in mol %, such as fo=70:5")
-        found[key.strip().lower()] = (_number(mean, part), _number(sigma, part))
-    return found
-
-
-def _number(text: str, whole: str) -> float:
-    if not re.fullmatch(_NUMBER, text.strip()):
-        raise ParameterError(f"'{whole}': '{text.strip()}' is no number")
-    return float(text)
+    taken: set[str] = set()
+    parsed = [_parsed("composition", part.lower(), taken) for part in text.split(",")]
+    return {key: (float(mean), float(sigma)) for key, mean, sigma in parsed}

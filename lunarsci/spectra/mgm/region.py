@@ -33,16 +33,18 @@ from lunarsci.spectra.mgm.fit import (
 )
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
+    FIRST_DAMPING,
+    LATER_DAMPING,
     Channels,
     DescentOptions,
     FitProblem,
     KernelFits,
+    Multistart,
     Workspace,
     descend,
     workspace_for,
 )
 from lunarsci.spectra.mgm.model import MgmModel
-from lunarsci.spectra.mgm.multistart import Multistart
 
 
 def kinds_of(points: FloatArray, model: MgmModel) -> IndexArray:
@@ -80,11 +82,11 @@ class PartModel:
         held = ~inside & (np.arange(inside.size) % 3 == 2)
         covariance = np.zeros((inside.size, inside.size))
         covariance[np.ix_(~held, ~held)] = np.linalg.inv(model.precision[m:, m:][np.ix_(~held, ~held)])
-        own = np.linalg.inv(covariance[np.ix_(inside, inside)])
+        precision_here = np.linalg.inv(covariance[np.ix_(inside, inside)])
         precision = np.array(model.precision[np.ix_(index, index)])
-        precision[m:, m:] = own
+        precision[m:, m:] = precision_here
         following = np.zeros((index.size, rest.size))
-        following[m:] = own @ covariance[np.ix_(inside, ~inside)]
+        following[m:] = precision_here @ covariance[np.ix_(inside, ~inside)]
         whole = problem_of(model)
         parts = (np.ascontiguousarray(bound[index]) for bound in (model.lower, model.upper))
         problem = FitProblem(m, whole.logarithmic, model.prior[index], precision, *parts)
@@ -93,18 +95,18 @@ class PartModel:
     def whole(self, points: FloatArray) -> FloatArray:
         """Parameters of the whole model, (n, p), from those of the part, (n, k)."""
         model = self.model
-        found = np.empty((len(points), model.prior.size))
-        found[:, self.index] = points
+        points_all = np.empty((len(points), model.prior.size))
+        points_all[:, self.index] = points
         others = model.prior[self.rest] + (points - self.problem.prior) @ self.following
-        found[:, self.rest] = np.clip(others, model.lower[self.rest], model.upper[self.rest])
-        found[:, self.rest[2::3]] = 0.0
-        return found
+        points_all[:, self.rest] = np.clip(others, model.lower[self.rest], model.upper[self.rest])
+        points_all[:, self.rest[2::3]] = 0.0
+        return points_all
 
 
 @compiled
-def _is_another(kind: int, own: int) -> bool:
+def _is_another(kind: int, kind_here: int) -> bool:
     """Whether a kind is to be tried: one that only lacks two or more of the own bands has never won."""
-    lacking, apart = own & ~kind, own ^ kind
+    lacking, apart = kind_here & ~kind, kind_here ^ kind
     return bool(apart != 0 and not (lacking == apart and apart & (apart - 1) != 0))
 
 
@@ -116,17 +118,17 @@ def askers(
     changed, the likest."""
     _, lines, samples = grid.shape
     rows, lenders = np.empty(most * keys.size, dtype=np.int64), np.empty(most * keys.size, dtype=np.int64)
-    found, near, apart = 0, np.empty((2 * reach + 1) ** 2, dtype=np.int64), np.empty((2 * reach + 1) ** 2)
-    for own in range(keys.size):
-        count, window = 0, grid[tile[own]]
-        for y in range(max(0, place[own, 0] - reach), min(lines, place[own, 0] + reach + 1)):
-            for x in range(max(0, place[own, 1] - reach), min(samples, place[own, 1] + reach + 1)):
+    count_all, near, apart = 0, np.empty((2 * reach + 1) ** 2, dtype=np.int64), np.empty((2 * reach + 1) ** 2)
+    for pixel in range(keys.size):
+        count, window = 0, grid[tile[pixel]]
+        for y in range(max(0, place[pixel, 0] - reach), min(lines, place[pixel, 0] + reach + 1)):
+            for x in range(max(0, place[pixel, 1] - reach), min(samples, place[pixel, 1] + reach + 1)):
                 other = window[y, x]
-                if other < 0 or not changed[other] or not _is_another(keys[other], keys[own]):
+                if other < 0 or not changed[other] or not _is_another(keys[other], keys[pixel]):
                     continue
                 unlike = 0.0
                 for i in range(summary.shape[1]):
-                    unlike += (summary[other, i] - summary[own, i]) ** 2
+                    unlike += (summary[other, i] - summary[pixel, i]) ** 2
                 at = 0
                 while at < count and keys[near[at]] != keys[other]:
                     at += 1
@@ -135,22 +137,22 @@ def askers(
                 elif unlike < apart[at]:
                     near[at], apart[at] = other, unlike
         for k in np.argsort(apart[:count])[:most]:
-            rows[found], lenders[found] = own, near[k]
-            found += 1
-    return rows[:found], lenders[:found]
+            rows[count_all], lenders[count_all] = pixel, near[k]
+            count_all += 1
+    return rows[:count_all], lenders[:count_all]
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: Any, most: int) -> Any:
     """For each of `rows`, of the `most` nearest of `solved` in its tile, the likest; tiles ascend in `solved`."""
-    found = np.empty(rows.size, dtype=np.int64)
+    result = np.empty(rows.size, dtype=np.int64)
     near, apart = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     others = tile[solved]
     for number in range(rows.size):
-        own, count = rows[number], 0
-        for k in range(np.searchsorted(others, tile[own]), np.searchsorted(others, tile[own] + 1)):
+        pixel, count = rows[number], 0
+        for k in range(np.searchsorted(others, tile[pixel]), np.searchsorted(others, tile[pixel] + 1)):
             other = solved[k]
-            away = (place[own, 0] - place[other, 0]) ** 2 + (place[own, 1] - place[other, 1]) ** 2
+            away = (place[pixel, 0] - place[other, 0]) ** 2 + (place[pixel, 1] - place[other, 1]) ** 2
             if count == most and away >= apart[most - 1]:
                 continue
             at = min(count, most - 1)
@@ -163,10 +165,10 @@ def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: An
             unlike = 0.0
             for i in range(data.shape[1]):
                 if root[near[k], i] > 0.0:
-                    unlike += ((data[near[k], i] - data[own, i]) * root[own, i]) ** 2
+                    unlike += ((data[near[k], i] - data[pixel, i]) * root[pixel, i]) ** 2
             if unlike < least:
-                found[number], least = near[k], unlike
-    return found
+                result[number], least = near[k], unlike
+    return result
 
 
 TILE = 32
@@ -185,7 +187,6 @@ TRIED = 3
 """Kinds that it tries at once, those of the likest spectra."""
 SUMMARY = 10
 """Channels that are put together to compare spectra."""
-FIRST_DAMPING, LAST_DAMPING = 1e-3, 1e-6
 NEARLY, FINALLY = 1e-2, 3e-4
 """Decrease to be expected at which a descent on the bands of a kind ends, and one on all bands; that step is taken."""
 SLACK = 5.0
@@ -253,7 +254,7 @@ def fit_region(
 
     def some(number: int) -> None:
         rows = np.concatenate(groups[number])
-        tile = np.repeat(np.arange(len(groups[number])), [len(own) for own in groups[number]])
+        tile = np.repeat(np.arange(len(groups[number])), [len(pixels) for pixels in groups[number]])
         search = Search(spectra.part(rows), tile, places[rows] % TILE, model, starts)
         search.solve(contest_every)
         search.write(solved, rows)
@@ -301,9 +302,9 @@ class _Spectra:
         groups = []
         for rows in same_channels(usable):
             keep = usable[rows[0]]
-            own, noise = reflectance[np.ix_(rows, keep)], None if sigma is None else sigma[np.ix_(rows, keep)]
+            some, noise = reflectance[np.ix_(rows, keep)], None if sigma is None else sigma[np.ix_(rows, keep)]
             try:
-                ready = prepare_rows(wavelength_nm[keep], own, sigma=noise, model_error=model_error, whole=model.whole)
+                ready = prepare_rows(wavelength_nm[keep], some, sigma=noise, model_error=model_error, whole=model.whole)
             except DataError:
                 continue
             at = np.ix_(rows, np.searchsorted(wavelength_nm, ready.wavelength_nm))
@@ -325,12 +326,12 @@ class _Spectra:
         """Errors, ratios and flags of all."""
         parts = []
         for rows, ready in self.groups:
-            own = KernelFits(*(
+            ends = KernelFits(*(
                 getattr(solved, name)[rows] if name != "covariance" else solved.covariance
                 for name in KernelFits.__dataclass_fields__
             ))  # fmt: skip
-            points = scaled(model, own.parameters, self.level[rows])
-            parts.append((rows, describe_rows(ready, model, own, points)))
+            points = scaled(model, ends.parameters, self.level[rows])
+            parts.append((rows, describe_rows(ready, model, ends, points)))
         alone = len(parts) == 1 and len(parts[0][0]) == len(self.level)
         return parts[0][1] if alone else joined(len(self.level), parts, model)
 
@@ -428,7 +429,7 @@ class Search:
             points, outcomes = self._on_their_bands(rows, self.points[lenders], self.outcomes[rows, 1] - WORTH)
             lower = (outcomes[:, 3] == CONVERGED) & (outcomes[:, 1] < self.outcomes[rows, 1] - WORTH)
             rows = rows[lower]
-            won = self._take(rows, *self._on_all_bands(rows, points[lower], LAST_DAMPING))
+            won = self._take(rows, *self._on_all_bands(rows, points[lower], LATER_DAMPING))
             self.changed[won], gained[won] = True, True
             self.origin[won] = NEIGHBOUR
         return np.asarray(np.bincount(self.tile, gained) / np.bincount(self.tile))
@@ -444,10 +445,10 @@ class Search:
         for some in np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1):
             kind = int(kinds[some[0]])
             part = self.parts[kind] = self.parts.get(kind) or PartModel.of(self.model, kind)
-            found = np.ascontiguousarray(starts[np.ix_(some, part.index)])
+            ends = np.ascontiguousarray(starts[np.ix_(some, part.index)])
             options = DescentOptions(False, FIRST_DAMPING, NEARLY, MAX_ITERATIONS, True, SLACK)
-            outcomes[some] = self._descend(part.problem, options, rows[some], found, bars[some])
-            points[some] = part.whole(found)
+            outcomes[some] = self._descend(part.problem, options, rows[some], ends, bars[some])
+            points[some] = part.whole(ends)
         return points, outcomes
 
     def _on_all_bands(self, rows: IndexArray, starts: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
@@ -475,9 +476,9 @@ class Search:
         order = np.lexsort((outcomes[:, 1], rows))
         order = order[fine[order]]
         order = order[np.diff(rows[order], prepend=-1) > 0]
-        own: IndexArray = rows[order]
-        gain = self.outcomes[own, 1] - outcomes[order, 1]
-        own, order, gain = own[~(gain < WORTH)], order[~(gain < WORTH)], gain[~(gain < WORTH)]
-        self.competing[own], self.competing_sigmas[own] = gain, np.inf
-        self.points[own], self.outcomes[own] = points[order], outcomes[order]
-        return own
+        taken: IndexArray = rows[order]
+        gain = self.outcomes[taken, 1] - outcomes[order, 1]
+        taken, order, gain = taken[~(gain < WORTH)], order[~(gain < WORTH)], gain[~(gain < WORTH)]
+        self.competing[taken], self.competing_sigmas[taken] = gain, np.inf
+        self.points[taken], self.outcomes[taken] = points[order], outcomes[order]
+        return taken

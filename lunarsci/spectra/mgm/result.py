@@ -11,7 +11,6 @@ from lunarsci.spectra.mgm.assemblages import BandPrior
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.mgm.model import MgmModel
-from lunarsci.spectra.spectrum import reaches_over
 
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
@@ -70,24 +69,25 @@ class FittedBand:
         at_bound: Sequence[bool],
     ) -> "FittedBand":
         """From the kernel's centre [um], FWHM [um], strength; `calibration` is NaN where unknown."""
-        shared = [
-            None if np.isnan(c) else float(c * unit) for c, unit in zip(calibration, (1e3, 1e3, 1.0), strict=True)
-        ]
+        unit = np.array([1e3, 1e3, 1.0])
+        center, fwhm, strength = (value * unit).tolist()
+        center_sigma, fwhm_sigma, strength_sigma = (sigma * unit).tolist()
+        shared = [None if shift != shift else shift for shift in (calibration * unit).tolist()]
         names = ("center", "fwhm", "strength")
         return cls(
             name=prior.name,
             mineral=prior.mineral,
             region=prior.region,
-            center_nm=float(value[0] * 1e3),
-            center_sigma_nm=float(sigma[0] * 1e3),
-            fwhm_nm=float(value[1] * 1e3),
-            fwhm_sigma_nm=float(sigma[1] * 1e3),
-            strength=float(value[2]),
-            strength_sigma=float(sigma[2]),
+            center_nm=center,
+            center_sigma_nm=center_sigma,
+            fwhm_nm=fwhm,
+            fwhm_sigma_nm=fwhm_sigma,
+            strength=strength,
+            strength_sigma=strength_sigma,
             center_calibration_nm=shared[0],
             fwhm_calibration_nm=shared[1],
             strength_calibration=shared[2],
-            shrinkage={name: float(s) for name, s in zip(names, shrinkage, strict=True)},
+            shrinkage=dict(zip(names, shrinkage.tolist(), strict=True)),
             at_bound=tuple(name for name, held in zip(names, at_bound, strict=True) if held),
         )
 
@@ -232,22 +232,6 @@ _SCALARS = ("id", "assemblage", "continuum", "prior", "converged", "status", "rm
 _NESTED = ("nbsr", "continuum_coefficients")
 
 
-def band_strength_ratios(
-    bands: Sequence[FittedBand],
-    covariance: FloatArray,
-    shared: FloatArray,
-    wavelength_nm: FloatArray,
-    undetermined: float = UNDETERMINED,
-) -> dict[str, StrengthRatio | None]:
-    """NBSR of the pyroxenes at 1 and 2 um from fitted bands and the covariance of their (centre, FWHM, strength).
-
-    `shared` are the shifts of the same parameters by errors that all channels share, shape (k, p). `wavelength_nm` are
-    the fitted channels; a ratio of bands beyond them is None [nm], and so is one whose sigma reaches `undetermined`.
-    """
-    told = {region: _ratio(bands, covariance, shared, wavelength_nm, region) for region in ("um1", "um2")}
-    return {region: ratio if ratio and ratio.sigma < undetermined else None for region, ratio in told.items()}
-
-
 def pyroxene_pair(bands: Sequence[BandPrior | FittedBand], region: str) -> tuple[int, int] | None:
     """Positions of the bands of orthopyroxene and clinopyroxene whose strengths a ratio compares; None without both.
 
@@ -259,22 +243,3 @@ def pyroxene_pair(bands: Sequence[BandPrior | FittedBand], region: str) -> tuple
             first.setdefault(band.mineral, position)
     both = (first.get("orthopyroxene"), first.get("clinopyroxene"))
     return None if both[0] is None or both[1] is None else (both[0], both[1])
-
-
-def _ratio(
-    bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, wavelength_nm: FloatArray, region: str
-) -> StrengthRatio | None:
-    pair = pyroxene_pair(bands, region)
-    if pair is None:
-        return None
-    rows = [3 * position + 2 for position in pair]
-    opx, cpx = (bands[position].strength for position in pair)
-    total, block = opx + cpx, covariance[np.ix_(rows, rows)]
-    low, high = REACH_NM[region]
-    if not reaches_over(wavelength_nm, low, high) or total == 0:
-        return None
-    slope = np.array([cpx, -opx]) / total**2
-    sigma = float(np.sqrt(slope @ block @ slope))
-    calibration = float(np.linalg.norm(shared[:, rows] @ slope)) if len(shared) else np.nan
-    known = None if np.isnan(calibration) else calibration
-    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma, known)

@@ -17,9 +17,9 @@ from lunarsci.names import some_of
 from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, BandPrior, chances, standing, told
-from lunarsci.spectra.mgm.data import MgmData, deepest_absorption, prepare
-from lunarsci.spectra.mgm.fit import SpectraFits, fit_data, model_digest
+from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, BandPrior, chances, standing, verdict
+from lunarsci.spectra.mgm.data import MISFIT_FLOOR, MgmData, deepest_absorption, prepare
+from lunarsci.spectra.mgm.fit import SpectraFits, check_options, fit_data, model_digest
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, stated_for
 from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
@@ -28,34 +28,6 @@ from lunarsci.spectra.spectrum import Spectrum
 NODES = 80
 FIRST_DAMPING, STEPS = 1e-3, 8
 LN_2PI = math.log(2.0 * math.pi)
-
-
-def ln_evidence(fit: MgmFit) -> float:
-    """ln of the probability of the spectrum given the assemblage, to a constant of the data and the continuum.
-
-    The posterior is taken as normal about the fit: with f the objective there, Q the prior's precision, H half the
-    Hessian of the objective (Gauss-Newton) and k the number of band parameters,
-
-        ln Z = -f/2 + ln det(Q)/2 - ln P - ln det(H)/2 + ln T,
-
-    powers of 2 pi cancelling but for the continuum's. Strengths are 0 or below: P is the share of the prior there and
-    T that of the normal posterior. A parameter that the data press against a bound has the integral of a one-sided
-    normal law instead. Comparable between assemblages under the same continuum, data and model error, and dependent on
-    the widths of the priors. Against sampling it is right to 0.02 where the data tell the bands, off by 0.1-0.4 where
-    strengths are within their errors of 0, and by up to 1.4 where errors are a hundredth of the bands or less.
-
-    Raises
-    ------
-    ParameterError for a model with fixed parameters, whose prior is not normalised here. NaN where the fit has no
-    finite curvature.
-
-    References
-    ----------
-    Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
-    """
-    if fit.model.fixed.any():
-        raise ParameterError(f"{fit.id}: the evidence of a model with fixed parameters is not defined; free them")
-    return EvidencePlace.at(fit.parameters, fit.model, fit.data, np.diag(np.sqrt(fit.data.weight))).ln_evidence()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,10 +47,10 @@ class EvidencePlace:
     @classmethod
     def at(cls, point: FloatArray, model: MgmModel, data: MgmData, whiten: FloatArray) -> "EvidencePlace":
         wavelength = data.wavelength_nm
-        found = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
-        if found is None:
+        modelled = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
+        if modelled is None:
             return cls(point, model, math.inf, np.full_like(model.precision, np.nan), np.full_like(point, np.nan))
-        residual, jacobian = whiten @ (np.log(data.reflectance) - found[0]), found[1] @ whiten.T
+        residual, jacobian = whiten @ (np.log(data.reflectance) - modelled[0]), modelled[1] @ whiten.T
         away = point - model.prior
         pull = model.precision @ away
         objective = float(residual @ residual + away @ pull)
@@ -103,7 +75,24 @@ class EvidencePlace:
         return here
 
     def ln_evidence(self) -> float:
-        """See `ln_evidence`."""
+        """ln of the probability of the spectrum given the assemblage, to a constant of the data and the continuum.
+
+        The posterior is taken as normal about the fit: with f the objective there, Q the prior's precision, H half the
+        Hessian of the objective (Gauss-Newton) and k the number of band parameters,
+
+            ln Z = -f/2 + ln det(Q)/2 - ln P - ln det(H)/2 + ln T,
+
+        powers of 2 pi cancelling but for the continuum's. Strengths are 0 or below: P is the share of the prior there
+        and T that of the normal posterior. A parameter that the data press against a bound has the integral of a
+        one-sided normal law instead. Comparable between assemblages under the same continuum, data and model error, and
+        dependent on the widths of the priors; of models without fixed parameters. Against sampling it is right to 0.02
+        where the data tell the bands, off by 0.1-0.4 where strengths are within their errors of 0, and by up to 1.4
+        where errors are a hundredth of the bands or less. NaN where the fit has no finite curvature.
+
+        References
+        ----------
+        Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
+        """
         if not math.isfinite(self.objective):
             return math.nan
         model, m = self.model, self.model.degrees
@@ -165,8 +154,8 @@ DETAIL_NM = 60.0
 """Length over which it hangs together: its correlation is that of Matern's law of order 3/2. Assumed."""
 WHITE_SHARE = 0.1
 """Of it that does not hang together; assumed."""
-COARSE_NM = 20.0
-"""Channels are put together to about this: a third of that length. Assumed."""
+COARSE_NM = DETAIL_NM / 3
+"""Channels are put together to about this, which follows from that length."""
 START_ERROR = 0.03
 """Share of the depth as an independent error, with which the minima are looked for; assumed."""
 TEMPER, PENALTY = 0.57, 2.04
@@ -174,8 +163,8 @@ TEMPER, PENALTY = 0.57, 2.04
 `python tests/benchmarks/choices.py` learns them: 0.57 and 2.02 from the priors and fits as they are now."""
 CREDIBLE, MOST_TOGETHER = SURE, 4
 """Probability that the assemblages named together hold, and how many of them still say something; assumed."""
-LEAST_DEPTH, LEAST_ERROR = 0.03, 0.003
-"""Depth of the deepest absorption that is reckoned with at least, and error of ln R; assumed."""
+LEAST_DEPTH = 0.03
+"""Depth of the deepest absorption that is reckoned with at least; assumed."""
 DEFAULT_CHOICE_STARTS = 3
 TOGETHER = 16
 """Spectra of a block: some seconds of work."""
@@ -231,8 +220,8 @@ class Choice:
     @property
     def status(self) -> str:
         """The verdict, which minerals are sure and which are open: what the result says of the spectrum."""
-        said = told(self.probabilities, self.beyond, self.cause)
-        return f"{said}; in the 2 µm band {self.beside}" if self.beside else said
+        verdict_text = verdict(self.probabilities, self.beyond, self.cause)
+        return f"{verdict_text}; in the 2 µm band {self.beside}" if self.beside else verdict_text
 
     @property
     def assemblage(self) -> str:
@@ -255,8 +244,8 @@ class Choice:
         rows = [{name: getattr(candidate, name) for name in columns} for candidate in self.candidates]
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
         groups = {name: chance for name, chance in chances(self.probabilities).items() if name in GROUPS}
-        found = {"mineral_probability": self.minerals, "group_probability": groups}
-        more = found | standing(self.probabilities, self.beyond, self.cause)
+        chances_of = {"mineral_probability": self.minerals, "group_probability": groups}
+        more = chances_of | standing(self.probabilities, self.beyond, self.cause)
         return {name: getattr(self, name) for name in names} | {"candidates": rows, "family": list(self.family)} | more
 
 
@@ -312,12 +301,9 @@ def choose(
     names = [model.assemblage.name for model in models]
     if len(names) < 2 or len(set(names)) < len(names):
         raise ParameterError("a choice needs two or more assemblages, each once")
-    if model_error is not None and not 0 < model_error < 1:
-        raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.05")
-    if starts < 1:
-        raise ParameterError(f"{starts} starts; give 1 or more")
+    check_options(model_error, starts)
     collection = SpectrumCollection.of(spectra)
-    found = arrays_in_blocks(
+    arrays = arrays_in_blocks(
         partial(_compared, models=models, model_error=model_error, starts=starts),
         len(collection),
         kept_rows(len(collection), TOGETHER),
@@ -332,7 +318,7 @@ def choose(
         progress=progress,
     )
     results: list[Choice | MgmFailure] = []
-    for name, numbers, why in zip(collection.ids, found["numbers"], found["why"].tolist(), strict=True):
+    for name, numbers, why in zip(collection.ids, arrays["numbers"], arrays["why"].tolist(), strict=True):
         if why:
             results.append(MgmFailure(name, "-", continuum, f"no result: {why}"))
         else:
@@ -354,15 +340,15 @@ def _compared(
 
 
 def _scores(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> FloatArray:
-    fine = prepare(spectrum, LEAST_ERROR)
+    fine = prepare(spectrum, MISFIT_FLOOR)
     depth = max(LEAST_DEPTH, float(deepest_absorption(fine.wavelength_nm, fine.reflectance[None])[0]))
-    data = _coarse(fine, math.hypot(LEAST_ERROR, START_ERROR * depth))
+    data = _coarse(fine, math.hypot(MISFIT_FLOOR, START_ERROR * depth))
     error = math.hypot(DETAIL_FLOOR, DETAIL_SHARE * depth) if model_error is None else model_error
     whiten = _whitening(data, error)
-    found = np.array([_score(data, _deepened(model, depth), whiten, starts) for model in models])
-    if np.isfinite(found[:, 2]).sum() < 2:
+    scores = np.array([_score(data, _deepened(model, depth), whiten, starts) for model in models])
+    if np.isfinite(scores[:, 2]).sum() < 2:
         raise DataError("fewer than two assemblages can be fitted; look at the spectrum for channels that are wrong")
-    return found
+    return scores
 
 
 def _choice(name: str, families: Sequence[str], numbers: FloatArray) -> Choice:
@@ -442,15 +428,15 @@ def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: Mapping[int, Choi
         unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
         names = np.array(fits.names, dtype=object)
         lists = [names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist()]
-        said = list(zip(fits.names, fits.statuses, strict=True))
+        statuses = list(zip(fits.names, fits.statuses, strict=True))
     else:
         good = [item for item in fits if isinstance(item, MgmFit)]
         lists = [[one.id for one in good if not one.converged], [one.id for one in good if one.rms_ln > UNLIKE_RMS]]
-        said = [(item.id, item.status) for item in good]
+        statuses = [(item.id, item.status) for item in good]
     texts = ("no convergence for {}", "the model does not describe {}")
-    doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
+    doubts = [text.format(", ".join(names_of)) for text, names_of in zip(texts, lists, strict=True) if names_of]
     for word, text in ODD.items():
-        odd = [name for name, status in said if f"; {word}: " in status]
+        odd = [name for name, status in statuses if f"; {word}: " in status]
         doubts += [f"{text} {some_of(odd, NAMED)}"] if odd else []
     weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
     return doubts + ([f"the assemblage is not decided for {some_of(weak, NAMED)}"] if weak else [])

@@ -1,7 +1,6 @@
 """Candidate craters: where they are on the Moon (a sphere), how large and old, and what their ejecta are made of."""
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,12 +9,12 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.io import inputs
+from lunarsci.errors import DataError, ParameterError, warn
 from lunarsci.io.inputs import InputFile
-from lunarsci.io.tables import table_rows
-from lunarsci.names import meant
-from lunarsci.spectra.origin.composition import BANDS, MINERALS, Composition, Value
+from lunarsci.io.tables import check_columns, table_rows
+from lunarsci.spectra.origin.composition import ABOVE_0, BANDS, MINERALS, Composition, check_ranges
+from lunarsci.spectra.readers.columns import rows_by_id
+from lunarsci.spectra.rows import number
 
 Point = tuple[float, float]
 """Latitude and longitude, east positive. [deg]"""
@@ -23,10 +22,7 @@ Point = tuple[float, float]
 
 def checked_point(latitude_deg: float, longitude_deg: float) -> Point:
     """Latitude -90 to 90 and longitude east -180 to 360 of a point; else ParameterError. [deg]"""
-    if not -90 <= latitude_deg <= 90:
-        raise ParameterError(f"latitude is {latitude_deg:g} deg; it must be -90 to 90")
-    if not -180 <= longitude_deg <= 360:
-        raise ParameterError(f"longitude is {longitude_deg:g} deg; it must be -180 to 360, east positive")
+    check_ranges(("latitude", latitude_deg, -90, 90, "deg"), ("longitude", longitude_deg, -180, 360, "deg east"))
     return float(latitude_deg), float(longitude_deg)
 
 
@@ -78,14 +74,11 @@ FEWEST_TO_DOUBT = 3
 """Craters whose positions, all small enough to be radians, are doubted. One point of the Moon in 1000 is so small."""
 REQUIRED = ("name", "latitude_deg", "longitude_deg", "diameter_km")
 SOURCES = ("position_source", "age_source", "composition_source", "source")
-COLUMNS = (
-    *REQUIRED,
-    "age_low_ma",
-    "age_high_ma",
-    *(column for name in MINERALS for column in (name, f"{name}_sigma")),
-    *(column for name in BANDS for column in (name, name.replace("_nm", "_sigma_nm"))),
-    *SOURCES,
-)
+PAIRS = {"age_low_ma": "age_high_ma"} | {
+    name: f"{name.removesuffix('_nm')}_sigma{'_nm' if name in BANDS else ''}" for name in (*MINERALS, *BANDS)
+}
+"""Columns that go together."""
+COLUMNS = (*REQUIRED, *(column for pair in PAIRS.items() for column in pair), *SOURCES)
 """Columns of a catalogue; all but name, position and diameter may be left out or empty."""
 
 
@@ -114,11 +107,12 @@ class Crater:
 
     def __post_init__(self) -> None:
         checked_point(self.latitude_deg, self.longitude_deg)
-        if not 0 < self.diameter_km <= LARGEST_KM:
-            raise ParameterError(f"diameter is {self.diameter_km:g} km; it must be above 0 to {LARGEST_KM:g}")
-        low, high = self.age_ma
-        if not 0 < low <= high <= OLDEST_MA:
-            raise ParameterError(f"age is {low:g} to {high:g} Ma; it must rise, from above 0 to {OLDEST_MA:g}")
+        youngest, oldest = self.age_ma
+        check_ranges(
+            ("diameter", self.diameter_km, ABOVE_0, LARGEST_KM, "km"),
+            ("age", youngest, ABOVE_0, OLDEST_MA, "Ma"),
+            ("oldest age", oldest, youngest, OLDEST_MA, "Ma"),
+        )
 
     @property
     def center(self) -> Point:
@@ -128,8 +122,7 @@ class Crater:
 
 def embedded_catalogue() -> tuple[Crater, ...]:
     """The craters around the Chang'E-4 site that come with lunarsci."""
-    rows = table_rows(TABLE)
-    return _craters([(f"row {number}", row) for number, row in enumerate(rows, 2)], TABLE)
+    return tuple(_crater(row) for row in table_rows(TABLE))
 
 
 def read_catalogue(source: InputFile) -> tuple[Crater, ...]:
@@ -139,30 +132,22 @@ def read_catalogue(source: InputFile) -> tuple[Crater, ...]:
     missing or unknown columns, values that are no numbers or out of range, an age or error without its partner,
     doubled names, and a table without craters. Warns with LunarSciWarning where positions may be in radians.
     """
-    lines = [(n, line) for n, line in enumerate(inputs.text(source).splitlines(), 1) if _counts(line)]
-    if not lines:
-        raise DataError(f"{source.name}: holds no craters; the first line must be {','.join(REQUIRED)}")
-    names = [name.strip() for name in next(inputs.csv_rows(source.name, [lines[0][1]]))]
-    _check_header(names, source.name)
-    rows = []
-    for number, line in lines[1:]:
-        cells = next(inputs.csv_rows(f"{source.name}: line {number}", [line]))
-        if len(cells) != len(names):
-            raise DataError(
-                f"{source.name}: line {number}: has {len(cells)} cells, the header {len(names)}; correct it"
-            )
-        rows.append((f"line {number}", dict(zip(names, cells, strict=True))))
-    if not rows:
-        raise DataError(f"{source.name}: holds no craters below its header; add one line per crater")
-    craters = _craters(rows, source.name)
+    rows = rows_by_id(source, "name")
+    header = next(iter(rows.values()))[1]
+    if unknown := check_columns(source.name, header, COLUMNS, REQUIRED):
+        raise DataError(f"{source.name}: column '{unknown[0]}' is unknown; there may be {', '.join(COLUMNS)}")
+    craters = []
+    for line, row in rows.values():
+        try:
+            craters.append(_crater(row))
+        except ParameterError as error:
+            raise DataError(f"{source.name}: line {line}: {error}") from error
     if _in_radians(craters):
-        warnings.warn(
+        warn(
             f"{source.name}: no latitude beyond {math.pi / 2:.3g} deg and no longitude beyond {2 * math.pi:.3g} deg; "
-            "are they in radians?",
-            LunarSciWarning,
-            stacklevel=2,
+            "are they in radians?"
         )
-    return craters
+    return tuple(craters)
 
 
 def _in_radians(craters: Sequence[Crater]) -> bool:
@@ -171,82 +156,25 @@ def _in_radians(craters: Sequence[Crater]) -> bool:
     return len(craters) >= FEWEST_TO_DOUBT and all(small)
 
 
-def _counts(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _check_header(names: Sequence[str], file: str) -> None:
-    missing = [name for name in REQUIRED if name not in names]
-    if missing:
-        raise DataError(f"{file}: has no column {', '.join(missing)}; a catalogue needs {', '.join(REQUIRED)}")
-    unknown = [name for name in names if name not in COLUMNS]
-    if unknown:
-        near = meant(unknown[0], COLUMNS)
-        raise DataError(f"{file}: column '{unknown[0]}' is unknown; {near}there may be {', '.join(COLUMNS)}")
-    doubled = [name for name in names if names.count(name) > 1]
-    if doubled:
-        raise DataError(f"{file}: column {doubled[0]} is there twice; keep one")
-
-
-def _craters(rows: Sequence[tuple[str, Mapping[str, str]]], file: str) -> tuple[Crater, ...]:
-    craters: dict[str, Crater] = {}
-    for place, row in rows:
-        try:
-            crater = _crater(row)
-        except ParameterError as error:
-            raise DataError(f"{file}: {place}: {error}") from error
-        if crater.name.casefold() in craters:
-            raise DataError(f"{file}: {place}: a second '{crater.name}'; give every crater its own name")
-        craters[crater.name.casefold()] = crater
-    return tuple(craters.values())
-
-
 def _crater(row: Mapping[str, str]) -> Crater:
-    name = row["name"].strip()
-    if not name:
-        raise ParameterError("the crater has no name; give it one")
-    position = [_number(row, column) for column in REQUIRED[1:]]
-    for column, value in zip(REQUIRED[1:], position, strict=True):
-        if value is None:
-            raise ParameterError(f"{column} is empty; every crater needs it")
-    ages = [_number(row, column) for column in ("age_low_ma", "age_high_ma")]
-    if (ages[0] is None) != (ages[1] is None):
-        raise ParameterError("age_low_ma and age_high_ma go together; give both or none")
+    cells = {column: cell.strip() for column, cell in row.items() if cell.strip()}
+    values = {column: _number(column, cell) for column, cell in cells.items() if column not in (*SOURCES, "name")}
+    pairs = {one: (values[one], values[other]) for one, other in PAIRS.items() if values.keys() >= {one, other}}
+    torn = [f"{one} and {other} go together" for one, other in PAIRS.items() if (one in values) != (other in values)]
+    if lacking := [f"{column} is empty" for column in REQUIRED if column not in cells] + torn:
+        raise ParameterError(f"{lacking[0]}; complete the line")
+    modes, bands = ({name: pairs[name] for name in some if name in pairs} for some in (MINERALS, BANDS))
     return Crater(
-        name=name,
-        latitude_deg=position[0],  # type: ignore[arg-type]
-        longitude_deg=position[1],  # type: ignore[arg-type]
-        diameter_km=position[2],  # type: ignore[arg-type]
-        age_ma=UNKNOWN_AGE_MA if ages[0] is None else (ages[0], ages[1]),  # type: ignore[arg-type]
-        composition=Composition(
-            _pairs(row, {name: f"{name}_sigma" for name in MINERALS}),
-            _pairs(row, {name: name.replace("_nm", "_sigma_nm") for name in BANDS}),
-        ),
-        sources={column.removesuffix("_source"): row[column].strip() for column in SOURCES if row.get(column)},
+        name=cells["name"],
+        **{column: values[column] for column in REQUIRED[1:]},
+        age_ma=pairs.get("age_low_ma", UNKNOWN_AGE_MA),
+        composition=Composition(modes, bands),
+        sources={column.removesuffix("_source"): cells[column] for column in SOURCES if column in cells},
     )
 
 
-def _pairs(row: Mapping[str, str], columns: Mapping[str, str]) -> dict[str, Value]:
-    """Values that are there, with their errors."""
-    found = {}
-    for name, error in columns.items():
-        value, sigma = _number(row, name), _number(row, error)
-        if (value is None) != (sigma is None):
-            raise ParameterError(f"{name} and {error} go together; give both or none")
-        if value is not None and sigma is not None:
-            found[name] = (value, sigma)
-    return found
-
-
-def _number(row: Mapping[str, str], column: str) -> float | None:
-    """The number of a cell; None where it is empty or not there."""
-    cell = (row.get(column) or "").strip()
-    if not cell:
-        return None
-    try:
-        value = float(cell)
-    except ValueError:
-        raise ParameterError(f"{column} is '{cell}', not a number; correct it, or leave it empty") from None
-    if not math.isfinite(value):
-        raise ParameterError(f"{column} is '{cell}'; leave the cell empty where nothing is known")
+def _number(column: str, cell: str) -> float:
+    value = number(cell)
+    if value is None or not math.isfinite(value):
+        raise ParameterError(f"{column} is '{cell}', not a number; correct it, or leave it empty if unknown")
     return value

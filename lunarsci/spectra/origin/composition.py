@@ -5,6 +5,7 @@ Rocks from the JSON results of `lunarsci spectra fit` and `lunarsci spectra band
 
 import json
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -18,17 +19,29 @@ from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
+from lunarsci.spectra.mgm.assemblages import MINERALS as BY_KEY
+from lunarsci.spectra.rows import number
 
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
+MINERALS = tuple(BY_KEY.values())
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
 """Band centres, and the range outside which a value is no such centre; assumed. [nm]"""
 LARGEST_SUM = 1.1
 """Modes that add up to more are in the wrong unit or wrong: published ones of 102 % exist. Assumed."""
+ABOVE_0 = float(np.nextafter(0.0, 1.0))
 SMALLEST_SIGMA = 1e-4
 """Standard deviation of a mode is taken as at least this, that a covariance can be inverted."""
 
 Value = tuple[float, float]
 """A value and its standard deviation."""
+
+
+def check_ranges(*ranges: tuple[str, float, float, float, str]) -> None:
+    """Raise ParameterError for the first of (what, value, lowest, highest, unit) whose value lies outside."""
+    for what, value, low, high, unit in ranges:
+        if not low <= value <= high:
+            least = "above 0" if low == ABOVE_0 else f"{low:g}"
+            end = f" to {high:g}" if math.isfinite(high) else ""
+            raise ParameterError(f"{what} is {value:g}; it must be {least}{end} {unit}".rstrip())
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,24 +62,23 @@ class Composition:
     correlation: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for name, (value, sigma) in self.modes.items():
-            _check_mode(name, value, sigma)
-        for name, (value, sigma) in self.bands.items():
-            _check_band(name, value, sigma)
-        total = sum(value for value, _ in self.modes.values())
-        if self.modes and not 0 < total <= LARGEST_SUM:
-            raise ParameterError(
-                f"modes add up to {total:g}; they are fractions and must add up to 1 or less, and more than 0"
-            )
+        for given, ranges in ((self.modes, dict.fromkeys(MINERALS, (0.0, 1.0))), (self.bands, BANDS)):
+            for name, (value, sigma) in given.items():
+                if name not in ranges:
+                    raise ParameterError(f"'{name}' is no mineral or band here; there are {', '.join(ranges)}")
+                unit = "nm" if ranges is BANDS else ""
+                least, most = (ABOVE_0, 1e3) if unit else (0.0, 1.0)
+                check_ranges((name, value, *ranges[name], unit), (f"error of {name}", sigma, least, most, unit))
+        if self.modes:
+            total = sum(value for value, _ in self.modes.values())
+            check_ranges(("sum of the modes", total, ABOVE_0, LARGEST_SUM, ""))
         if len(self.modes) == 1:
-            raise ParameterError(
-                f"{next(iter(self.modes))} alone is no share of anything; give two minerals or more, or none"
-            )
-        if self.correlation is not None:
-            _check_correlation(self.correlation, len(self.modes))
+            raise ParameterError(f"{next(iter(self.modes))} alone is no share of anything; give two minerals or none")
+        if self.correlation is not None and not _is_correlation(self.correlation, len(self.modes)):
+            raise ParameterError(f"correlation of {len(self.modes)} modes: must be symmetric, 1 on the diagonal")
 
     @property
-    def known(self) -> bool:
+    def comparable(self) -> bool:
         """Whether there is anything to compare."""
         return bool(self.modes or self.bands)
 
@@ -92,33 +104,9 @@ def closed(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Floa
     return share, jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
 
 
-def _check_mode(name: str, value: float, sigma: float) -> None:
-    if name not in MINERALS:
-        raise ParameterError(f"'{name}' is no mineral here; there are {', '.join(MINERALS)}")
-    if not 0 <= value <= 1:
-        raise ParameterError(f"{name} is {value:g}; a mode is a fraction from 0 to 1")
-    if not 0 <= sigma <= 1:
-        raise ParameterError(f"error of {name} is {sigma:g}; it is a fraction from 0 to 1")
-
-
-def _check_band(name: str, value: float, sigma: float) -> None:
-    if name not in BANDS:
-        raise ParameterError(f"'{name}' is no band here; there are {', '.join(BANDS)}")
-    low, high = BANDS[name]
-    if not low <= value <= high:
-        raise ParameterError(f"{name} is {value:g}; it must be {low:g} to {high:g} nm")
-    if not 0 < sigma <= 1000:
-        raise ParameterError(f"error of {name} is {sigma:g}; it must be above 0, in nm")
-
-
-def _check_correlation(correlation: FloatArray, size: int) -> None:
-    right = correlation.shape == (size, size) and bool(np.isfinite(correlation).all())
-    if not right or not np.allclose(correlation, correlation.T) or np.linalg.eigvalsh(correlation)[0] < -1e-9:
-        raise ParameterError(
-            f"correlation of the modes: must be symmetric, {size} x {size}, without negative eigenvalues"
-        )
-    if not np.allclose(np.diag(correlation), 1):
-        raise ParameterError("the correlation of the modes must have 1 on its diagonal")
+def _is_correlation(matrix: FloatArray, size: int) -> bool:
+    good = matrix.shape == (size, size) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T)
+    return bool(good and np.allclose(np.diag(matrix), 1) and np.linalg.eigvalsh(matrix)[0] >= -1e-9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +126,6 @@ class Rock:
 
 FITS = ("lunarsci/spectra-fit/", "lunarsci/spectra-unmix/")
 BANDS_SCHEMA = "lunarsci/spectra-bands/"
-LARGEST_RATIO_SIGMA = 1.0
-"""A ratio of two shares that is less sure says nothing; assumed."""
 
 
 def read_rocks(source: InputFile) -> list[Rock]:
@@ -148,20 +134,14 @@ def read_rocks(source: InputFile) -> list[Rock]:
     Errors from the data, the calibration that channels share and the choice of the continuum are added in squares.
     Spectra without a result are left out. Raises DataError for another kind of file, or one without a usable rock.
     """
-    document = _document(source)
-    schema = str(document.get("schema", ""))
-    if not schema.startswith((*FITS, BANDS_SCHEMA)):
-        raise DataError(
-            f"{source.name}: schema is '{schema}'; give what `spectra unmix`, `fit` or `bands` wrote with --json"
-        )
-    records = _records(document, source.name)
+    schema, records = _records(source)
     read = _from_fit if schema.startswith(FITS) else _from_bands
     rocks = []
-    for number, record in enumerate(records):
+    for index, record in enumerate(records):
         try:
-            rock = read(record, str(record.get("id") or f"{source.stem}-{number}"))
+            rock = read(record, str(record.get("id") or f"{source.stem}-{index}"))
         except (ParameterError, TypeError, ValueError, KeyError, AttributeError) as error:
-            raise DataError(f"{source.name}: spectrum {number}: {error}; was the file edited?") from error
+            raise DataError(f"{source.name}: spectrum {index}: {error}; was the file edited?") from error
         rocks += [rock] if rock else []
     if not rocks:
         raise DataError(
@@ -171,24 +151,21 @@ def read_rocks(source: InputFile) -> list[Rock]:
     return rocks
 
 
-def _document(source: InputFile) -> Mapping[str, Any]:
+def _records(source: InputFile) -> tuple[str, Sequence[Mapping[str, Any]]]:
+    """Schema and spectra of a result."""
     try:
         document = json_document(inputs.text(source))
     except json.JSONDecodeError as error:
+        raise DataError(f"{source.name}: is no JSON ({error}); give what `spectra fit --json` wrote") from error
+    result = document if isinstance(document, dict) else {}
+    schema, content = str(result.get("schema", "")), result.get("result")
+    records = content.get("spectra") if isinstance(content, dict) else None
+    if not schema.startswith((*FITS, BANDS_SCHEMA)) or not isinstance(records, list):
         raise DataError(
-            f"{source.name}: is no JSON ({error}); give the output of `lunarsci spectra fit --json`"
-        ) from error
-    if not isinstance(document, dict):
-        raise DataError(f"{source.name}: is no result of lunarsci; give the output of `lunarsci spectra fit --json`")
-    return document
-
-
-def _records(document: Mapping[str, Any], file: str) -> list[Mapping[str, Any]]:
-    result = document.get("result")
-    records = result.get("spectra") if isinstance(result, dict) else None
-    if not isinstance(records, list) or not all(isinstance(record, dict) for record in records):
-        raise DataError(f"{file}: has no result.spectra; was the file cut or edited?")
-    return records
+            f"{source.name}: schema is '{schema}', or it has no result.spectra; give what `spectra unmix`, `fit` or "
+            "`bands` wrote with --json, whole"
+        )
+    return schema, records
 
 
 def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
@@ -200,7 +177,7 @@ def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
         return None
     opx = float(ratio["opx"])
     sigma = _combined(ratio, ("sigma", "calibration", "continuum"), "NBSR")
-    sigma = min(sigma, LARGEST_RATIO_SIGMA)
+    sigma = min(sigma, 1.0)  # the most that a fraction may have
     modes = {"orthopyroxene": (opx, sigma), "clinopyroxene": (1 - opx, sigma)}
     opposite = np.array([[1.0, -1.0], [-1.0, 1.0]])
     return Rock(name, Composition(modes, {}, opposite), ("OPX : CPX is NBSR at 2 µm as it stands, uncalibrated",))
@@ -219,14 +196,14 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
         return Rock(name, Composition(), (text,))
     given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
-    told = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
+    determined = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
     remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
     tables: tuple[str, ...] = ()
-    if modes and not told:
+    if modes and not determined:
         return Rock(name, Composition(), (f"its shares decide nothing: {abundance.get('status', 'not determined')}",))
     if len(modes) < 2:
         return None
-    if wide := [mineral for mineral in modes if mineral not in told]:
+    if wide := [mineral for mineral in modes if mineral not in determined]:
         remarks.append(f"not determined, known by their intervals alone: {', '.join(wide)}")
     untested = abundance.get("in_domain") is False
     if untested:
@@ -291,10 +268,8 @@ def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
 
 
 def _combined(record: Mapping[str, Any], keys: Iterable[str], what: str) -> float:
-    parts = [float(record[key]) for key in keys if record.get(key) is not None]
-    sigma = math.sqrt(sum(part * part for part in parts))
-    if not (math.isfinite(sigma) and sigma > 0):
-        raise ParameterError(f"{what} has no error above 0")
+    sigma = math.hypot(*(float(record[key]) for key in keys if record.get(key) is not None))
+    check_ranges((f"error of {what}", sigma, ABOVE_0, sys.float_info.max, ""))
     return sigma
 
 
@@ -303,11 +278,11 @@ def joined(rocks: Iterable[Rock]) -> list[Rock]:
 
     Raises DataError where two results give modes, or two give the same band centre, for one id.
     """
-    found: dict[str, Rock] = {}
+    by_id: dict[str, Rock] = {}
     for rock in rocks:
-        before = found.get(rock.id)
-        found[rock.id] = _merged(before, rock) if before else rock
-    return list(found.values())
+        before = by_id.get(rock.id)
+        by_id[rock.id] = _merged(before, rock) if before else rock
+    return list(by_id.values())
 
 
 def _merged(one: Rock, other: Rock) -> Rock:
@@ -319,7 +294,7 @@ def _merged(one: Rock, other: Rock) -> Rock:
     return Rock(one.id, both, (*one.remarks, *other.remarks), (*one.tables, *other.tables))
 
 
-SHORT = {"ol": "olivine", "opx": "orthopyroxene", "cpx": "clinopyroxene", "plg": "plagioclase"}
+SHORT = {key.lower(): mineral for key, mineral in BY_KEY.items()}
 """Abbreviations of minerals."""
 BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
 
@@ -339,27 +314,22 @@ def stated_composition(
 
 
 def stated_number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise RequestError(f"{where}: '{text.strip()}' is not a number") from None
-    if value != value or abs(value) == float("inf"):
-        raise RequestError(f"{where}: '{text.strip()}' is not a finite number")
+    value = number(text.strip())
+    if value is None or not math.isfinite(value):
+        raise RequestError(f"{where}: '{text.strip()}' is not a number")
     return value
 
 
 def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Value]:
     """`NAME=VALUE:ERROR,…` by full name."""
-    found: dict[str, Value] = {}
+    pairs: dict[str, Value] = {}
     for part in text.split(",") if text else []:
         key, equals, numbers = part.partition("=")
         value, colon, sigma = numbers.partition(":")
         name = names.get(key.strip().lower())
-        if not (equals and colon):
-            raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, such as {next(iter(names))}=…:…")
-        if name is None:
-            raise RequestError(f"`{option}` '{part}': '{key.strip()}' is unknown; there are {', '.join(names)}")
-        if name in found:
+        if name in pairs:
             raise RequestError(f"`{option}`: {name} is there twice; give it once")
-        found[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
-    return found
+        if not (equals and colon and name):
+            raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(names)}")
+        pairs[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
+    return pairs

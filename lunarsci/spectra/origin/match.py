@@ -1,30 +1,38 @@
 """The probability that a rock comes from each of the candidate craters: a prior, and what the rock is made of.
 
-What the composition of rocks says of the craters that they may come from: ln Bayes factors against any composition.
-
-Compared are shares of the minerals that both have, and band centres. The rock differs from the crater's mean by its own
-error, the scatter within the crater, and what two methods disagree by (the systematic). The yardstick, ln Bayes
-factor 0, is a rock of which nothing is known: shares uniform over all that add up to 1, centres uniform over the range
-of lunar minerals. A crater whose composition is not known is no better and no worse than that.
+ln Bayes factors of compositions are against any composition. Compared are shares of the minerals that both have, and
+band centres. The rock differs from the crater's mean by its own error, the scatter within the crater, and what two
+methods disagree by (the systematic). The yardstick, ln Bayes factor 0, is a rock of which nothing is known: shares
+uniform over all that add up to 1, centres uniform over the range of lunar minerals. A crater whose composition is not
+known is no better and no worse than that. `assumptions` says in sentences what a match assumes.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from math import factorial, sqrt
+from math import factorial, pi, sqrt
 from typing import Any, overload
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import ParameterError
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.io.records import Codes, Listed, Records, Same
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import Progress, arrays_in_blocks
 from lunarsci.provenance import sha256
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
-from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, Rock, closed
-from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors, launch_speed_m_s
+from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, Rock, check_ranges, closed
+from lunarsci.spectra.origin.mineral_map import MapReport
+from lunarsci.spectra.origin.prior import (
+    CraterPrior,
+    PriorSettings,
+    Range,
+    crater_priors,
+    launch_speed_m_s,
+    surface_age_ma,
+)
 
 BAND_RANGE_NM = {"bc1000_nm": (880.0, 1070.0), "bc2000_nm": (1780.0, 2350.0)}
 """Centres a lunar rock may have, from Mg-orthopyroxene to augite and olivine mixtures; assumed. [nm]"""
@@ -106,14 +114,14 @@ class CompositionRows:
 
     def shares(self, rows: IntArray, minerals: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Mean (r, k) and covariance (r, k, k) of the shares of some minerals, by number."""
-        own = np.array(minerals)
-        sigmas = np.maximum(self.mode_sigmas[np.ix_(rows, own)], SMALLEST_SIGMA)
+        places = np.array(minerals)
+        sigmas = np.maximum(self.mode_sigmas[np.ix_(rows, places)], SMALLEST_SIGMA)
         covariance = sigmas[:, :, None] * sigmas[:, None, :]
         if self.correlation is None:
             covariance = covariance * np.eye(len(minerals))
         else:
-            covariance = self.correlation[np.ix_(rows, own, own)] * covariance
-        return closed(self.modes[np.ix_(rows, own)], covariance)
+            covariance = self.correlation[np.ix_(rows, places, places)] * covariance
+        return closed(self.modes[np.ix_(rows, places)], covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,9 +141,9 @@ class EvidenceRows:
     def at(self, rock: int, crater: int) -> CompositionEvidence:
         """Of one rock and one crater."""
         modes, bands = self.ln_modes[rock, crater], self.ln_bands[rock, crater]
-        known = self.craters[crater]
-        minerals = [m for k, m in enumerate(MINERALS) if m in known.modes and np.isfinite(self.rocks.modes[rock, k])]
-        centers = [b for k, b in enumerate(BAND_RANGE_NM) if b in known.bands and _known(self.rocks, k)[rock]]
+        entry = self.craters[crater]
+        minerals = [m for k, m in enumerate(MINERALS) if m in entry.modes and np.isfinite(self.rocks.modes[rock, k])]
+        centers = [b for k, b in enumerate(BAND_RANGE_NM) if b in entry.bands and _has_center(self.rocks, k)[rock]]
         return CompositionEvidence(
             None if np.isnan(modes) else float(modes),
             None if np.isnan(bands) else float(bands),
@@ -144,17 +152,9 @@ class EvidenceRows:
         )
 
 
-def _known(rocks: CompositionRows, band: int) -> BoolArray:
-    known: BoolArray = np.isfinite(rocks.centers_nm[:, band]) & np.isfinite(rocks.center_sigmas_nm[:, band])
-    return known
-
-
-def composition_evidence(
-    rock: Composition, crater: Composition, *, systematic: float, band_systematic_nm: float
-) -> CompositionEvidence:
-    """The same as `evidence_rows` of one rock and one crater."""
-    rows = CompositionRows.of([rock])
-    return evidence_rows(rows, [crater], systematic=systematic, band_systematic_nm=band_systematic_nm).at(0, 0)
+def _has_center(rocks: CompositionRows, band: int) -> BoolArray:
+    given: BoolArray = np.isfinite(rocks.centers_nm[:, band]) & np.isfinite(rocks.center_sigmas_nm[:, band])
+    return given
 
 
 def evidence_rows(
@@ -167,20 +167,20 @@ def evidence_rows(
     """
     shape = (len(rocks.modes), len(craters))
     ln_modes, ln_bands = np.full(shape, np.nan), np.full(shape, np.nan)
-    for minerals, own, rows in _comparable(rocks, craters):
+    for minerals, numbers, rows in _comparable(rocks, craters):
         seen, error = rocks.shares(rows, minerals)
         error = error + systematic**2 * np.eye(len(minerals))
         broad = ln_shares_broad(seen, error)
-        for number in own:
+        for number in numbers:
             mean, scatter = craters[number].shares([MINERALS[place] for place in minerals])
             ln_modes[rows, number] = ln_shares_crater(seen, error, mean, scatter) - broad
     for number, crater in enumerate(craters):
         for place, name in enumerate(BAND_RANGE_NM):
             if name in crater.bands:
-                rows = np.flatnonzero(_known(rocks, place))
+                rows = np.flatnonzero(_has_center(rocks, place))
                 seen, error = rocks.centers_nm[rows, place], rocks.center_sigmas_nm[rows, place]
-                found = _ln_band(name, seen, error, *crater.bands[name], band_systematic_nm)
-                ln_bands[rows, number] = np.nan_to_num(ln_bands[rows, number], nan=0.0) + found
+                factor = _ln_band(name, seen, error, *crater.bands[name], band_systematic_nm)
+                ln_bands[rows, number] = np.nan_to_num(ln_bands[rows, number], nan=0.0) + factor
     return EvidenceRows(ln_modes, ln_bands, rocks, craters)
 
 
@@ -188,18 +188,18 @@ def _comparable(
     rocks: CompositionRows, craters: Sequence[Composition]
 ) -> Iterator[tuple[tuple[int, ...], list[int], IntArray]]:
     """Minerals by number, the craters that have them in common with some rocks, and the numbers of these rocks."""
-    known = np.isfinite(rocks.modes)
-    for kind in np.unique(known, axis=0):
-        rows = np.flatnonzero((known == kind).all(axis=1))
+    given = np.isfinite(rocks.modes)
+    for kind in np.unique(given, axis=0):
+        rows = np.flatnonzero((given == kind).all(axis=1))
         groups: dict[tuple[int, ...], list[int]] = {}
         for number, crater in enumerate(craters):
             minerals = tuple(k for k, name in enumerate(MINERALS) if kind[k] and name in crater.modes)
             if len(minerals) > 1 and sum(crater.modes[MINERALS[k]][0] for k in minerals) > 0:
                 groups.setdefault(minerals, []).append(number)
-        for minerals, own in groups.items():
+        for minerals, numbers in groups.items():
             present = rows[rocks.modes[np.ix_(rows, np.array(minerals))].sum(axis=1) > 0]
             if present.size:
-                yield minerals, own, present
+                yield minerals, numbers, present
 
 
 def ln_shares_broad(seen: FloatArray, error: FloatArray) -> FloatArray:
@@ -261,11 +261,11 @@ def _inside(mean: FloatArray, covariance: FloatArray) -> FloatArray:
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :] @ np.swapaxes(vectors, -1, -2)
     size = mean.shape[-1] + 1
     basis, draws = _basis(size), _normal_draws(size).T
-    found = np.empty(mean.shape[:-1])
-    for place in np.ndindex(found.shape):
+    shares_inside = np.empty(mean.shape[:-1])
+    for place in np.ndindex(shares_inside.shape):
         shares = basis.T @ (mean[place][:, None] + root[place] @ draws) + 1 / size
-        found[place] = np.count_nonzero(shares.min(axis=0) >= 0) / DRAWS
-    return np.maximum(found, LEAST_INSIDE)
+        shares_inside[place] = np.count_nonzero(shares.min(axis=0) >= 0) / DRAWS
+    return np.maximum(shares_inside, LEAST_INSIDE)
 
 
 def _volume(size: int) -> float:
@@ -313,10 +313,10 @@ class MatchSettings:
     prior: PriorSettings
 
     def __post_init__(self) -> None:
-        if not 0 <= self.systematic <= 1:
-            raise ParameterError(f"systematic is {self.systematic:g}; it is a fraction from 0 to 1")
-        if not 0 <= self.band_systematic_nm <= 500:
-            raise ParameterError(f"systematic of the bands is {self.band_systematic_nm:g} nm; it must be 0 to 500")
+        check_ranges(
+            ("systematic", self.systematic, 0, 1, ""),
+            ("systematic of the bands", self.band_systematic_nm, 0, 500, "nm"),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,15 +431,15 @@ def match_table(matches: Sequence[RockMatch]) -> Records:
     row = np.tile(np.arange(len(first)), len(matches))
     names = dict.fromkeys(name for cells in first for name in cells)
     same = {name: Codes(row, [cells.get(name) for cells in first]) for name in names}
-    own = [_of_rocks([match.craters[place] for match in matches]) for place in range(len(first) - 1)]
+    per_crater = [_of_rocks([match.craters[place] for match in matches]) for place in range(len(first) - 1)]
     nothing = np.full(len(matches), np.nan)
     rest: dict[str, Any] = {
         "log_bayes_factor": 0 * row[: len(matches)],
         "posterior": [match.other_posterior for match in matches],
     }
     differ = {
-        key: np.column_stack([*(cells[key] for cells in own), rest.get(key, nothing)]).ravel()
-        for key in own[0]
+        key: np.column_stack([*(cells[key] for cells in per_crater), rest.get(key, nothing)]).ravel()
+        for key in per_crater[0]
         if key != "compared"
     }
     compared = [text for match in matches for text in (*(item.evidence.basis for item in match.craters), "")]
@@ -468,33 +468,6 @@ def _of_rocks(matches: Sequence[CraterMatch]) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchRows:
-    """n rocks and c craters.
-
-    Attributes
-    ----------
-    priors, evidence : of the craters, and what the compositions say.
-    posterior : of each crater (n, c), and of other sources (n,).
-    """
-
-    priors: Sequence[CraterPrior]
-    evidence: EvidenceRows
-    posterior: FloatArray
-    other_posterior: FloatArray
-
-
-def match_arrays(rocks: CompositionRows, craters: Sequence[Crater], site: Point, settings: MatchSettings) -> MatchRows:
-    """Match many rocks, or pixels of a map, with candidate craters; the same numbers as `match_rocks`.
-
-    Raises ParameterError where no crater can have delivered a rock to the site.
-    """
-    priors, seen = crater_priors(craters, site, settings.prior), _compared(rocks, settings)
-    compositions = [crater.composition for crater in craters]
-    arrays = _columns_of_matches(seen, craters=compositions, weights=_weights(priors, settings), settings=settings)
-    return _rows_of_matches(arrays, priors, seen, compositions)
-
-
 def match_rocks(
     rocks: Sequence[Rock], craters: Sequence[Crater], site: Point, settings: MatchSettings,
     progress: Progress | None = None,
@@ -505,7 +478,8 @@ def match_rocks(
     """
     priors = crater_priors(craters, site, settings.prior)
     seen = _compared(CompositionRows.of([rock.composition for rock in rocks]), settings)
-    compositions, weights = [crater.composition for crater in craters], _weights(priors, settings)
+    compositions = [crater.composition for crater in craters]
+    weights = np.array([*(prior.probability for prior in priors), settings.prior.other_weight])
     arrays = arrays_in_blocks(
         partial(_columns_of_matches, craters=compositions, weights=weights, settings=settings),
         len(rocks),
@@ -519,7 +493,8 @@ def match_rocks(
         fetch=lambda block: seen.part(slice(block.start, block.stop)),
         progress=progress,
     )
-    return RockMatches(rocks, craters, _rows_of_matches(arrays, priors, seen, compositions), site, settings)
+    evidence = EvidenceRows(arrays["ln_modes"], arrays["ln_bands"], seen, compositions)
+    return RockMatches(rocks, craters, priors, evidence, arrays["posterior"], weights, site)
 
 
 def _compared(rocks: CompositionRows, settings: MatchSettings) -> CompositionRows:
@@ -527,11 +502,6 @@ def _compared(rocks: CompositionRows, settings: MatchSettings) -> CompositionRow
     nothing = np.full_like(rocks.modes, np.nan), np.full_like(rocks.centers_nm, np.nan)
     modes = rocks.modes if settings.use_modes else nothing[0]
     return replace(rocks, modes=modes, centers_nm=rocks.centers_nm if settings.use_bands else nothing[1])
-
-
-def _weights(priors: Sequence[CraterPrior], settings: MatchSettings) -> FloatArray:
-    """Prior weights of the craters, and of other sources."""
-    return np.array([*(prior.probability for prior in priors), settings.prior.other_weight])
 
 
 def _columns_of_matches(
@@ -543,27 +513,25 @@ def _columns_of_matches(
     return {"ln_modes": evidence.ln_modes, "ln_bands": evidence.ln_bands, "posterior": posterior}
 
 
-def _rows_of_matches(
-    arrays: Mapping[str, FloatArray], priors: Sequence[CraterPrior], seen: CompositionRows,
-    craters: Sequence[Composition],
-) -> MatchRows:  # fmt: skip
-    evidence, posterior = EvidenceRows(arrays["ln_modes"], arrays["ln_bands"], seen, craters), arrays["posterior"]
-    return MatchRows(priors, evidence, posterior[:, :-1], posterior[:, -1])
-
-
 class RockMatches(Sequence[RockMatch]):
-    """A match of each rock, made of the arrays `found` when it is asked for."""
+    """A match of each rock, made when it is asked for.
+
+    `priors` of the c craters and `evidence` of what the compositions say; `posterior` (n, c + 1) and prior `weights`
+    (c + 1,) of each crater, and last of other sources.
+    """
 
     def __init__(
-        self, rocks: Sequence[Rock], craters: Sequence[Crater], found: MatchRows, site: Point, settings: MatchSettings
-    ) -> None:
-        self.rocks, self.craters, self.found, self.other = rocks, craters, found, settings.prior.other_weight
+        self, rocks: Sequence[Rock], craters: Sequence[Crater], priors: Sequence[CraterPrior], evidence: EvidenceRows,
+        posterior: FloatArray, weights: FloatArray, site: Point,
+    ) -> None:  # fmt: skip
+        self.rocks, self.craters, self.priors, self.evidence = rocks, craters, priors, evidence
+        self.posterior, self.weights = posterior, weights
         self._flight = [
             (azimuth_deg(site, crater.center), launch_speed_m_s(crater.diameter_km, prior.distance_km))
-            for crater, prior in zip(craters, found.priors, strict=True)
+            for crater, prior in zip(craters, priors, strict=True)
         ]
         tested = np.array([not rock.untested for rock in rocks], dtype=bool)
-        self.decided = tested & _decided(found, _weights(found.priors, settings)) & ~_own_crater(found)
+        self.decided = tested & self._speaks() & ~self._fits_crater_of_site()
 
     def __len__(self) -> int:
         return len(self.rocks)
@@ -575,15 +543,36 @@ class RockMatches(Sequence[RockMatch]):
     def __getitem__(self, index: int | slice) -> RockMatch | list[RockMatch]:
         if isinstance(index, slice):
             return [self[row] for row in range(*index.indices(len(self)))]
-        row, found = range(len(self))[index], self.found
-        own = tuple(
-            CraterMatch(
-                crater, found.priors[k], found.evidence.at(row, k), float(found.posterior[row, k]), *self._flight[k]
-            )
-            for k, crater in enumerate(self.craters)
+        row = range(len(self))[index]
+        *shares, rest = self.posterior[row].tolist()
+        items = zip(self.craters, self.priors, shares, self._flight, strict=True)
+        craters = tuple(
+            CraterMatch(crater, prior, self.evidence.at(row, k), share, *flight)
+            for k, (crater, prior, share, flight) in enumerate(items)
         )
-        rest, decided = float(found.other_posterior[row]), bool(self.decided[row])
-        return RockMatch(self.rocks[row], own, self.other, rest, decided, _status(self.rocks[row], own, rest, decided))
+        decided, rock = bool(self.decided[row]), self.rocks[row]
+        status = _status(rock, craters, rest, decided)
+        return RockMatch(rock, craters, float(self.weights[-1]), rest, decided, status)
+
+    def _speaks(self) -> BoolArray:
+        """Whether of each rock one source is decided: its posterior against all others, and what composition adds.
+
+        ln[p / (1 - p)] of the likeliest, with p its posterior, and the same less that of its prior, are `DECIDES` at
+        least: with a prior of 20 : 1 alone nothing is decided.
+        """
+        first = np.argmax(self.posterior, axis=1)
+        weights = np.broadcast_to(self.weights, self.posterior.shape)
+        odds, before = (_ln_odds(shares, first) for shares in (self.posterior, weights))
+        with np.errstate(invalid="ignore"):
+            return np.asarray((odds >= DECIDES) & (odds - before >= DECIDES))
+
+    def _fits_crater_of_site(self) -> BoolArray:
+        """Whether composition goes as well with a crater that the site lies in as with the likeliest source."""
+        inside = np.array([prior.ejecta_m is None for prior in self.priors], dtype=bool)
+        factors = np.column_stack([self.evidence.ln_total, np.zeros(len(self))])
+        first = factors[np.arange(len(self)), np.argmax(self.posterior, axis=1)]
+        best = np.where(inside, factors[:, :-1], -np.inf).max(axis=1, initial=-np.inf)
+        return np.asarray((best > 0.0) & (best >= first))
 
 
 def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
@@ -591,40 +580,15 @@ def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore"):
         ln = np.log(priors) + ln_factors
     weights = np.exp(ln - ln.max(axis=1, keepdims=True))
-    found: FloatArray = weights / weights.sum(axis=1, keepdims=True)
-    return found
-
-
-def _decided(found: MatchRows, weights: FloatArray) -> BoolArray:
-    """Whether of each rock one source is decided: its posterior against all others, and what composition adds to that.
-
-    ln[p / (1 - p)] of the likeliest, with p its posterior, and the same less that of its prior, are `DECIDES` at least:
-    with a prior of 20 : 1 alone nothing is decided.
-    """
-    posterior = np.column_stack([found.posterior, found.other_posterior])
-    first = np.argmax(posterior, axis=1)
-    odds, before = (_ln_odds(shares, first) for shares in (posterior, np.broadcast_to(weights, posterior.shape)))
-    with np.errstate(invalid="ignore"):
-        decided: BoolArray = (odds >= DECIDES) & (odds - before >= DECIDES)
-    return decided
-
-
-def _own_crater(found: MatchRows) -> BoolArray:
-    """Whether composition goes at least as well with a crater that the site lies in as with the likeliest source."""
-    inside = np.array([prior.ejecta_m is None for prior in found.priors], dtype=bool)
-    factors = np.column_stack([found.evidence.ln_total, np.zeros(len(found.posterior))])
-    first = np.argmax(np.column_stack([found.posterior, found.other_posterior]), axis=1)
-    own: FloatArray = np.where(inside, factors[:, :-1], -np.inf).max(axis=1, initial=-np.inf)
-    alike: BoolArray = (own > 0.0) & (own >= factors[np.arange(len(first)), first])
-    return alike
+    result: FloatArray = weights / weights.sum(axis=1, keepdims=True)
+    return result
 
 
 def _ln_odds(shares: FloatArray, place: IntArray) -> FloatArray:
     """ln of one share (n, s) of each row over the sum of the others."""
-    own = np.arange(shares.shape[1]) == place[:, None]
+    chosen = np.arange(shares.shape[1]) == place[:, None]
     with np.errstate(divide="ignore"):
-        found: FloatArray = np.log(shares[own]) - np.log(np.where(own, 0.0, shares).sum(axis=1))
-    return found
+        return np.asarray(np.log(shares[chosen]) - np.log(np.where(chosen, 0.0, shares).sum(axis=1)))
 
 
 def _remaining(matches: Sequence[CraterMatch], other: float) -> list[tuple[str, float]]:
@@ -636,9 +600,9 @@ def _remaining(matches: Sequence[CraterMatch], other: float) -> list[tuple[str, 
 
 def _fitting_inside(matches: Sequence[CraterMatch], first: str) -> str:
     """Craters that the site lies in and composition goes with at least as well as with the likeliest source."""
-    told = next((item.ln_bayes_factor for item in matches if item.crater.name == first), 0.0)
+    least = next((item.ln_bayes_factor for item in matches if item.crater.name == first), 0.0)
     inside = [item for item in matches if item.contains_site and item.ln_bayes_factor > 0.0]
-    return some_of([item.crater.name for item in inside if item.ln_bayes_factor >= told], NAMED)
+    return some_of([item.crater.name for item in inside if item.ln_bayes_factor >= least], NAMED)
 
 
 def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: bool) -> str:
@@ -648,19 +612,17 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     shown = some_of([f"{name} ({share:.2f})" for name, share in left], NAMED)
     remain = f"not decided: {shown} remain" if len(left) > 1 else f"not decided: {first} leads"
     if not any(item.evidence.minerals or item.evidence.bands for item in matches):
-        known = rock.composition.modes or rock.composition.bands
+        given = rock.composition.modes or rock.composition.bands
         what = "shares of its minerals" if rock.composition.modes else "band centres"
-        why = f"no crater has {what} to compare with" if known else "no composition of the rock is known"
+        why = f"no crater has {what} to compare with" if given else "no composition of the rock is known"
         return f"{remain}; composition decides nothing: {why}; the posterior is the prior"
     if decided and left[0][0] == OTHER:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"
     if decided:
         return f"likeliest {first}; composition speaks strongly"
     if len(left) == 1 and not rock.untested:
-        if own := _fitting_inside(matches, left[0][0]):
-            return (
-                f"{remain}; composition goes as well with {own}, in which the site lies: it may be a rock of its floor"
-            )
+        if inside := _fitting_inside(matches, left[0][0]):
+            return f"{remain}; composition goes as well with {inside}, in which the site lies: it may be of its floor"
         return f"{remain} by the prior; composition adds less than 20 : 1 for it"
     factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
     spread = max(factors) - min(factors)
@@ -669,3 +631,78 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     held = ", if its shares hold, which are not to be quoted: they are outside of what was tested"
     strongly = f"composition speaks strongly (ln Bayes factors differ by {spread:.1f})"
     return f"{remain}; {strongly}{held if rock.untested else ''}"
+
+
+def assumptions(
+    matches: Sequence[RockMatch],
+    given: tuple[str, Sequence[MapReport]],
+    site_of_rocks: tuple[Point, bool],
+    settings: MatchSettings,
+) -> list[str]:
+    """In sentences; `given` are where the craters are from and what maps gave of them, `site_of_rocks` the site of the
+    rocks and whether it is that of Chang'E-4 because none was given."""
+    (source, maps), (site, site_assumed) = given, site_of_rocks
+    prior, whose = settings.prior, ", that of Chang'E-4, since none was given (assumed)" if site_assumed else ""
+    lines = [
+        f"site {site[0]:g}, {site[1]:g} deg{whose}; craters from {source}",
+        f"two methods disagree by {settings.systematic:g} in the share of a mineral and "
+        f"{settings.band_systematic_nm:g} nm in a band centre, one standard deviation (assumed)",
+        f"other sources than these craters: prior {prior.other_weight:g}, any composition (assumed)",
+        *_craters_notes(matches[0].craters, settings),
+    ]
+    if prior.kind == "uniform":
+        return [*lines, "prior: all craters alike but those that contain the site", *_map_notes(maps)]
+    return [*lines, *_prior_notes(site, settings, matches[0].craters), *_map_notes(maps)]
+
+
+def _craters_notes(items: Sequence[CraterMatch], settings: MatchSettings) -> list[str]:
+    unknown = [i.crater.name for i in items if not i.crater.composition.comparable and not i.contains_site]
+    inside = [i.crater.name for i in items if i.contains_site]
+    both = [i.crater.name for i in items if i.evidence.minerals and i.evidence.bands]
+    lines = []
+    if unknown:
+        lines.append(f"composition unknown, any is as likely, ln BF 0 (neither for nor against): {', '.join(unknown)}")
+    if inside:
+        lines.append(f"contain the site, so that no ejecta of theirs lie there; left out: {', '.join(inside)}")
+    if both:
+        lines.append(
+            "modes and bands are counted as independent, which from one spectrum they are not (--use): "
+            f"{', '.join(both)}"
+        )
+    return lines
+
+
+def _prior_notes(site: Point, settings: MatchSettings, items: Sequence[CraterMatch]) -> list[str]:
+    prior = settings.prior
+    surface = surface_age_ma(site, prior)
+    lines = [
+        f"prior: ejecta thickness ({prior.law}, transient crater), within a factor of {prior.thickness_factor:g}",
+        f"ejecta of craters older than {surface:g} Ma lie below the surface and count nothing",
+        "ages uniform in the logarithm over their range; where the catalogue has none 1-4200 Ma (assumed)",
+    ]
+    if prior.exposure:
+        lines.append(
+            f"half of the 2 m boulders gone in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); rock of "
+            f"{prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
+        )
+    else:
+        lines.append("rocks last for ever (--no-exposure)")
+    if prior.re_excavation:
+        lines.append(
+            f"buried ejecta come up with younger ejecta ({prior.stirring:g} times Oberbeck's ratio) and by small local "
+            f"craters ({_shown(prior.gardening_m)} m, assumed: it decides between young and old craters)"
+        )
+    else:
+        lines.append("buried ejecta stay buried (--no-re-excavation)")
+    far = [i.crater.name for i in items if i.prior.distance_km > pi / 2 * MOON_RADIUS_KM]
+    if far:
+        lines.append(f"beyond a quarter of the Moon the laws are too low, ejecta converge: {', '.join(far)}")
+    return lines
+
+
+def _shown(span: Range) -> str:
+    return f"{span.low:g}" if span.low == span.high else f"{span.low:g}-{span.high:g}"
+
+
+def _map_notes(reports: Sequence[MapReport]) -> list[str]:
+    return list(Counter(sorted(f"{item.crater}: {item.status}" for item in reports)))

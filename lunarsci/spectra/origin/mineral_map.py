@@ -19,7 +19,7 @@ from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.cubes.rasters import HDF, netcdf, opened, start_of
 from lunarsci.spectra.origin.catalogue import Crater, destination
-from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition
+from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition, check_ranges
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
@@ -65,22 +65,18 @@ def with_maps(
     units = {mineral: _unit(rings, maps[mineral]) for mineral, rings in values.items()}
     if len(set(units.values()) - {0.0}) > 1:
         raise DataError(f"{', '.join(maps.values())}: some are in percent, others in fractions; bring them to one unit")
-    found = [
+    read = [
         _with_values(crater, {name: values[name][k] / (units[name] or 1.0) for name in values}, maps)
         for k, crater in enumerate(craters)
     ]
-    return [crater for crater, _ in found], [report for _, report in found]
+    return [crater for crater, _ in read], [report for _, report in read]
 
 
 def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> None:
-    unknown = [name for name in maps if name not in MINERALS]
-    if unknown:
-        raise ParameterError(f"'{unknown[0]}' is no mineral here; there are {', '.join(MINERALS)}")
-    if len(maps) < 2:
-        raise ParameterError("one map alone gives no shares; give maps of two minerals or more")
+    if len(maps) < 2 or not maps.keys() <= set(MINERALS):
+        raise ParameterError(f"maps of {', '.join(maps)} give no shares; give two or more of {', '.join(MINERALS)}")
     low, high = annulus
-    if not 0 <= low < high <= 20:
-        raise ParameterError(f"ring {low:g} to {high:g} must rise, from 0 to 20 rim radii")
+    check_ranges(("start of the ring", low, 0, 20, "rim radii"), ("end of the ring", high, low + 1e-9, 20, "rim radii"))
 
 
 def minerals_of(file: str) -> list[str]:
@@ -115,9 +111,6 @@ def _rings_of(file: str, mineral: str) -> Iterator[Callable[[Crater, tuple[float
         yield partial(ring_values, dataset, file=file)
 
 
-FEWEST_PLACES = 2
-
-
 class _Swath:
     """A map whose pixels have each a longitude and a latitude, as those of an orbiter's strip have."""
 
@@ -125,14 +118,13 @@ class _Swath:
         from scipy.spatial import cKDTree
 
         places = _on_sphere(*(np.asarray(data[key].values, float) for key in ("latitude", "longitude")))
-        known = np.isfinite(places).all(axis=-1)
-        if data[name].shape != known.shape or known.sum() < FEWEST_PLACES:
-            raise DataError(f"{file}: fewer than {FEWEST_PLACES} pixels have a longitude and a latitude; make it anew")
-        self.values = np.asarray(data[name].values, float)[known]
-        self.tree = cKDTree(places[known])
-        across = np.linalg.norm(np.diff(places, axis=1), axis=-1) if places.shape[1] > 1 else np.zeros(1)
-        along = np.linalg.norm(np.diff(places, axis=0), axis=-1) if places.shape[0] > 1 else np.zeros(1)
-        self.reach = float(max(np.nanmedian(across), np.nanmedian(along)))
+        located = np.isfinite(places).all(axis=-1)
+        if data[name].shape != located.shape or located.sum() < 2:
+            raise DataError(f"{file}: fewer than two pixels have a longitude and a latitude; make it anew")
+        self.values = np.asarray(data[name].values, float)[located]
+        self.tree = cKDTree(places[located])
+        spacings = (np.linalg.norm(np.diff(places, axis=axis), axis=-1) for axis in (0, 1) if places.shape[axis] > 1)
+        self.reach = float(max(map(np.nanmedian, spacings)))
 
     def ring_values(self, crater: Crater, annulus: tuple[float, float]) -> FloatArray:
         """Those of the pixels that lie nearest, NaN where none is as near as pixels are to each other."""
@@ -148,20 +140,19 @@ def _on_sphere(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
 
 def check_map(dataset: "DatasetReader", file: str, *, one_of_many: bool = False) -> None:
     """Raise DataError for a raster that is no map of one quantity in physical units, or without a place on the Moon."""
-    if dataset.count != 1 and not one_of_many:
-        raise DataError(f"{file}: has {dataset.count} bands; give a file with the one band of the mineral")
-    plain = dataset.scales[0] == 1 and dataset.offsets[0] == 0
-    if dataset.dtypes[0] in ("uint8", "int8") and plain:
-        raise DataError(
-            f"{file}: holds 8-bit numbers without a scale: a picture stretched for display, whose numbers are no "
-            "modes; get the file with physical values, or set the band's scale and offset"
-        )
-    if dataset.dtypes[0].startswith("complex"):
-        raise DataError(f"{file}: holds complex numbers; a mode is a real one")
-    if dataset.transform.is_identity and dataset.crs is None:
-        raise DataError(f"{file}: has no georeference; give a GeoTIFF that says where on the Moon it lies")
-    if dataset.crs is None and not _looks_like_degrees(dataset):
-        raise DataError(f"{file}: has no coordinate system, and its bounds are not degrees; give it one")
+    kind, plain = dataset.dtypes[0], dataset.scales[0] == 1 and dataset.offsets[0] == 0
+    placed = dataset.crs is not None or (not dataset.transform.is_identity and _looks_like_degrees(dataset))
+    faults = {
+        f"has {dataset.count} bands; give a file with the one band of the mineral": dataset.count != 1
+        and not one_of_many,
+        "holds 8-bit numbers without a scale: a picture stretched for display, whose numbers are no modes; get the "
+        "file with physical values, or set the band's scale and offset": kind in ("uint8", "int8") and plain,
+        "holds complex numbers; a mode is a real one": kind.startswith("complex"),
+        "has no coordinate system, and no bounds in degrees; give one that says where on the Moon it lies": not placed,
+    }
+    for fault, there in faults.items():
+        if there:
+            raise DataError(f"{file}: {fault}")
 
 
 def _looks_like_degrees(dataset: "DatasetReader") -> bool:
@@ -233,8 +224,8 @@ def _window_values(
     width, height = int(columns.max()) - left + 1, int(rows.max()) - top + 1
     shape = (min(height, LARGEST_SIDE), min(width, LARGEST_SIDE))
     block = dataset.read(band, window=Window(left, top, width, height), out_shape=shape, masked=True)
-    found = np.ma.filled(block.astype(float), np.nan) * dataset.scales[band - 1] + dataset.offsets[band - 1]
-    picked = found[(rows - top) * shape[0] // height, (columns - left) * shape[1] // width]
+    values = np.ma.filled(block.astype(float), np.nan) * dataset.scales[band - 1] + dataset.offsets[band - 1]
+    picked = values[(rows - top) * shape[0] // height, (columns - left) * shape[1] // width]
     # Special values that a file does not declare are far below 0; a mode is not.
     return np.asarray(np.where(np.isfinite(picked) & (picked >= 0), picked, np.nan))
 

@@ -13,9 +13,10 @@ the mean, over the draws, of each crater's share in the sum. Ejecta older than t
 nothing; a crater that contains the site has no ejecta there and is left out.
 """
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY, MOON_RADIUS_KM
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import OLDEST_MA, Crater, Point, distance_km
+from lunarsci.spectra.origin.composition import ABOVE_0, check_ranges
 
 SURVIVAL_SOURCE = "Basilevsky, Head & Hoerz (2013), Planet. Space Sci. 89, 118, 10.1016/j.pss.2013.07.011"
 MEASURED_SIZE_M = 2.0
@@ -42,8 +44,8 @@ class Range:
     high: float
 
     def __post_init__(self) -> None:
-        if not (0 < self.low <= self.high < np.inf):
-            raise ParameterError(f"range {self.low:g} to {self.high:g} must rise, from above 0")
+        largest = sys.float_info.max
+        check_ranges(("range", self.low, ABOVE_0, largest, ""), ("end of the range", self.high, self.low, largest, ""))
 
     def quantile(self, share: npt.ArrayLike) -> FloatArray:
         """Value below which this share (0 to 1) lies."""
@@ -68,14 +70,12 @@ def survival(
     (size / 2 m)^`size_exponent`; no count constrains that exponent below 2 m. Raises ParameterError for a size of 0 or
     below.
     """
-    if not 0 < size_m < np.inf:
-        raise ParameterError(f"size of the rock is {size_m:g} m; it must be above 0")
+    check_ranges(("size of the rock", size_m, ABOVE_0, np.inf, "m"))
     life = np.asarray(median_life_ma, float) * (size_m / MEASURED_SIZE_M) ** size_exponent
     return np.asarray(np.exp2(-((np.asarray(age_ma, float) / life) ** survival_shape())))
 
 
 EjectaLaw = Literal["mcgetchin", "pike", "housen", "xie"]
-LAWS: tuple[EjectaLaw, ...] = get_args(EjectaLaw)
 LAW_SOURCES: dict[EjectaLaw, str] = {
     "mcgetchin": "McGetchin, Settle & Head (1973), Earth Planet. Sci. Lett. 20, 226, 10.1016/0012-821X(73)90162-3",
     "pike": "Pike (1974), Earth Planet. Sci. Lett. 23, 265, 10.1016/0012-821X(74)90114-9",
@@ -83,6 +83,10 @@ LAW_SOURCES: dict[EjectaLaw, str] = {
     "xie": "Xie, Liu & Xu (2020), J. Geophys. Res. Planets 125, e2019JE006113, 10.1029/2019JE006113",
 }
 
+_LAWS = {"mcgetchin": (0.14, 0.74, -3.0), "pike": (0.033, 1.0, -3.0), "housen": (0.0078, 1.0, -2.61),
+         "xie": (0.068, 1.0, -3.0)}  # fmt: skip
+"""Factor, and powers of the transient radius in m and of distance over it: McGetchin et al. (1973), Pike (1974), Housen
+et al. (1983), Xie et al. (2020); see `LAW_SOURCES`."""
 SIMPLE_TO_COMPLEX_KM = 18.7
 """Rim diameter at which lunar craters turn complex, Croft (1985), J. Geophys. Res. 90, C828. [km]"""
 SIMPLE_SHRINKAGE = 0.84
@@ -90,7 +94,7 @@ SIMPLE_SHRINKAGE = 0.84
 COLLAPSE_EXPONENT = 0.15
 """Of the rim diameter, as it widens by collapse: Croft (1985), 10.1029/JB090iS02p0C828."""
 LAUNCH_ANGLE_DEG = 45.0
-"""Launch from the horizontal; assumed, as in Xie et al. (2020)."""
+"""Launch from the horizontal, as Xie et al. (2020), 10.1029/2019JE006113, take it."""
 
 
 def transient_radius_km(diameter_km: float) -> float:
@@ -99,8 +103,7 @@ def transient_radius_km(diameter_km: float) -> float:
     0.84 D / 2 for a simple crater, 18.7^0.15 D^0.85 / 2 from 18.7 km on (Croft 1985, 10.1029/JB090iS02p0C828); the
     two differ by 16 % where they meet. Raises ParameterError for a diameter that is not above 0.
     """
-    if not (np.isfinite(diameter_km) and diameter_km > 0):
-        raise ParameterError(f"diameter is {diameter_km:g} km; it must be above 0")
+    check_ranges(("diameter", diameter_km, ABOVE_0, sys.float_info.max, "km"))
     if diameter_km < SIMPLE_TO_COMPLEX_KM:
         return SIMPLE_SHRINKAGE * diameter_km / 2
     return float(SIMPLE_TO_COMPLEX_KM**COLLAPSE_EXPONENT * diameter_km ** (1 - COLLAPSE_EXPONENT) / 2)
@@ -118,19 +121,13 @@ def ejecta_thickness_m(law: EjectaLaw, diameter_km: float, distance_km: float) -
     of the others means was not checked against the papers.
     Means over all directions: rays and secondaries make it vary by a factor of some 3. Laws of a flat Moon; from a
     quarter of its circumference (2729 km) on, ejecta converge on the antipode and there is more than this. Housen's
-    law is for craters of 45-300 km. Sources in `LAW_SOURCES`. Raises ParameterError for an unknown law.
+    law is for craters of 45-300 km. Sources in `LAW_SOURCES`.
     """
-    if law not in LAWS:
-        raise ParameterError(f"ejecta law '{law}' is unknown; there are {', '.join(LAWS)}")
+    factor, size_power, distance_power = _LAWS[law]
     if distance_km <= diameter_km / 2:
         return None
     radius = 1e3 * transient_radius_km(diameter_km)
-    steps = 1e3 * distance_km / radius
-    if law == "mcgetchin":
-        return float(0.14 * radius**0.74 * steps**-3)
-    if law == "housen":
-        return float(0.0078 * radius * steps**-2.61)
-    return float((0.033 if law == "pike" else 0.068) * radius * steps**-3)
+    return float(factor * radius**size_power * (1e3 * distance_km / radius) ** distance_power)
 
 
 def launch_speed_m_s(diameter_km: float, distance_km: float) -> float | None:
@@ -165,6 +162,7 @@ CHANG_E_4_SURFACE_MA = 3600.0
 of the site has it, such as Remote Sens. 14, 49 (2022), 10.3390/rs14010049, of which the beginning was read. [Ma]"""
 STAGES = ("direct", "stirred", "gardened")
 DRAWS = 16384
+BELOW_1 = float(np.nextafter(1.0, 0.0))
 VALUES_AT_ONCE = 2_000_000
 
 
@@ -205,20 +203,15 @@ class PriorSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        faults = (
-            (1 <= self.thickness_factor <= 100, f"thickness factor is {self.thickness_factor:g}; it must be 1 to 100"),
-            (0 <= self.other_weight < 1, f"weight of other sources is {self.other_weight:g}; it must be 0 to below 1"),
-            (0 <= self.stirring <= 1000, f"stirring factor is {self.stirring:g}; it must be 0 to 1000"),
-            (0 < self.rock_size_m <= 1000, f"rock size is {self.rock_size_m:g} m; it must be above 0 to 1000"),
-            (abs(self.life_exponent) <= 5, f"life exponent is {self.life_exponent:g}; it must be -5 to 5"),
-            (
-                self.surface_age_ma is None or 0 < self.surface_age_ma <= OLDEST_MA,
-                f"surface age is {self.surface_age_ma or 0:g} Ma; it must be above 0 to {OLDEST_MA:g}",
-            ),
+        surface = OLDEST_MA if self.surface_age_ma is None else self.surface_age_ma
+        check_ranges(
+            ("thickness factor", self.thickness_factor, 1, 100, ""),
+            ("weight of other sources", self.other_weight, 0, BELOW_1, ""),
+            ("stirring factor", self.stirring, 0, 1000, ""),
+            ("rock size", self.rock_size_m, ABOVE_0, 1000, "m"),
+            ("life exponent", self.life_exponent, -5, 5, ""),
+            ("surface age", surface, ABOVE_0, OLDEST_MA, "Ma"),
         )
-        for right, text in faults:
-            if not right:
-                raise ParameterError(text)
 
 
 @dataclass(frozen=True, slots=True)

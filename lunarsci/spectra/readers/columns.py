@@ -28,23 +28,25 @@ from lunarsci.spectra.readers.table import (
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
 
 
-def rows_by_id(source: InputFile) -> dict[str, tuple[int, dict[str, str]]]:
-    """Line number and cells, by column name in lower case, of each `id`.
+def rows_by_id(source: InputFile, key: str = "id") -> dict[str, tuple[int, dict[str, str]]]:
+    """Line number and cells, by column name in lower case, of each `id`, or name in another column.
 
-    Raises DataError for a table without ids or rows, a row of another length, and an id that is empty or comes twice.
+    Raises DataError for a table without that column or rows, with a column twice, a row of another length, and a name
+    that is empty or comes twice.
     """
     rows: dict[str, tuple[int, dict[str, str]]] = {}
-    for line, row in _rows(source):
-        id = row["id"]
-        if not id:
-            raise DataError(f"{source.name}: line {line} has no id; complete it or delete the line")
-        if id in rows:
-            raise DataError(f"{source.name}: line {line}: {quoted(id)} comes twice; keep one")
-        rows[id] = line, row
+    for line, row in _rows(source, key):
+        name = row[key]
+        if not name:
+            raise DataError(f"{source.name}: line {line} has no {key}; complete it or delete the line")
+        folded = name if key == "id" else name.casefold()
+        if folded in rows:
+            raise DataError(f"{source.name}: line {line}: {quoted(name)} comes twice; keep one")
+        rows[folded] = line, row
     return rows
 
 
-def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
+def _rows(source: InputFile, key: str) -> list[tuple[int, dict[str, str]]]:
     lines = split_lines(inputs.text(source))[0]
     if not lines:
         raise DataError(f"{source.name}: holds only comments; check how it was made")
@@ -52,8 +54,10 @@ def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
     reader = inputs.csv_rows(source.name, [f"{line}\n" for _, line in lines], delimiter=separator, strict=True)
     header, *body = [[cell.strip() for cell in row] for row in reader]
     names = [name.casefold() for name in header]
-    if "id" not in names:
-        raise DataError(f"{source.name}: has no column 'id', only {', '.join(map(quoted, header[:5]))}; name it so")
+    if key not in names:
+        raise DataError(f"{source.name}: has no column '{key}', only {', '.join(map(quoted, header[:5]))}; name it so")
+    if twice := [name for name in names if name and names.count(name) > 1]:
+        raise DataError(f"{source.name}: two columns are called '{twice[0]}'; keep one")
     if not body:
         raise DataError(f"{source.name}: holds a header and no rows; check how it was made")
     for (line, _), row in zip(lines[1:], body, strict=False):

@@ -1,7 +1,11 @@
-"""The embedded library: it rebuilds what it was made from, and its script makes it again."""
+"""The embedded library: it rebuilds what it was made from, and its script makes it again.
+
+Tables of modes that are known.
+"""
 
 import csv
 import io
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -9,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.errors import ParameterError
-from lunarsci.io.inputs import read_input
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE, TABLE, embedded_end_members
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE, TABLE, embedded_end_members, read_modes
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 SCRIPT = Path(__file__).parents[3] / "spectra_data/make_end_members.py"
 GRID = np.arange(450.0, 2451.0, 5.0)
@@ -70,3 +74,33 @@ def test_the_script_makes_the_table_again(
 def test_channels_beyond_the_library_are_refused() -> None:
     with pytest.raises(ParameterError, match="450 to 2450"):
         embedded_end_members(np.array([400.0, 500.0]))
+
+
+def table(text: str) -> InputFile:
+    return InputFile("modes.csv", text.encode())
+
+
+def test_numbers_are_known_empty_cells_are_sought_and_zeros_beside_them_absent() -> None:
+    found = read_modes(table("id,OLIVINE,vol_opx,remark\na,0.25,0.75,sieved\nb,,,\nc,0,,wet\n"))
+    assert found.shares == {"a": {"olivine": 0.25, "orthopyroxene": 0.75}}
+    assert found.absent == {"b": [], "c": ["olivine"]}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("id,remark\na,b\n", "needs columns named after minerals"),
+        ("name,olivine\na,1\n", "has no column 'id'"),
+        ("id,olivine,ol\na,1,0\n", "one of each"),
+        ("id,olivine\na,1\na,1\n", "comes twice"),
+        ("id,olivine\n,1\n", "line 2 has no id"),
+        ("id,olivine,cpx\na,1.5,0\n", "line 2, column olivine: '1.5' is no share"),
+        ("id,olivine,cpx\na,much,0\n", "is no share"),
+        ("id,olivine,cpx\na,nan,0\n", "is no share"),
+        ("id,olivine,cpx\na,0.5,\n", "some shares are stated"),
+        ("id,olivine,cpx\na,0.5\n", "has 2 cells, the header 3"),
+    ],
+)
+def test_faults_are_said_with_their_line(text: str, message: str) -> None:
+    with pytest.raises(DataError, match=re.escape(message)):
+        read_modes(table(text))

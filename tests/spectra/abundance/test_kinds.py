@@ -15,17 +15,22 @@ from lunarsci.io.inputs import read_input
 from lunarsci.spectra.abundance.kinds import (
     FREEDOM,
     KINDS,
+    Kind,
     KindModel,
+    KindVerdict,
     embedded_kinds,
-    find_kind,
     find_kinds,
     kinds_of_rows,
     spectral_features,
 )
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 
 CHANNELS = np.arange(450.0, 2401.0, 5.0)
+
+
+def find_kind(spectrum: Spectrum, stated: Kind | None = None) -> KindVerdict:
+    return find_kinds([spectrum], stated)[0]
 
 
 def red() -> Spectrum:
@@ -90,7 +95,7 @@ def test_many_are_as_each() -> None:
 def test_a_stated_kind_stands_and_is_doubted() -> None:
     assert find_kind(red()).is_weathered
     stated = find_kind(red(), "powder-mixture")
-    assert (stated.kind, stated.stated, stated.stranger) == ("powder-mixture", True, True)
+    assert (stated.kind, stated.stated, stated.outlier) == ("powder-mixture", True, True)
     assert not stated.is_weathered
     with pytest.raises(ParameterError, match="give one of powder-mixture"):
         find_kind(red(), "gravel")  # type: ignore[arg-type]
@@ -110,7 +115,7 @@ def test_a_scaled_spectrum_has_no_level() -> None:
     band = 1 - 0.4 * np.exp(-0.5 * ((CHANNELS - 950) / 90) ** 2)
     for values in (red().reflectance / red().reflectance.max(), band / band.max()):
         found = find_kind(Spectrum("scaled", CHANNELS, values))
-        assert found.stranger
+        assert found.outlier
         assert "no reflectance: scaled, or its continuum removed" in found.reasons
     assert find_kind(Spectrum("scaled", CHANNELS, red().reflectance / red().reflectance.max())).is_weathered
 
@@ -118,10 +123,10 @@ def test_a_scaled_spectrum_has_no_level() -> None:
 def test_too_few_channels_are_said() -> None:
     found = find_kind(Spectrum("infrared", CHANNELS[120:], 0.2 + 0.0 * CHANNELS[120:]))
     assert found.kind == "not-determined"
-    assert found.stranger
+    assert found.outlier
     assert "too few channels" in found.reasons[0]
     empty = find_kind(Spectrum("empty", CHANNELS, np.full(CHANNELS.size, np.nan)))
-    assert (empty.kind, empty.stranger) == ("not-determined", True)
+    assert (empty.kind, empty.outlier) == ("not-determined", True)
 
 
 def without(left_out: str, data: Path) -> KindModel:
@@ -216,5 +221,5 @@ def test_minerals_of_another_laboratory(reference_data: Path) -> None:
     assert len(light) == 42
     assert not [one for one in light if one.is_weathered]
     assert sum(one.kind == "powder-mixture" for one in light) >= 25
-    assert sum(one.stranger for one in light) <= 5
+    assert sum(one.outlier for one in light) <= 5
     assert {one.kind for one in dark.values()} <= {"dark-rock-powder", "not-determined"}

@@ -15,7 +15,7 @@ from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 pytestmark = pytest.mark.reference
 

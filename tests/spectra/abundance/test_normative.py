@@ -10,9 +10,9 @@ import pytest
 from lunarsci.spectra_data import make_kinds, make_normative
 from lunarsci.spectra_data.make_normative import RIDGE, learn_regression, plagioclase_norm_wt
 
-from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.normative import FEATURES, embedded_regressions, normative
 from lunarsci.spectra.spectrum import Spectrum
+from tests.spectra.abundance.test_kinds import find_kind
 
 FOLDER = Path(__file__).parents[3] / "spectra_data"
 CHANNELS = np.arange(450.0, 2401.0, 5.0)

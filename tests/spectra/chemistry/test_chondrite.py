@@ -15,7 +15,7 @@ from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.bands import chemistries
 from lunarsci.spectra.chemistry.chondrite import TABLE, embedded_law
 from lunarsci.spectra.chemistry.plane import regressions
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 ERRORS = np.array([20.0, 0.3])
 

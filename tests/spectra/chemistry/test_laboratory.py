@@ -13,7 +13,7 @@ from lunarsci.spectra.chemistry.plane import regressions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 pytestmark = pytest.mark.reference
 PURE = 0.97

@@ -16,7 +16,7 @@ from lunarsci.spectra.jobs.map import map as map_cube
 from lunarsci.spectra.jobs.map import pixel
 from lunarsci.spectra.origin.catalogue import Crater
 from lunarsci.spectra.origin.mineral_map import minerals_of, with_maps
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 from .conftest import WAVELENGTHS, spectra
 from .test_envi_cubes import backplane, m3

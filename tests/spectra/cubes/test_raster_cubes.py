@@ -11,7 +11,7 @@ from lunarsci.errors import DataError
 from lunarsci.heights.grids import read_grid
 from lunarsci.spectra.cubes.cube import NO_DATA, SATURATED, Stated
 from lunarsci.spectra.cubes.rasters import open_cube
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Scene

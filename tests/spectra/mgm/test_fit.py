@@ -1,5 +1,12 @@
-"""Fits of spectra made from known bands, invariances, hostile spectra, and real measurements."""
+"""Fits of spectra made from known bands, invariances, hostile spectra, and real measurements.
 
+The same spectrum under several continua, and what their spread says.
+
+A fit is the same in other units, in any order of channels, times a constant, alone or in a batch: to 1e-9.
+"""
+
+import dataclasses
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,14 +14,22 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import read_input
+from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.assemblages import assemblage
-from lunarsci.spectra.mgm.fit import fit_spectra, starting_points
+from lunarsci.spectra.mgm.fit import (
+    SPREAD_CONTINUA,
+    check_continuum_removed,
+    fit_continua,
+    fit_spectra,
+    starting_points,
+    with_continuum_spread,
+)
 from lunarsci.spectra.mgm.intervals import ratios_of
-from lunarsci.spectra.mgm.model import MgmContinuum, mgm_model
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)
@@ -137,16 +152,6 @@ def test_a_band_far_from_its_prior_is_said() -> None:
     assert "strained: " in fitted(Spectrum("odd", GRID, np.exp(ln), 0.002 * np.exp(ln)), model_error=0.002).status
 
 
-def test_masked_channels_do_not_count() -> None:
-    base = made(STRENGTHS, seed=4)
-    spoiled = base.reflectance.copy()
-    spoiled[50:60] = 10.0
-    mask = np.zeros(GRID.size, bool)
-    mask[50:60] = True
-    fit = fitted(Spectrum("masked", GRID, spoiled, base.uncertainty, mask))
-    assert fit.rms_ln < 0.007
-
-
 def test_spectra_that_cannot_be_fitted_say_why() -> None:
     good = made(STRENGTHS, seed=5)
     few = Spectrum("few", GRID[:30], good.reflectance[:30])
@@ -237,3 +242,194 @@ def test_starts_are_level_in_the_brightest_and_within_two_sigma_and_the_bounds(c
     assert kept == pytest.approx(np.tile(np.maximum(level, lowest), (2, 1)))
     kept = starting_points(model.bounded("c0", -9.0, lowest), ln_reflectance, 2)[:, :, 0]
     assert kept == pytest.approx(np.tile(np.minimum(level, lowest), (2, 1)))
+
+
+def bent(seed: int = 0) -> Spectrum:
+    """Two pyroxenes over a bent continuum."""
+    ln = np.log(0.12 + 9e-5 * GRID - 2e-8 * (GRID - 1500) ** 2)
+    for centre, fwhm, strength in ((920, 190, -0.2), (1030, 210, -0.2), (1890, 500, -0.15), (2280, 540, -0.2)):
+        ln = ln + strength * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    reflectance = np.exp(ln + np.random.default_rng(seed).normal(scale=0.004, size=GRID.size))
+    return Spectrum("bent", GRID, reflectance, 0.004 * reflectance)
+
+
+def test_the_spread_covers_all_separate_fits() -> None:
+    spectra, calls = (
+        [bent(0), Spectrum("short", GRID[:20], bent().reflectance[:20]), bent(1)],
+        [],
+    )
+    found = fit_continua(
+        spectra, lambda name: mgm_model("OPX-CPX", name), progress=lambda done, total: calls.append((done, total))
+    )
+    assert calls[-1] == (21, 21)
+    assert [isinstance(fit, MgmFailure) for fit in found[1].values()] == [True] * 7
+    separate = [fit_spectra([spectra[2]], mgm_model("OPX-CPX", name))[0] for name in SPREAD_CONTINUA]
+    centres = [next(b.center_nm for b in fit.bands if b.name == "OPX 2") for fit in separate]  # type: ignore[union-attr]
+    ratios = [fit.nbsr["um2"].opx for fit in separate]  # type: ignore[union-attr]
+    own = found[2]["wavelength-quadratic"]
+    assert isinstance(own, MgmFit)
+    spread = with_continuum_spread(own, found[2])
+    band = next(b for b in spread.bands if b.name == "OPX 2")
+    assert band.center_continuum_nm == pytest.approx(np.max(np.abs(np.array(centres) - band.center_nm)), rel=1e-9)
+    ratio = spread.nbsr["um2"]
+    assert ratio is not None and ratio.continuum is not None
+    assert (ratio.continuum_low, ratio.continuum_high) == pytest.approx((min(ratios), max(ratios)))
+    assert all(abs(other - ratio.opx) <= ratio.continuum + 1e-12 for other in ratios)
+    assert band.center_nm == next(b for b in own.bands if b.name == "OPX 2").center_nm
+    assert spread.to_dict()["nbsr"]["um2"]["continuum"] == ratio.continuum
+
+
+def test_a_continuum_that_leaves_the_ratio_open_opens_the_range() -> None:
+    [fit] = fit_spectra([bent()], mgm_model("OPX-CPX"))
+    assert isinstance(fit, MgmFit)
+    silent = replace(fit, continuum="wavelength", nbsr=fit.nbsr | {"um2": None})
+    ratio = with_continuum_spread(fit, {"wavelength-quadratic": fit, "wavelength": silent}).nbsr["um2"]
+    assert ratio is not None
+    assert (ratio.continuum_low, ratio.continuum_high) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_spread_of_a_band_is_the_largest_distance_to_either_side(sign: float) -> None:
+    """Other continua 7 nm to one side and 4 nm to the other, and so on; one that did not converge says nothing."""
+    [fit] = fit_spectra([bent()], mgm_model("OPX-CPX"))
+    assert isinstance(fit, MgmFit)
+    ratio = fit.nbsr["um2"]
+    assert ratio is not None
+
+    def off(share: float) -> MgmFit:
+        far = sign * share
+        bands = tuple(
+            replace(
+                band,
+                center_nm=band.center_nm + 7.0 * far,
+                fwhm_nm=band.fwhm_nm - 20.0 * far,
+                strength=band.strength + 0.03 * far,
+            )
+            for band in fit.bands
+        )
+        return replace(
+            fit, continuum="wavelength", bands=bands, nbsr={"um2": replace(ratio, opx=ratio.opx + 0.05 * far)}
+        )
+
+    others = {"wavelength-quadratic": fit, "wavelength": off(1.0), "wavenumber": off(-4 / 7)}
+    lost = replace(off(9.0), converged=False)
+    found = with_continuum_spread(fit, others | {"log-quadratic": lost, "wavelength-cubic": off(0.2)})
+    for band in found.bands:
+        assert (band.center_continuum_nm, band.fwhm_continuum_nm) == pytest.approx((7.0, 20.0))
+        assert band.strength_continuum == pytest.approx(0.03)
+    spread = found.nbsr["um2"]
+    assert spread is not None and spread.continuum == pytest.approx(0.05)
+    ends = sorted((ratio.opx + 0.05 * sign, ratio.opx - 0.05 * sign * 4 / 7))
+    assert (spread.continuum_low, spread.continuum_high) == pytest.approx(tuple(ends))
+
+
+def test_a_spectrum_with_its_continuum_is_not_fitted_without_one() -> None:
+    with pytest.raises(DataError, match="divided by their continuum"):
+        check_continuum_removed([bent()])
+    check_continuum_removed([Spectrum("divided", GRID, bent().reflectance / bent().reflectance.max())])
+
+
+def test_one_continuum_alone_has_no_spread() -> None:
+    [fit] = fit_spectra([bent()], mgm_model("OPX-CPX"))
+    assert isinstance(fit, MgmFit)
+    assert with_continuum_spread(fit, {"wavelength-quadratic": fit}).bands[0].center_continuum_nm is None
+
+
+def test_a_spectrum_without_its_continuum_is_fitted_with_none() -> None:
+    """Divided by the continuum that made it: strengths come back without a polynomial."""
+    spectrum = bent()
+    ratio = spectrum.reflectance / (0.12 + 9e-5 * GRID - 2e-8 * (GRID - 1500) ** 2)
+    [fit] = fit_spectra([Spectrum("ratio", GRID, ratio, 0.004 * ratio)], mgm_model("OPX-CPX", "none"), model_error=1e-3)
+    assert isinstance(fit, MgmFit)
+    assert fit.continuum_coefficients == ()
+    strengths = {band.name: band for band in fit.bands}
+    for name, truth in (("OPX 2", -0.15), ("CPX 2", -0.2)):
+        assert abs(strengths[name].strength - truth) < 3 * strengths[name].strength_sigma
+    assert np.allclose(fit.continuum_reflectance, 1.0)
+
+
+def test_no_continuum_is_no_part_of_the_spread() -> None:
+    assert set(MGM_CONTINUA) - set(SPREAD_CONTINUA) == {"none"}
+
+
+def pyroxenes(seed: int) -> np.ndarray:
+    """Reflectance with bands at 925, 1040, 1900 and 2270 nm and 0.4 % noise."""
+    rng = np.random.default_rng(seed)
+    ln = np.log(0.15 + 6e-5 * GRID)
+    for centre, fwhm, strength in ((925, 190, -0.2), (1040, 210, -0.25), (1900, 500, -0.15), (2270, 540, -0.2)):
+        ln = ln + strength * rng.uniform(0.5, 1.5) * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    return np.asarray(np.exp(ln + rng.normal(scale=0.004, size=GRID.size)))
+
+
+def fit_of(spectrum: Spectrum, **options: object) -> MgmFit:
+    [fit] = fit_spectra([spectrum], mgm_model(**options))  # type: ignore[arg-type]
+    assert isinstance(fit, MgmFit)
+    return fit
+
+
+def numbers(fit: MgmFit) -> np.ndarray:
+    """Bands and their errors, without the continuum."""
+    m = fit.model.degrees
+    return np.concatenate([fit.parameters[m:], np.sqrt(np.diag(fit.covariance))[m:]])
+
+
+def from_file(folder: Path, wavelength: np.ndarray, reflectance: np.ndarray, header: str) -> Spectrum:
+    path = folder / "spectrum.csv"
+    rows = [f"{w!r},{r!r}" for w, r in zip(wavelength.tolist(), reflectance.tolist(), strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    [spectrum] = read_spectra(read_input(str(path)))
+    return spectrum
+
+
+@pytest.mark.parametrize(
+    ("header", "change"),
+    [
+        ("wavelength_um,reflectance", lambda w, r: (w / 1e3, r)),
+        ("wavelength_nm,reflectance_percent", lambda w, r: (w, 100 * r)),
+        ("wavelength_nm,reflectance", lambda w, r: (w[::-1], r[::-1])),
+        ("wavelength_um,reflectance", lambda w, r: (w[::-1] / 1e3, r[::-1])),
+    ],
+    ids=["um", "percent", "descending", "descending um"],
+)
+def test_units_and_order_of_channels_do_not_matter(
+    tmp_path: Path, header: str, change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+) -> None:
+    reflectance = pyroxenes(1)
+    plain = fit_of(from_file(tmp_path, GRID, reflectance, "wavelength_nm,reflectance"))
+    other = fit_of(from_file(tmp_path, *change(GRID, reflectance), header))
+    assert np.allclose(numbers(other), numbers(plain), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("continuum", [name for name in MGM_CONTINUA if name != "none"])
+@pytest.mark.parametrize("factor", [1e-3, 0.37, 2.5])
+def test_a_constant_factor_changes_the_continuum_only(continuum: str, factor: float) -> None:
+    reflectance = pyroxenes(2)
+    plain = fit_of(Spectrum("a", GRID, reflectance, 0.004 * reflectance), continuum=continuum)
+    scaled = fit_of(Spectrum("a", GRID, factor * reflectance, factor * 0.004 * reflectance), continuum=continuum)
+    assert np.allclose(numbers(scaled), numbers(plain), rtol=1e-9, atol=1e-12)
+    assert np.allclose(scaled.continuum_reflectance, factor * plain.continuum_reflectance, rtol=1e-9)
+    assert scaled.rms_ln == pytest.approx(plain.rms_ln, rel=1e-9)
+
+
+def test_alone_or_in_a_batch_is_the_same() -> None:
+    spectra = [Spectrum(str(seed), GRID, pyroxenes(seed)) for seed in range(11)]
+    spectra[3] = dataclasses.replace(spectra[3], mask=GRID < 500)
+    together = fit_spectra(spectra, MODEL)
+    backwards = fit_spectra(spectra[::-1], MODEL)[::-1]
+    for spectrum, first, second in zip(spectra, together, backwards, strict=True):
+        assert isinstance(first, MgmFit)
+        assert isinstance(second, MgmFit)
+        alone = fit_of(spectrum)
+        assert np.allclose(numbers(first), numbers(alone), rtol=1e-9, atol=1e-12)
+        assert np.allclose(numbers(second), numbers(alone), rtol=1e-9, atol=1e-12)
+        assert first.status == second.status == alone.status
+
+
+def test_masked_channels_are_as_if_they_were_not_there() -> None:
+    reflectance = pyroxenes(4)
+    error = 0.004 * reflectance
+    out = (GRID > 1340) & (GRID < 1460)
+    spoiled = np.where(out, np.nan, reflectance)
+    masked = fit_of(Spectrum("a", GRID, spoiled, error))
+    removed = fit_of(Spectrum("a", GRID[~out], reflectance[~out], error[~out]))
+    assert np.allclose(numbers(masked), numbers(removed), rtol=1e-9, atol=1e-12)

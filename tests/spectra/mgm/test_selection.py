@@ -21,9 +21,9 @@ from lunarsci.spectra.mgm.selection import (
     PENALTY,
     TEMPER,
     Choice,
+    EvidencePlace,
     choose,
     ln_all_negative,
-    ln_evidence,
 )
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -80,13 +80,16 @@ def evidence_and_simulation(depth: float) -> tuple[float, float]:
     ln = -depth * sum(s * np.exp(-4 * np.log(2) * ((grid - centre) / fwhm) ** 2) for centre, fwhm, s in bands)
     [fit] = fit_spectra([Spectrum("made", grid, np.exp(ln), 1e-6 * np.exp(ln))], model, model_error=0.3)
     assert isinstance(fit, MgmFit)
-    draws = model.prior + np.random.default_rng(0).standard_normal((400_000, model.prior.size)) * model.sigma
-    curves = np.zeros((len(draws), grid.size))
-    for k in range(0, model.prior.size, 3):
-        x = (grid / 1e3 - draws[:, k, None]) / draws[:, k + 1, None]
-        curves -= np.abs(draws[:, k + 2, None]) * np.exp(-4 * np.log(2) * x**2)
-    chi2 = (fit.data.weight * (ln - curves) ** 2).sum(axis=1)
-    return ln_evidence(fit), float(np.log(np.mean(np.exp(-0.5 * chi2))))
+    normal, likelihood = np.random.default_rng(0).standard_normal((400_000, model.prior.size)), 0.0
+    for draws in np.split(model.prior + normal * model.sigma, 100):
+        curves = np.zeros((len(draws), grid.size))
+        for k in range(0, model.prior.size, 3):
+            x = (grid / 1e3 - draws[:, k, None]) / draws[:, k + 1, None]
+            curves -= np.abs(draws[:, k + 2, None]) * np.exp(-4 * np.log(2) * x**2)
+        chi2 = (fit.data.weight * (ln - curves) ** 2).sum(axis=1)
+        likelihood += np.exp(-0.5 * chi2).mean() / 100
+    place = EvidencePlace.at(fit.parameters, fit.model, fit.data, np.diag(np.sqrt(fit.data.weight)))
+    return place.ln_evidence(), float(np.log(likelihood))
 
 
 def test_evidence_is_the_mean_of_the_likelihood_over_the_prior() -> None:
@@ -99,14 +102,6 @@ def test_evidence_of_bands_within_their_errors_of_zero_is_a_little_off() -> None
     """What the documentation says of strengths at their bound: 0.1-0.4."""
     laplace, simulated = evidence_and_simulation(1.0)
     assert 0.1 < abs(laplace - simulated) < 0.4
-
-
-def test_evidence_of_a_fixed_parameter_is_refused() -> None:
-    model = mgm_model("OL").bounded("ol_m2_center_nm", 1040, 1040)
-    [fit] = fit_spectra([made(OLIVINE)], model)
-    assert isinstance(fit, MgmFit)
-    with pytest.raises(ParameterError, match="fixed"):
-        ln_evidence(fit)
 
 
 @pytest.mark.parametrize(

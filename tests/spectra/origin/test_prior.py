@@ -1,11 +1,31 @@
-"""What craters left at a site: closed forms, a slow loop over draws as oracle, and the site's own facts."""
+"""What craters left at a site: closed forms, a slow loop over draws as oracle, and the site's own facts.
+
+Ejecta laws against the thicknesses and speeds computed for the Chang'E-4 site in the project's notes.
+
+Survival of boulders against the two published times.
+"""
+
+import math
 
 import numpy as np
 import pytest
 
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors, surface_age_ma, survival
+from lunarsci.spectra.origin.catalogue import Crater, distance_km, embedded_catalogue
+from lunarsci.spectra.origin.prior import (
+    CHANG_E_4,
+    LAW_SOURCES,
+    PriorSettings,
+    Range,
+    crater_priors,
+    ejecta_thickness_m,
+    launch_speed_m_s,
+    local_to_ejecta_ratio,
+    surface_age_ma,
+    survival,
+    transient_radius_km,
+)
 
 SURE = {"thickness_factor": 1.0, "other_weight": 0.0}
 """Nothing is uncertain but what a test makes so."""
@@ -168,3 +188,105 @@ def test_a_large_catalogue_is_drawn_in_parts() -> None:
 def test_impossible_settings_are_refused(settings: dict) -> None:
     with pytest.raises(ParameterError, match="must be"):
         PriorSettings(**settings)
+
+
+TABLE = {
+    "Zhinyu": (214, 0.0078, 0.0049, 0.016),
+    "Finsen": (417, 9.3, 2.7, 19),
+    "Von Kármán L": (297, 3.4, 1.2, 7.0),
+    "Alder": (417, 11, 3.2, 22),
+    "Maksutov": (674, 1.09, 0.31, 2.2),
+    "Davisson": (612, 2.5, 0.7, 5.2),
+    "Antoniadi": (968, 0.57, 0.14, 1.2),
+    "Leibnitz": (470, 128, 29, 257),
+}
+"""Launch speed [m/s] and thickness [m] at the site after Pike, McGetchin, Xie, computed from the transient radius."""
+CRATERS = {crater.name: crater for crater in embedded_catalogue()}
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_thickness_and_speed_at_the_site(name: str) -> None:
+    crater = CRATERS[name]
+    distance = distance_km(CHANG_E_4, crater.center)
+    speed, *thickness = TABLE[name]
+    for law, expected in zip(("pike", "mcgetchin", "xie"), thickness, strict=True):
+        assert ejecta_thickness_m(law, crater.diameter_km, distance) == pytest.approx(expected, rel=0.05), law
+    assert launch_speed_m_s(crater.diameter_km, distance) == pytest.approx(speed, rel=0.01)
+
+
+def test_mass_alone_prefers_finsen_twelve_hundred_times() -> None:
+    zhinyu, finsen = (
+        ejecta_thickness_m("pike", CRATERS[n].diameter_km, distance_km(CHANG_E_4, CRATERS[n].center))
+        for n in ("Zhinyu", "Finsen")
+    )
+    assert finsen / zhinyu == pytest.approx(1200, rel=0.03)
+
+
+def test_housen_by_hand() -> None:
+    """A crater whose transient radius is 10 km, seen from 100 km: 0.0078 x 10000 x 10^-2.61."""
+    diameter = (20 / 18.7**0.15) ** (1 / 0.85)
+    assert transient_radius_km(diameter) == pytest.approx(10)
+    assert ejecta_thickness_m("housen", diameter, 100) == pytest.approx(78 * 10**-2.61)
+
+
+def test_transient_craters() -> None:
+    assert transient_radius_km(10) == pytest.approx(4.2)
+    assert transient_radius_km(18.7) == pytest.approx(18.7 / 2)
+    assert transient_radius_km(73) == pytest.approx(29.75, abs=0.02)
+
+
+@pytest.mark.parametrize("law", LAW_SOURCES)
+def test_there_is_no_blanket_within_the_rim_and_less_farther_out(law: str) -> None:
+    assert ejecta_thickness_m(law, 73, 36) is None
+    assert launch_speed_m_s(73, 36) is None
+    steps = [ejecta_thickness_m(law, 73, km) for km in (37, 80, 200, 1000, math.pi * MOON_RADIUS_KM)]
+    assert steps == sorted(steps, reverse=True)
+    assert steps[-1] > 0
+
+
+def test_speed_on_a_flat_moon_and_to_the_antipode() -> None:
+    """Near: v^2 = g x range at 45 deg; the farthest point takes the escape speed, 2374 m/s with g 1.622."""
+    assert launch_speed_m_s(0.001, 1.0) == pytest.approx(math.sqrt(1.622 * 1000), rel=1e-3)
+    escape = math.sqrt(2 * 1.622 * 1737400)
+    assert launch_speed_m_s(0.001, math.pi * MOON_RADIUS_KM) == pytest.approx(escape, rel=1e-4)
+
+
+def test_stirred_ground_grows_with_distance() -> None:
+    assert local_to_ejecta_ratio(1.0) == pytest.approx(0.0183)
+    assert local_to_ejecta_ratio(100.0) / local_to_ejecta_ratio(10.0) == pytest.approx(10**0.87)
+
+
+@pytest.mark.parametrize("diameter", [0, -3, float("nan"), float("inf")])
+def test_impossible_diameters_are_refused(diameter: float) -> None:
+    with pytest.raises(ParameterError, match="above 0"):
+        transient_radius_km(diameter)
+
+
+@pytest.mark.parametrize(("half", "nearly_all"), [(40, 150), (80, 300)])
+def test_half_and_99_percent_are_gone_when_they_were_counted(half: float, nearly_all: float) -> None:
+    """Basilevsky, Head & Hoerz (2013), abstract: median 40-80 Ma, 99 % gone after 150-300 Ma."""
+    assert survival(half, half) == pytest.approx(0.5)
+    assert survival(nearly_all, half) == pytest.approx(0.01, rel=1e-9)
+
+
+def test_larger_rocks_last_longer_only_if_asked() -> None:
+    assert survival(60, 60, size_m=8) == pytest.approx(0.5)
+    assert survival(120, 60, size_m=8, size_exponent=0.5) == pytest.approx(0.5)
+    assert survival(0, 60) == 1
+    assert survival(4000, 60) == pytest.approx(0)
+
+
+def test_a_range_is_uniform_in_its_logarithm() -> None:
+    assert Range(1, 100).quantile([0, 0.5, 1]) == pytest.approx([1, 10, 100])
+    assert np.ptp(Range(7, 7).quantile(np.linspace(0, 1, 5))) == 0
+
+
+@pytest.mark.parametrize("ends", [(0, 1), (-1, 1), (2, 1), (1, float("inf")), (float("nan"), 1)])
+def test_impossible_ranges_are_refused(ends: tuple) -> None:
+    with pytest.raises(ParameterError, match="must be"):
+        Range(*ends)
+
+
+def test_a_rock_has_a_size() -> None:
+    with pytest.raises(ParameterError, match="above 0"):
+        survival(10, 60, size_m=0)

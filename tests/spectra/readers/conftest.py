@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 Read = Callable[..., list[Spectrum]]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 Read = Callable[..., list[Spectrum]]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
 
 HEADER = """ENVI

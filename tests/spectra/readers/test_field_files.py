@@ -18,8 +18,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.guide.info import info
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.batch import SpectraBatch, read_batch
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.markers import markers_of
 from lunarsci.spectra.readers.quantities import of_kubelka_munk
 from lunarsci.spectra.spectrum import Spectrum

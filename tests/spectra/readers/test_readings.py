@@ -11,7 +11,8 @@ import pytest
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra, text
+from lunarsci.spectra.readers import text
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
 

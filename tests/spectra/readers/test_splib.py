@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.libraries import without_wavelength_files
 
 SPECTRUM = " splib07a Record=5932: Olivine GDS70.a Fo89          BECKb AREF\n"

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 Read = Callable[..., list[Spectrum]]

@@ -12,7 +12,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.calibration import Calibration, columns, to_ecsv, to_fits

@@ -1,6 +1,7 @@
 """Errors at a bound against numerical integration of the same density."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,10 +9,13 @@ from scipy.integrate import quad
 from scipy.stats import truncnorm
 
 from lunarsci.arrays import FloatArray
+from lunarsci.compiled import compiled
+from lunarsci.compiled.formulas import LANES
 from lunarsci.spectra.mgm.batch import problem_of
 from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
-from lunarsci.spectra.mgm.laplace import _one_sided, bounded_covariances
+from lunarsci.spectra.mgm.laplace import _bounded, _hand_over, _one_sided, _rooms
+from lunarsci.spectra.mgm.levenberg_marquardt import workspace_for
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 
 
@@ -27,11 +31,29 @@ def model_of_two() -> MgmModel:
     )
 
 
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def bound_all(
+    curvature: Any, gradient: Any, points: Any, problem: Any, space: Any, rooms: Any, found: Any
+) -> None:  # fmt: skip
+    """Covariances (n, p, p) of curvatures of half the objective and descents along it, of fewer fits than lanes."""
+    rows, size = points.shape
+    for lane in range(LANES):
+        row = min(lane, rows - 1)
+        for p in range(size):
+            space.point[p, lane], space.slope[p, lane] = points[row, p], gradient[row, p]
+            for q in range(p, size):
+                space.curvature[p * size + q, lane] = curvature[row, p, q]
+    _bounded(problem, space, rooms)
+    _hand_over(space, rooms[1], 0, found)
+
+
 def bounded_covariance(curvature: FloatArray, gradient: FloatArray, point: FloatArray, model: MgmModel) -> FloatArray:
     """Of one fit, among others of another place."""
     others = np.array([point, point - 7.0, point])
     three = [np.array([values] * 3) for values in (curvature, gradient)]
-    return bounded_covariances(*three, others, problem_of(model))[2]
+    size, found = point.size, np.empty((3, point.size, point.size))
+    bound_all(*three, others, problem_of(model), workspace_for(size, size, 1), _rooms(size), found)
+    return found[2]
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
