@@ -46,7 +46,7 @@ SETTINGS = {
         "twin/telemetry/columns.py: DEG", "twin/telemetry/columns.py: UNITS"),
     "the source stands in each of the entries": ("constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
     "places in rows, not numbers of the world": (
-        "spectra/band_status.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
+        "spectra/bands.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
     "where something is drawn or told, or how finely": (
         "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/jobs/render.py: TRUTH_STEP_M",
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
@@ -66,7 +66,7 @@ SETTINGS = {
         "regolith/physics_discrepancy.py: GRID, REACH", "spectra/abundance/mixing.py: LEAST, MOST",
         "spectra/abundance/learned.py: GRID_NM", "spectra/abundance/shares.py: FINE",
         "spectra/abundance/estimate.py: GAUGE", "spectra/abundance/estimate.py: LIFTED",
-        "spectra/abundance/estimate.py: ORIGIN_UM", "spectra/band_polynomial.py: SEARCH",
+        "spectra/abundance/estimate.py: ORIGIN_UM", "spectra/band_shape.py: SEARCH",
         "spectra/mgm/fit.py: CONTINUUM_QUANTILE", "spectra/mgm/fit.py: FIRST_STRENGTH",
         "spectra/mgm/fit.py: HOP_SIGMAS", "spectra/mgm/fit.py: START_SIGMAS", "spectra/mgm/laplace.py: TAIL",
         "spectra/mgm/levenberg_marquardt.py: BELIEF", "spectra/mgm/moments.py: ORIGIN",

@@ -13,57 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
-from lunarsci.compiled.formulas import LANES
-from lunarsci.compiled.lanes import aligned, choose, highest, load, root, spread, store
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
 from lunarsci.errors import DataError
 from lunarsci.io import records
 from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
-from lunarsci.spectra.band_polynomial import (
-    AREA,
-    COEFFICIENTS,
-    CURVE,
-    FOUND,
-    HALF_NM,
-    HEFT,
-    INNER,
-    LOWEST,
-    MIDDLE_NM,
-    NARROW,
-    NOISE,
-    ONTO,
-    PER_LEVEL,
-    RATIO,
-    ROWS,
-    SIZE,
-    SPARE,
-    VALUES,
-    WIDE,
-    WIDE_DEPTH,
-    WIDE_NM,
-    BandGrid,
-    BandWork,
-    Smoother,
-    X,
-    fit,
-    minima,
-    smooth,
-    window_of,
-)
-from lunarsci.spectra.band_shape import (
-    AREA_VARIANCE,
-    ASYMMETRY_VARIANCE,
-    CENTER_VARIANCE,
-    DEPTH_VARIANCE,
-    GAUSSIAN_NM,
-    SHAPE_AREA,
-    SHAPE_ASYMMETRY,
-    SHAPE_DEPTH,
-    SHAPE_NM,
-    WIDE_CENTER_NM,
-    shape,
-)
+from lunarsci.spectra import band_shape as model
+from lunarsci.spectra.band_shape import BandGrid, BandWork, Smoother, deepest_of, fit, minima, shape, smooth, window_of
 from lunarsci.spectra.band_status import (
     ABSENT_NM,
     AREA_CALIBRATION,
@@ -71,85 +29,83 @@ from lunarsci.spectra.band_status import (
     AREA_SIGMA,
     ASYMMETRY_SHARE,
     ASYMMETRY_SIGMA,
+    AWAY,
     BANDS,
+    BELOW,
     CENTER,
     CENTER_CALIBRATION,
     CENTER_SIGMA,
-    CHOICES,
-    CODES,
     CONTINUUM,
+    CROSSING_SHARE,
     DEEPEST,
     DEPENDS,
     DEPTH,
     DEPTH_CALIBRATION,
     DEPTH_SIGMA,
     ELSEWHERE,
+    END_CHANNELS,
+    FALLS,
+    FEW,
     GAUSSIAN,
     JSON_KEYS,
+    MAX_CENTER_SIGMA_NM,
+    MEASURED,
     METHOD,
+    MIN_SIGNIFICANCE,
     NARROW_NM,
     NARROW_WIDTH,
     NO_BAND,
+    NO_MINIMUM,
     NO_TIES,
     NOT_COVERED,
     NOTE,
     NOTE_DEEPEST,
     OK,
-    OTHER_NM,
-    QUANTITIES,
+    RUNAWAY_SHARE,
+    SHALLOW,
     SPARSE,
     STATUS,
     SYSTEMATIC,
     TOO_NARROW,
-    TRIED,
-    UNUSABLE,
+    UNCERTAIN,
     Band,
+    BandArrays,
+    BandColumns,
     BandResult,
     Codes,
-    Places,
-    depends_on_method,
-    go_on,
-    judge,
+    judge_width,
     narrow_said,
-    own_continuum,
-    record,
+    nothing_of,
     sentence,
     short_by,
-    verdict,
 )
 from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection, alike_channels
 from lunarsci.spectra.continuum import (
+    CONIC,
     CONTINUA,
     HULL,
     LEVEL,
     LINEAR,
+    NODE,
     SMOOTHED,
+    TERMS,
+    WEIGHT,
     ContinuumName,
     continuum,
     tables_of,
     tie_down,
     ties_of,
 )
-from lunarsci.spectra.lane_rows import take_eight, uncounted
-from lunarsci.spectra.narrow import judge_width
-from lunarsci.spectra.noise import WINDOW, running_medians
+from lunarsci.spectra.noise import WINDOW, running_medians, take_eight, uncounted
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, reaches_over, smoothing_operator
 
 FEWEST_IN_WINDOW = 14
-
-
 CHUNK = 512
 """Spectra that a thread takes at a time; a multiple of `LANES`."""
-
-
 SAME_NM = 1e-6
 """Centres closer than this are those of the same tie points."""
-
-
 DRAWN = 161
 """Points of a curve that is drawn."""
-
-
 LEAST_SIGNAL = 0.01
 """Share of the brightest channel that stands for a darker one where noise is that of photons; assumed."""
 
@@ -168,6 +124,30 @@ def _banded(operator: FloatArray) -> Smoother:
     first = np.minimum(first, size - width)
     weights = np.take_along_axis(operator, first[:, None] + np.arange(width), axis=1)
     return Smoother(first, np.ascontiguousarray(weights))
+
+
+class Places(NamedTuple):
+    """Where the bands lie among the channels.
+
+    Attributes
+    ----------
+    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
+    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
+    wanted : place of the wanted continuum in `CONTINUA`.
+    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
+    order : continua in the order in which they are tried, (3,), -1 for none.
+    low, high : first channel of all bands, and the one behind the last.
+    """
+
+    bands: IntArray
+    limits_nm: FloatArray
+    bias: FloatArray
+    least: FloatArray
+    wanted: int
+    missing: IntArray
+    order: IntArray
+    low: int
+    high: int
 
 
 def places_of(grid: BandGrid, wanted: int) -> Places:
@@ -193,6 +173,123 @@ def _missing(inside_nm: FloatArray, band: Band) -> int:
     if inside_nm.size < FEWEST_IN_WINDOW:
         return SPARSE
     return OK if reaches_over(inside_nm, *band.reach_nm) else NOT_COVERED
+
+
+(TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES) = (model.OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12))
+"""Rows, behind those of `band_shape`: place in the order of the continuum that is tried, below 0 for none; which one
+that is; by continuum what is against it, where the band is deepest and its centre in the wide window. [nm]"""
+
+
+@formula
+def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: Any, low_nm: Any, high_nm: Any) -> Any:
+    """Why a continuum is not fit for use over a band, or why there is no band under it; 0 for neither.
+
+    Where the spectrum lies nowhere below the continuum it is deepest where both touch, which rounding decides.
+    """
+    nowhere = choose(highest - 1.0 > model.LEAST_DEPTH, BELOW, SHALLOW)
+    above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
+    crossing = choose(highest - 1.0 > depth * CROSSING_SHARE, BELOW, choose(end > depth * RUNAWAY_SHARE, AWAY, OK))
+    found = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
+    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, found), FALLS)
+
+
+@uncounted
+def judge(g: BandGrid, places: Places, work: BandWork, b: int, c: int) -> None:
+    """What is against a continuum over a band, where the band is deepest under it, and its centre."""
+    t, k, count, band = work.t, work.k, g.wavelength_nm.size, places.bands[b]
+    least_level, above = load(t, (LEVEL + c) * count + band[0]), load(t, (model.CURVE + c) * count + band[0])
+    for j in range(band[0] + 1, band[1]):
+        least_level = lowest(least_level, load(t, (LEVEL + c) * count + j))
+        above = highest(above, load(t, (model.CURVE + c) * count + j))
+    least, place = deepest_of(t, model.CURVE + c, band[0], band[1], count)
+    end = spread(-np.inf)
+    if c == CONIC and band[1] == count:
+        end = spread(0.0)
+        for j in range(count - END_CHANNELS, count):
+            end += (1.0 - load(t, (model.CURVE + c) * count + j)) * (1.0 / END_CHANNELS)
+    store(k, DEEPEST_NM + c, place)
+    for lane in range(LANES):
+        k[DEEPEST_NM + c, lane] = g.wavelength_nm[int(k[DEEPEST_NM + c, lane])]
+    first, behind = window_of(g, work, c, band, model.WIDE[0], model.WIDE[1], True)
+    low, high = places.limits_nm[b]
+    code = _code(least_level, above, 1.0 - least, end, load(k, model.INNER), load(k, DEEPEST_NM + c), low, high)
+    store(k, CODE + c, code)
+    store(k, OTHER_NM + c, centre(work, c, first, behind, count))
+
+
+@uncounted
+def centre(work: BandWork, own: int, first: int, behind: int, count: int) -> Any:
+    """Centre in a window, NaN where there is none. [nm]"""
+    k = work.k
+    fit(work.t, k, model.RATIO + own, first, behind, count)
+    minima(k)
+    there = choose(load(k, model.INNER), load(k, model.FOUND), spread(0.0))
+    return choose(there, load(k, model.MIDDLE_NM) + load(k, model.HALF_NM) * load(k, model.LOWEST), spread(np.nan))
+
+
+@uncounted
+def go_on(places: Places, k: Any, lane: int, found: FloatArray, codes: Codes) -> bool:
+    """Turn to the next continuum that nothing is against, and say of the others what is; whether there is one."""
+    for tried in range(int(k[TRIED, lane]) + 1, places.order.size):
+        c = places.order[tried]
+        if c < 0:
+            break
+        code = int(k[CODE + c, lane])
+        if code == OK:
+            k[TRIED, lane] = float(tried)
+            return True
+        record(places, k, lane, c, code, found, codes)
+    k[TRIED, lane] = -2.0
+    return False
+
+
+@uncounted
+def record(places: Places, k: Any, lane: int, c: int, code: int, found: FloatArray, codes: Codes) -> None:
+    deepest = k[DEEPEST_NM + c, lane]
+    if code == OK or c == HULL:
+        codes[CONTINUUM], codes[STATUS], found[DEEPEST] = c, code, deepest
+    if code != OK and c == places.wanted:
+        codes[NOTE], found[NOTE_DEEPEST] = code, deepest
+
+
+@formula
+def _picked(conic: Any, hull: Any, first: Any, second: Any, third: Any) -> Any:
+    return choose(conic, first, choose(hull, second, third))
+
+
+@uncounted
+def own_continuum(g: BandGrid, places: Places, work: BandWork) -> None:
+    """Put what belongs to the continuum that each spectrum is tried under where `shape` looks for it."""
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    for lane in range(LANES):
+        tried = int(k[TRIED, lane])
+        c = places.order[tried] if tried >= 0 else HULL
+        for term in range(TERMS):
+            work.tie[model.OWN, term, lane] = work.tie[c, term, lane]
+        k[IS_CONIC, lane], k[IS_HULL, lane] = 1.0 if c == CONIC else 0.0, 1.0 if c == HULL else 0.0
+    conic, hull = load(k, IS_CONIC), load(k, IS_HULL)
+    for j in range(count):
+        store(t, model.OWN_NODE * count + j, load(t, NODE * count + j) * hull)
+    for j in range(places.low, places.high):
+        for row in (model.RATIO, model.CURVE, model.PER_LEVEL):
+            at = row * count + j
+            own = _picked(conic, hull, load(t, at), load(t, at + count), load(t, at + 2 * count))
+            store(t, at + model.OWN * count, own)
+        for term in range(TERMS):
+            at = (WEIGHT + term) * count + j
+            own = _picked(conic, hull, load(t, at), load(t, at + TERMS * count), load(t, at + 2 * TERMS * count))
+            store(t, (model.OWN_WEIGHT + term) * count + j, own)
+
+
+@uncounted
+def verdict(limits_nm: FloatArray, k: Any, lane: int) -> int:
+    """A code of the band that was measured."""
+    center_nm, depth = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
+    if not (k[model.HAS_SHAPE, lane] > 0.0 and limits_nm[0] <= center_nm <= limits_nm[1]):
+        return NO_MINIMUM
+    if depth < max(MIN_SIGNIFICANCE * math.sqrt(k[model.DEPTH_VARIANCE, lane]), model.LEAST_DEPTH):
+        return SHALLOW
+    return UNCERTAIN if math.sqrt(k[model.CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else OK
 
 
 def measure_rows(
@@ -236,8 +333,8 @@ def measure_rows(
 
 
 def _work(grid: BandGrid) -> BandWork:
-    t, tie, nodes, own = tables_of(grid.ties, ROWS)
-    return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, own)
+    t, tie, nodes, room = tables_of(grid.ties, model.ROWS)
+    return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, room)
 
 
 def curve_of_centre(
@@ -250,54 +347,34 @@ def curve_of_centre(
     Wavelengths of the narrow window, or the wide one where that alone counts, and reflectance over continuum. [nm, -]
     """
     work, c, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
-    t, own = (
-        work.t,
-        np.array([*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]),
-    )
-    take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, VALUES * count)
-    smooth(grid.smoother, t, VALUES * count, SMOOTHED * count)
+    t, inside = work.t, [*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]
+    take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, model.VALUES * count)
+    smooth(grid.smoother, t, model.VALUES * count, SMOOTHED * count)
     tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.own)
-    _remove(t, c, own[0], own[1], count)
-    wide, narrow = (_polynomial(grid, work, c, own, shares) for shares in (WIDE, NARROW))
-    if not narrow.found or abs(wide.center_nm - narrow.center_nm) < SAME_NM:
-        return wide.nm, wide.value(wide.nm)
-    part = float(np.clip((center_nm - narrow.center_nm) / (wide.center_nm - narrow.center_nm), 0.0, 1.0))
-    nm = wide.nm if part == 1.0 else narrow.nm
-    return nm, part * wide.value(nm) + (1 - part) * narrow.value(nm)
+    _remove(t, c, inside[0], inside[1], count)
+    wide_nm, wide_center, _, wide = _polynomial(grid, work, c, np.array(inside), model.WIDE)
+    nm, narrow_center, there, narrow = _polynomial(grid, work, c, np.array(inside), model.NARROW)
+    if not there or abs(wide_center - narrow_center) < SAME_NM:
+        return wide_nm, wide(wide_nm)
+    part = float(np.clip((center_nm - narrow_center) / (wide_center - narrow_center), 0.0, 1.0))
+    nm = wide_nm if part == 1.0 else nm
+    return nm, part * wide(nm) + (1 - part) * narrow(nm)
 
 
-class _Polynomial(NamedTuple):
-    """A polynomial in a window: where its channels count half or more, its minimum, whether there is one. [nm]"""
-
-    nm: FloatArray
-    center_nm: float
-    found: bool
-    middle_nm: float
-    half_nm: float
-    coefficients: FloatArray
-
-    def value(self, nm: FloatArray) -> FloatArray:
-        return np.asarray(np.polynomial.polynomial.polyval((nm - self.middle_nm) / self.half_nm, self.coefficients))
-
-
-def _polynomial(grid: BandGrid, work: BandWork, c: int, own: Any, shares: tuple[float, float]) -> _Polynomial:
+def _polynomial(
+    grid: BandGrid, work: BandWork, c: int, inside: IntArray, shares: tuple[float, float]
+) -> tuple[FloatArray, float, bool, Any]:
+    """Of a window where its channels count half or more, its minimum, whether there is one, and its polynomial. [nm]"""
     t, k, count = work.t, work.k, grid.wavelength_nm.size
-    first, behind = window_of(grid, work, c, own, *shares, shares == WIDE)
-    fit(t, k, RATIO + c, first, behind, count)
+    first, behind = window_of(grid, work, c, inside, *shares, shares == model.WIDE)
+    fit(t, k, model.RATIO + c, first, behind, count)
     minima(k)
-    middle, half = float(k[MIDDLE_NM, 0]), float(k[HALF_NM, 0])
-    counting = grid.wavelength_nm[first:behind][t[HEFT * count + first : HEFT * count + behind, 0] >= 0.5]
-    found = bool(k[INNER, 0] > 0 and k[FOUND, 0] > 0)
-    coefficients = k[COEFFICIENTS : COEFFICIENTS + SIZE, 0].copy()
-    nm = np.linspace(counting[0], counting[-1], DRAWN)
-    return _Polynomial(nm, middle + half * float(k[LOWEST, 0]), found, middle, half, coefficients)
-
-
-def nothing_of(count: int) -> tuple[FloatArray, Codes]:
-    """What `measure_rows` gives of so many spectra that cannot be measured."""
-    codes = np.zeros((count, len(BANDS), len(CODES)), np.int8)
-    codes[..., CONTINUUM], codes[..., STATUS] = -1, UNUSABLE
-    return np.full((count, len(BANDS), len(QUANTITIES)), np.nan), codes
+    middle, half = float(k[model.MIDDLE_NM, 0]), float(k[model.HALF_NM, 0])
+    counting = grid.wavelength_nm[first:behind][t[model.HEFT * count + first : model.HEFT * count + behind, 0] >= 0.5]
+    coefficients = k[model.COEFFICIENTS : model.COEFFICIENTS + model.SIZE, 0].copy()
+    curve = np.polynomial.Polynomial(coefficients, (middle - half, middle + half), (-1.0, 1.0))
+    there = bool(k[model.INNER, 0] > 0 and k[model.FOUND, 0] > 0)
+    return np.linspace(counting[0], counting[-1], DRAWN), middle + half * float(k[model.LOWEST, 0]), there, curve
 
 
 @uncounted
@@ -308,10 +385,10 @@ def _measure(
     """`measure_rows` of some rows, into `found` and `codes`; noise of no rows is found from the scatter."""
     t, count, low, high = work.t, g.wavelength_nm.size, places.low, places.high
     for begin in range(0, len(values), LANES):
-        take_eight(values, begin, t, VALUES * count)
-        smooth(g.smoother, t, VALUES * count, SMOOTHED * count)
+        take_eight(values, begin, t, model.VALUES * count)
+        smooth(g.smoother, t, model.VALUES * count, SMOOTHED * count)
         if len(noise) > 0:
-            take_eight(noise, begin, t, NOISE * count)
+            take_eight(noise, begin, t, model.NOISE * count)
         else:
             _noise(t, count)
         for c in range(len(CONTINUA)):
@@ -327,16 +404,18 @@ def _measure(
 @uncounted
 def _noise(t: Any, count: int) -> None:
     """Scatter of the channels, taken to follow the root of the signal as that of photons does."""
-    brightest = load(t, VALUES * count)
+    brightest = load(t, model.VALUES * count)
     for j in range(1, count):
-        brightest = highest(brightest, load(t, VALUES * count + j))
+        brightest = highest(brightest, load(t, model.VALUES * count + j))
     for j in range(count):
         signal = root(highest(load(t, SMOOTHED * count + j), brightest * LEAST_SIGNAL))
-        store(t, SPARE * count + j, signal)
-        store(t, X * count + j, load(t, VALUES * count + j) / signal)
-    running_medians(t, X * count, NOISE * count, count, WINDOW, t[ONTO * count :], t[WIDE_NM * count :])
+        store(t, model.SPARE * count + j, signal)
+        store(t, model.X * count + j, load(t, model.VALUES * count + j) / signal)
+    running_medians(
+        t, model.X * count, model.NOISE * count, count, WINDOW, t[model.ONTO * count :], t[model.WIDE_NM * count :]
+    )
     for j in range(count):
-        store(t, NOISE * count + j, load(t, NOISE * count + j) * load(t, SPARE * count + j))
+        store(t, model.NOISE * count + j, load(t, model.NOISE * count + j) * load(t, model.SPARE * count + j))
 
 
 @uncounted
@@ -345,9 +424,9 @@ def _remove(t: Any, c: int, low: int, high: int, count: int) -> None:
     for j in range(low, high):
         level = load(t, (LEVEL + c) * count + j)
         per_level = choose(level, 1.0 / level, spread(1.0))
-        store(t, (PER_LEVEL + c) * count + j, per_level)
-        store(t, (RATIO + c) * count + j, load(t, VALUES * count + j) * per_level)
-        store(t, (CURVE + c) * count + j, load(t, SMOOTHED * count + j) * per_level)
+        store(t, (model.PER_LEVEL + c) * count + j, per_level)
+        store(t, (model.RATIO + c) * count + j, load(t, model.VALUES * count + j) * per_level)
+        store(t, (model.CURVE + c) * count + j, load(t, SMOOTHED * count + j) * per_level)
 
 
 @uncounted
@@ -388,25 +467,28 @@ def _measure_band(
 def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, found: FloatArray) -> None:
     """The numbers of a band that is there, with what other continua and another definition of the centre differ by."""
     k = work.k
-    found[CENTER], found[DEPTH] = k[SHAPE_NM, lane], k[SHAPE_DEPTH, lane]
-    found[AREA_NM], found[ASYMMETRY_SHARE] = k[SHAPE_AREA, lane], k[SHAPE_ASYMMETRY, lane]
-    found[CENTER_SIGMA], found[DEPTH_SIGMA] = math.sqrt(k[CENTER_VARIANCE, lane]), math.sqrt(k[DEPTH_VARIANCE, lane])
+    found[CENTER], found[DEPTH] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
+    found[AREA_NM], found[ASYMMETRY_SHARE] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
+    found[CENTER_SIGMA], found[DEPTH_SIGMA] = (
+        math.sqrt(k[model.CENTER_VARIANCE, lane]),
+        math.sqrt(k[model.DEPTH_VARIANCE, lane]),
+    )
     found[AREA_SIGMA], found[ASYMMETRY_SIGMA] = (
-        math.sqrt(k[AREA_VARIANCE, lane]),
-        math.sqrt(k[ASYMMETRY_VARIANCE, lane]),
+        math.sqrt(k[model.AREA_VARIANCE, lane]),
+        math.sqrt(k[model.ASYMMETRY_VARIANCE, lane]),
     )
     if shifts.shape[0] > 0:
-        found[CENTER_CALIBRATION] = _shared(work.t, WIDE_NM, lane, shifts)
-        found[DEPTH_CALIBRATION] = _shared(work.t, WIDE_DEPTH, lane, shifts)
-        found[AREA_CALIBRATION] = _shared(work.t, AREA, lane, shifts)
-    least = most = k[WIDE_CENTER_NM, lane]
+        found[CENTER_CALIBRATION] = _shared(work.t, model.WIDE_NM, lane, shifts)
+        found[DEPTH_CALIBRATION] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
+        found[AREA_CALIBRATION] = _shared(work.t, model.AREA, lane, shifts)
+    least = most = k[model.WIDE_CENTER_NM, lane]
     for other in range(len(CONTINUA)):
         there = k[OTHER_NM + other, lane]
         if other != c and g.ties.available[other] and not math.isnan(there):
             least, most = min(least, there), max(most, there)
     if most - least > SAME_NM:
         found[SYSTEMATIC] = (most - least) / 2.0
-    found[GAUSSIAN] = abs(k[GAUSSIAN_NM, lane] - k[SHAPE_NM, lane]) / 2.0
+    found[GAUSSIAN] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
     found[METHOD] = np.fmax(found[SYSTEMATIC], found[GAUSSIAN])
 
 
@@ -425,8 +507,6 @@ def _shared(t: Any, row: int, lane: int, shifts: FloatArray) -> float:
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
 BLOCK_ROWS = 2048
 """Spectra of a block, a tenth of a second of one core."""
-MEASURED = QUANTITIES[:DEEPEST]
-"""What is measured of a band: the numbers of a `BandResult`."""
 _NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")
 
 
@@ -484,63 +564,6 @@ class BandFailure:
         return SpectrumBands(self.id, {band.key: nothing for band in BANDS}).to_dict()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BandColumns:
-    """One band of m spectra; each array is (m,), a number NaN where there is none.
-
-    Attributes
-    ----------
-    center_nm, … : as in `BandResult`.
-    deepest_nm, note_deepest_nm : where the band of the reported continuum, and of the wanted one, is deepest. [nm]
-    narrow_nm, narrow_width_nm : centre and width of a narrow absorption in it, or that makes it. [nm]
-    continuum : place in `CONTINUA` of the one used, -1 for none.
-    status, note : places in `STATUSES`: whether there is a band, and why the wanted continuum was not used.
-    """
-
-    center_nm: FloatArray
-    center_sigma_nm: FloatArray
-    center_systematic_nm: FloatArray
-    center_gaussian_nm: FloatArray
-    center_method_nm: FloatArray
-    depth: FloatArray
-    depth_sigma: FloatArray
-    area_nm: FloatArray
-    area_sigma_nm: FloatArray
-    asymmetry: FloatArray
-    asymmetry_sigma: FloatArray
-    center_calibration_nm: FloatArray
-    depth_calibration: FloatArray
-    area_calibration_nm: FloatArray
-    deepest_nm: FloatArray
-    note_deepest_nm: FloatArray
-    narrow_nm: FloatArray
-    narrow_width_nm: FloatArray
-    continuum: Codes
-    status: Codes
-    note: Codes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandArrays:
-    """Both bands of m spectra: numbers (m, 2, 18) and codes (m, 2, 3), which `bands` has by name."""
-
-    numbers: FloatArray
-    codes: Codes
-
-    @property
-    def depends(self) -> BoolArray:
-        """(m, 2) whether methods differ by much more than the noise does."""
-        return depends_on_method(self.numbers[..., CENTER_SIGMA], self.numbers[..., METHOD])
-
-    @property
-    def bands(self) -> dict[str, BandColumns]:
-        """By key of the band, its numbers and codes."""
-        return {
-            band.key: BandColumns(*self.numbers[:, place].T, *self.codes[:, place].T)
-            for place, band in enumerate(BANDS)
-        }
-
-
 def columns_of(measured: Sequence[SpectrumBands]) -> dict[str, BandColumns]:
     """The numbers of measured spectra as columns, by key of the band."""
     arrays = BandArrays(*nothing_of(len(measured)))
@@ -585,7 +608,7 @@ def band_arrays(
             part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
             errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
             given = AlikeSpectra(wavelength[mask], part, errors, np.zeros((rows.size, 0, part.shape[1])))
-            own = _measured(given, wanted=continuum_name, smoothing=used)
+            own = _measured(given, wanted=continuum_name, smoothing=used, narrow=False)
             found.numbers[rows], found.codes[rows] = own["numbers"], own["codes"]
     return found
 
@@ -734,7 +757,7 @@ def measure_batch(
             batch.reasons |= dict.fromkeys(positions.tolist(), reason)
         else:
             found = arrays_in_blocks(
-                partial(_judged, wanted=continuum_name, smoothing=used),
+                partial(_measured, wanted=continuum_name, smoothing=used, narrow=True),
                 len(own),
                 rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
                 stage="bands",
@@ -761,13 +784,10 @@ def _unusable(wavelength_nm: FloatArray, smoothing: Smoothing) -> str:
     return ""
 
 
-def _judged(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
-    found = _measured(given, wanted=wanted, smoothing=smoothing)
-    judge_width(given.wavelength_nm, given.reflectance, found["numbers"][:, -1], found["codes"][:, -1])
-    return found
-
-
-def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
+def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing, narrow: bool) -> dict[str, Any]:
+    """Numbers and codes of spectra, less 2 um bands that a `narrow` absorption makes."""
     grid = grid_of(given.wavelength_nm, smoothing.width_nm(given.wavelength_nm), smoothing.order)
     numbers, codes = measure_rows(grid, CONTINUA.index(wanted), given.reflectance, given.sigma, given.shifts)
+    if narrow:
+        judge_width(given.wavelength_nm, given.reflectance, numbers[:, -1], codes[:, -1])
     return {"numbers": numbers, "codes": codes}

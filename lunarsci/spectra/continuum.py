@@ -18,7 +18,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import aligned, choose, load, spread, store
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.lane_rows import take_eight, uncounted
+from lunarsci.spectra.noise import take_eight, uncounted
 
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)

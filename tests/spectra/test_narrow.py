@@ -12,7 +12,7 @@ from lunarsci.spectra.bands import BandArrays, measure_batch
 from lunarsci.spectra.jobs.other_causes import other_cause
 from lunarsci.spectra.jobs.verdicts import bands_verdict
 from lunarsci.spectra.mgm.assemblages import standing, told
-from lunarsci.spectra.narrow import OWN_SHARE, narrow_absorptions
+from lunarsci.spectra.band_status import OWN_SHARE, narrow_absorptions
 from lunarsci.spectra.spectrum import Spectrum
 
 VOLUMES = ["vol_opx", "vol_cpx"]
