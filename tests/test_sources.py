@@ -32,7 +32,7 @@ SETTINGS = {
         "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
         "spectra/mgm/fit_file.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
-        "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry/phase.py: _LIMITS_DEG",
+        "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry.py: _LIMITS_DEG",
         "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
         "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: SCALES",
         "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _UNSCALED", "sun.py: _J2000_JD",

@@ -8,11 +8,10 @@ import pandas as pd
 import pytest
 
 import lunarsci
-from lunarsci.spectra.bands import BandArrays, measure_batch
-from lunarsci.spectra.jobs.other_causes import other_cause
-from lunarsci.spectra.jobs.verdicts import bands_verdict
-from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.band_status import OWN_SHARE, narrow_absorptions
+from lunarsci.spectra.bands import BandArrays, measure_batch
+from lunarsci.spectra.jobs.verdicts import bands_verdict, other_cause
+from lunarsci.spectra.mgm.assemblages import standing, told
 from lunarsci.spectra.spectrum import Spectrum
 
 VOLUMES = ["vol_opx", "vol_cpx"]

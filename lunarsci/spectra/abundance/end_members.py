@@ -9,9 +9,9 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
+from lunarsci.spectra.readers.library import EndMember
 from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 
 STEP_NM, LOWEST_NM, HIGHEST_NM = 20.0, 450.0, 2450.0

@@ -24,7 +24,7 @@ from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
 from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.shares import Mixed
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 NEUTRAL = np.array([0.1, 0.05, 0.02])

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.library.end_member import mineral_named
 from lunarsci.spectra.readers.columns import rows_by_id
+from lunarsci.spectra.readers.library import mineral_named
 from lunarsci.spectra.rows import number, quoted
 
 PREFIX = "vol_"

@@ -10,7 +10,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.mixing import MixingLaw
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember
 
 MOST_SHAPES = 8
 SPARE = 3

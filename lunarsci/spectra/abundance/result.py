@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.figure import as_label, headline, page
-from lunarsci.spectra.library.end_member import CHEMISTRY
 from lunarsci.spectra.mgm.figure import COLORS, OTHER
+from lunarsci.spectra.readers.library import CHEMISTRY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -167,7 +167,7 @@ def objections(place: str, bc1000_nm: FloatArray, bc2000_nm: FloatArray, depth_r
     Parameters
     ----------
     place : `pyroxene`, `orthopyroxene`, `hed`, `olivine`, `mixture`, or `any`; of a `chondrite` the law of
-        `lunarsci.spectra.chemistry.chondrite` judges.
+        `lunarsci.spectra.chemistry.bands` judges.
     bc1000_nm, bc2000_nm : band centres, (m,); NaN where there is no such band. [nm]
     depth_ratio : depth of the 2 um band over that of the 1 um band, 0 where there is none, (m,). [-]
     """

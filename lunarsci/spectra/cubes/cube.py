@@ -17,7 +17,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning, warn
-from lunarsci.spectra.readers.markers import unnamed_markers
+from lunarsci.spectra.readers.likely import unnamed_markers
 from lunarsci.spectra.readers.table import Column, WavelengthUnit, wavelength_nm
 
 FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "channels_not_positive")

@@ -11,7 +11,7 @@ line, -999 for no value) with a header of the same name; `..._LOC.IMG` has longi
 
 Cubes that a label of the Planetary Data System describes, as those of CRISM and IIRS.
 
-Why no library does it is said in `lunarsci.spectra.readers.pds_label`.
+Why no library does it is said in `lunarsci.spectra.readers.pds`.
 """
 
 import math
@@ -44,16 +44,15 @@ from lunarsci.spectra.cubes.cube import (
     cube_of,
     sha256_of,
 )
-from lunarsci.spectra.photometry.correction import correction_factor
-from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
-from lunarsci.spectra.readers.pds import radiance
-from lunarsci.spectra.readers.pds_label import LABELS, data_file, is_pds_label, label_beside, read_pds_label
+from lunarsci.spectra.photometry import correction_factor
+from lunarsci.spectra.readers.envi import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
+from lunarsci.spectra.readers.pds import LABELS, data_file, is_pds_label, label_beside, radiance, read_pds_label
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
 from lunarsci.spectra.rows import number, quoted, separator_of, split_fields, split_lines
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.detector import IN_FLIGHT_VERSION, default_settings, irradiance_at, reflectance_factor
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import find_parts, read_observation
 
 

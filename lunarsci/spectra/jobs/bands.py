@@ -15,7 +15,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
-from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
+from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, Estimates
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.spectrum import Smoothing

@@ -10,14 +10,14 @@ from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, Parame
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
+from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure, calibration_pages, to_ecsv, to_fits
 from lunarsci.spectra.vnis.detector import Settings, read_channel_factors
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 
 if TYPE_CHECKING:

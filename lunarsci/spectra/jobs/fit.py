@@ -14,7 +14,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.jobs.other_causes import with_causes
+from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, PERCENT_OF, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, TABLES
 from lunarsci.spectra.mgm.columns import FitColumns, rows_of, rows_one_by_one

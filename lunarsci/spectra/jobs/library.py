@@ -9,9 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
 from lunarsci.io.inputs import read_input
 from lunarsci.result import MadeFrom, Result, request_of
-from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, read_metadata, with_description
-from lunarsci.spectra.library.end_member import EndMember, library_pages, read_library, to_ecsv
 from lunarsci.spectra.readers.batch import expanded
+from lunarsci.spectra.readers.library import (
+    MIXTURE,
+    EndMember,
+    LibraryFinding,
+    library_pages,
+    read_library,
+    read_metadata,
+    to_ecsv,
+    with_description,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,7 +81,7 @@ class Library(Result):
         return library_pages(self.members)
 
     def to_ecsv(self, provenance: Mapping[str, Any] | None = None) -> bytes:
-        """As `lunarsci.spectra.library.end_member.to_ecsv`."""
+        """As `lunarsci.spectra.readers.library.to_ecsv`."""
 
         return to_ecsv(self.members, provenance)
 
@@ -223,6 +231,6 @@ def check_library(files: Sequence[str]) -> CheckedLibrary:
 
 
 def _checked(library: Library) -> CheckedLibrary:
-    from lunarsci.spectra.library.check import check_library
+    from lunarsci.spectra.readers.library import check_library
 
     return CheckedLibrary(library=library, findings=check_library(library.members))

@@ -15,9 +15,19 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
 from lunarsci.result import MadeFrom, Result, request_of
-from lunarsci.spectra.cubes.blocks import Product, Tally, fetched, measured, warn_of_cost
 from lunarsci.spectra.cubes.cube import FLAGS, Cube
-from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, Layer, MapFile, backplane_layers
+from lunarsci.spectra.cubes.output import (
+    PIXEL_FLAGS,
+    SUFFIXES,
+    Layer,
+    MapFile,
+    Product,
+    Tally,
+    backplane_layers,
+    fetched,
+    measured,
+    warn_of_cost,
+)
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
 from lunarsci.spectra.jobs.fit import Progress

@@ -29,8 +29,7 @@ from lunarsci.spectra.abundance.shares import shares_of_rows
 from lunarsci.spectra.band_status import BANDS, STATUSES
 from lunarsci.spectra.bands import band_arrays
 from lunarsci.spectra.continuum import CONTINUA
-from lunarsci.spectra.cubes.blocks import Product
-from lunarsci.spectra.cubes.output import NO_CODE, Layer
+from lunarsci.spectra.cubes.output import NO_CODE, Layer, Product
 from lunarsci.spectra.indices import INDICES, index_arrays
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE, fit

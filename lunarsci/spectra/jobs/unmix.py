@@ -32,11 +32,11 @@ from lunarsci.spectra.abundance.rock_prior import TABLE as ROCKS
 from lunarsci.spectra.abundance.shares import SOME, Mixed, abundances
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
-from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
-from lunarsci.spectra.chemistry.chondrite import chondrite_record, chondrites
+from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
+from lunarsci.spectra.chemistry.bands import chondrite_record, chondrites
 from lunarsci.spectra.jobs.fit import Progress
-from lunarsci.spectra.library.end_member import EndMember, read_library
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
+from lunarsci.spectra.readers.library import EndMember, read_library
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:

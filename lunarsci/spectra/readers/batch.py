@@ -35,7 +35,7 @@ from lunarsci.spectra.readers.table import (
 )
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 
 OneSource: TypeAlias = (

@@ -15,15 +15,21 @@ from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
-from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
+from lunarsci.spectra.readers.columns import as_reflectance, only_spectra, spectrum_ids, with_absolute_errors
 from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
-from lunarsci.spectra.readers.interchange import looks_like, read_jcamp, read_json, read_with_astropy
-from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
-from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
-from lunarsci.spectra.readers.pds import read_pds
-from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
-from lunarsci.spectra.readers.quantities import as_reflectance, with_absolute_errors
+from lunarsci.spectra.readers.libraries import (
+    looks_like,
+    looks_like_relab,
+    looks_like_splib,
+    read_jcamp,
+    read_json,
+    read_relab,
+    read_splib,
+    read_with_astropy,
+)
+from lunarsci.spectra.readers.likely import markers_of, without_deleted, without_markers
+from lunarsci.spectra.readers.pds import is_pds_label, label_of_table, read_pds
 from lunarsci.spectra.readers.table import (
     SCALES,
     ReflectanceChoice,
@@ -41,7 +47,7 @@ from lunarsci.spectra.readers.table import (
 from lunarsci.spectra.readers.text import read_excel, read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import read_observation
 
 FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")

@@ -10,9 +10,9 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
+from lunarsci.spectra.readers.arrangements import text_table
 from lunarsci.spectra.readers.astropy_tables import one_line
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.heads import text_table
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
 from lunarsci.spectra.readers.text import header_and_body
 from lunarsci.spectra.rows import (

@@ -20,14 +20,17 @@ from lunarsci.errors import DataError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import (
+    Lines,
+    is_numeric,
     on_one_grid,
     one_below_another,
     own_wavelengths,
     spectra_in_rows,
+    tables_in,
+    text_table,
     unnamed,
 )
 from lunarsci.spectra.readers.columns import assign_roles, is_wavelength
-from lunarsci.spectra.readers.heads import Lines, is_numeric, tables_in, text_table
 from lunarsci.spectra.readers.table import Column, SpectrumTable, stated_unit
 from lunarsci.spectra.rows import (
     DECIMAL_COMMA,

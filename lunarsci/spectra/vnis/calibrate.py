@@ -12,11 +12,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
-from lunarsci.spectra.photometry.correction import correction_factor, remarks
+from lunarsci.spectra.photometry import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channel_order import channel_doubts
-from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
+from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector, channel_doubts
 from lunarsci.spectra.vnis.detector import (
     IN_FLIGHT_VERSION,
     WAVELENGTHS,

@@ -1,21 +1,98 @@
-"""The detached PDS4 label of a VNIS product: when, where, at which angles, and what the data file should look like.
-
-Why not `pdr`: version 1.4.4, tried on sound and on spoiled products, reads cube and short-wave table, but returns a
-table cut in half as 156 rows without a word, stops at the auxiliary table (the labels' record length leaves out the
-line end), finds no partners and does not compare labels with files. Those checks are most of the work here.
-"""
+"""File names of Chang'E spectrometer products, and what they say."""
 
 import math
+import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
+from lunarsci.spectra.photometry import Geometry, phase_angle_deg
 from lunarsci.spectra.rows import number
-from lunarsci.spectra.vnis.name import ProductName, product_name
+
+_NAME = re.compile(
+    r"(?P<synthetic>SYNTHETIC_)?(?P<mission>CE\d)[A-Z0-9-]*_[A-Z0-9]+_(?P<instrument>VNIS|LMS)-(?P<kind>[A-Z]+)[A-Z0-9-]*"
+    r"_(?P<role>SCI|AUX|CAL)_[A-Z]_(?P<start>\d{14})_(?P<stop>\d{14})_(?P<sequence>\d{4})_(?P<version>[A-Z])"
+    r"\.(?P<level>\d[A-Z])(?P<label>L?)",
+    re.IGNORECASE,
+)
+_LONGEST_NAME = 255
+
+
+@dataclass(frozen=True, slots=True)
+class ProductName:
+    """A name taken apart, letters in upper case.
+
+    Attributes
+    ----------
+    mission, instrument, kind, role : such as CE4, VNIS, VD (image cube) or SD (short-wave table), SCI or AUX.
+    start, stop : session times, 14 digits. sequence : 4 digits, the same for the parts of one observation.
+    version : letter of the processing. level : such as 2B. is_label : the detached label rather than the data.
+    synthetic : made by `lunarsci spectra simulate`.
+    """
+
+    mission: str
+    instrument: str
+    kind: str
+    role: str
+    start: str
+    stop: str
+    sequence: str
+    version: str
+    level: str
+    is_label: bool
+    synthetic: bool
+
+    @property
+    def is_read(self) -> bool:
+        """Whether it is a part of a Chang'E-4 level 2B observation."""
+        part = self.role == "SCI" and self.kind in ("VD", "SD")
+        return part and (self.mission, self.instrument, self.level) == ("CE4", "VNIS", "2B")
+
+    @property
+    def observation(self) -> str:
+        """Id of the observation that the product is a part of, such as CE4-0136."""
+        return f"{'SYNTHETIC-' if self.synthetic else ''}{self.mission}-{self.sequence}"
+
+
+def product_name(path: str) -> ProductName | None:
+    """The parts of a file's name, whatever the case of its letters; None for other names."""
+    name = Path(path).name
+    match = _NAME.fullmatch(name) if len(name) <= _LONGEST_NAME else None
+    if match is None:
+        return None
+    part = {key: (value or "").upper() for key, value in match.groupdict().items()}
+    return ProductName(
+        mission=part["mission"],
+        instrument=part["instrument"],
+        kind=part["kind"],
+        role=part["role"],
+        start=part["start"],
+        stop=part["stop"],
+        sequence=part["sequence"],
+        version=part["version"],
+        level=part["level"],
+        is_label=part["label"] == "L",
+        synthetic=bool(part["synthetic"]),
+    )
+
+
+def check_supported(name: ProductName, file: str) -> None:
+    """Raise DataError, with the reason, for products whose layout is not known well enough to read them."""
+    if name.instrument == "LMS":
+        why = "the wavelengths of its table are not part of the product and not published with it"
+        raise DataError(f"{file}: lunar mineralogical spectrometer (LMS): {why}; convert it to CSV with wavelengths")
+    if name.mission != "CE4":
+        why = "its attached labels do not describe the data"
+        raise DataError(f"{file}: VNIS of {name.mission}: {why}; only Chang'E-4 is read, convert it to CSV")
+    if name.level != "2B":
+        raise DataError(f"{file}: is level {name.level}, radiance is in level 2B; fetch the file ending in .2B")
+    if name.kind not in ("VD", "SD") or name.role == "CAL":
+        raise DataError(f"{file}: is the product {name.kind}, not an image cube VD or a table SD; name one of these")
+
 
 _REMEDY = "fetch it again"
 _ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")

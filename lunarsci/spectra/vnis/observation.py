@@ -27,10 +27,8 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io import inputs
 from lunarsci.io.documents import LABEL_BYTES
 from lunarsci.io.inputs import InputFile, read_input
-from lunarsci.spectra.vnis.channel_order import equal_frames, repeated_rows
-from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
-from lunarsci.spectra.vnis.label import DataFile, Label, read_label
-from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
+from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM, equal_frames, repeated_rows
+from lunarsci.spectra.vnis.label import DataFile, Label, ProductName, check_supported, product_name, read_label
 from lunarsci.sun import sun_incidence_deg
 
 LANDING_SITE = (177.5991, -45.4446)

@@ -15,8 +15,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.photometry.correction import model_spread
-from lunarsci.spectra.photometry.phase import Geometry
+from lunarsci.spectra.photometry import Geometry, model_spread
 from lunarsci.spectra.solar import M3_TABLE, solar_spectrum
 from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM, SWIR_NM, VNIR_NM, VNIR_SUB_BANDS_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, irradiance_at

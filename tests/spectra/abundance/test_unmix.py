@@ -43,7 +43,7 @@ from lunarsci.spectra.abundance.powders import (
 )
 from lunarsci.spectra.abundance.result import MineralFraction
 from lunarsci.spectra.abundance.shares import CalibratedShares, Mixed
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(460.0, 2441.0, 20.0)

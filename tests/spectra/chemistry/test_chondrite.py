@@ -12,8 +12,7 @@ from lunarsci.spectra_data import make_chondrite_calibration as script
 
 import lunarsci
 from lunarsci.spectra.bands import measure_batch
-from lunarsci.spectra.chemistry.bands import chemistries
-from lunarsci.spectra.chemistry.chondrite import TABLE, embedded_law
+from lunarsci.spectra.chemistry.bands import TABLE, chemistries, embedded_law
 from lunarsci.spectra.chemistry.plane import regressions
 from lunarsci.spectra.readers import read_spectra
 

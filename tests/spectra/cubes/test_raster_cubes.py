@@ -13,8 +13,8 @@ from lunarsci.spectra.cubes.cube import NO_DATA, SATURATED, Stated
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.vnis.simulation.instrument import simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Scene
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 from .conftest import WAVELENGTHS, spectra, whole
 

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.spectra.library.check import check_library
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember, check_library
 
 GRID = np.arange(450.0, 2451.0, 5.0)
 GOOD = EndMember(

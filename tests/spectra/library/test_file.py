@@ -9,8 +9,8 @@ from astropy.table import Table
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.library.end_member import EndMember, read_library, to_ecsv
 from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.library import EndMember, read_library, to_ecsv
 
 OLIVINE = EndMember(
     "Kiglapait, <45 um", "olivine", np.array([500.0, 600.0, 700.0]), np.array([0.2, 0.3, 0.4]), fo=0.57, max_um=45.0,

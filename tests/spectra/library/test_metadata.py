@@ -7,8 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.library.check import MIXTURE, read_metadata, with_description
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import MIXTURE, EndMember, read_metadata, with_description
 
 
 def told(text: str) -> dict[str, dict[str, object]]:
@@ -37,14 +36,14 @@ def test_modes_and_zeros_as_in_tables_of_mixtures() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("name,mineral\nA,olivine\n", "has no column 'id', only 'name', 'mineral'"),
-        ("id,mineral\n", "a header and no rows"),
-        ("id,mineral\n,olivine\n", "line 2 has no id"),
-        ("id,fo\nA,.9\nA,.8\n", "line 3: 'A' comes twice"),
+        ("name,mineral\nA,olivine\n", "no column 'id' ('name', 'mineral')"),
+        ("id,mineral\n", "0 rows below the header"),
+        ("id,mineral\n,olivine\n", "line 2, column 'id': ''; each row has an id"),
+        ("id,fo\nA,.9\nA,.8\n", "line 3, column 'id': 'A'; each row has an id"),
         ("id,mineral\nA,chalk\n", "line 2: mineral 'chalk' is not known"),
         ("id,fo\nA,rich\n", "line 2, column fo: 'rich' is not a number"),
         ("id,fo\nA,inf\n", "line 2, column fo: 'inf' is not a number"),
-        ("id,fo\nA,.9,1\n", "line 2 has 3 cells, the header 2"),
+        ("id,fo\nA,.9,1\n", "the header has 2 names and the rows 3 fields"),
         ("id,vol_ol\nA,much\n", "line 2, column vol_ol: 'much' is not a number"),
         ('id,fo\n"A,.9\n', "cannot be split into fields"),
         ("\x00\x01\x02", "binary"),

@@ -9,8 +9,17 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.photometry.correction import DISKS, correction_factor, model_spread, remarks
-from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, STANDARD, Geometry, phase_function, read_phase_function
+from lunarsci.spectra.photometry import (
+    DISKS,
+    PHASE_FUNCTIONS,
+    STANDARD,
+    Geometry,
+    correction_factor,
+    model_spread,
+    phase_function,
+    read_phase_function,
+    remarks,
+)
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 SEEN = Geometry(60, 45, 90)

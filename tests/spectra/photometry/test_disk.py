@@ -7,9 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry.correction import (
+from lunarsci.spectra.photometry import (
     DISKS,
     MCEWEN_PHASE_DEG,
+    STANDARD,
+    Geometry,
     akimov,
     disk_function,
     lommel_seeliger,
@@ -17,7 +19,6 @@ from lunarsci.spectra.photometry.correction import (
     mcewen_weight,
     outside,
 )
-from lunarsci.spectra.photometry.phase import STANDARD, Geometry
 
 ANGLE = st.floats(0, 80)
 SEEN = Geometry(60, 45, 90)

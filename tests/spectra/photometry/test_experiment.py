@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lunarsci.spectra.photometry.correction import DISKS, correction_factor
-from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.photometry import DISKS, Geometry, correction_factor, phase_function
 
 CHANNELS = {750.0: (0.997, 0.0892, -0.253, 0.199), 1500.0: (0.714, 0.1238, -0.308, 0.164)}
 ALBEDO = (0.10, 0.12)

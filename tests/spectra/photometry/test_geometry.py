@@ -5,7 +5,7 @@ import math
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry.phase import STANDARD, Geometry
+from lunarsci.spectra.photometry import STANDARD, Geometry
 
 
 def test_the_standard_is_30_0_30() -> None:

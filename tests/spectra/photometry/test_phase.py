@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 from importlib.resources import files
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.photometry.phase import (
+from lunarsci.spectra.photometry import (
     PHASE_FUNCTIONS,
     SelenePhase,
     henyey_greenstein,
@@ -237,35 +238,35 @@ def test_a_table_with_wavelengths() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("30,1\n60,0.5\n", "first column is '30'"),
-        ("angle,f\n30,1\n60,0.5\n", "first column is 'angle'"),
-        ("phase_deg,g\n30,1\n60,0.5\n", "column 'g' is no wavelength"),
-        ("phase_deg,-5\n30,1\n60,0.5\n", "column '-5' is no wavelength"),
-        ("phase_deg,0.75,1.5\n30,1,1\n60,0.5,0.5\n", "0.75 nm; write wavelengths in nm"),
-        ("phase_deg,1500,750\n30,1,1\n60,0.5,0.5\n", "wavelengths in the header do not ascend"),
-        ("phase_deg,750,750\n30,1,1\n60,0.5,0.5\n", "wavelengths in the header do not ascend"),
-        ("phase_deg\n30\n60\n", "first column is 'phase_deg'"),
+        ("30,1\n60,0.5\n", "no column 'phase_deg' ('30', '1')"),
+        ("angle,f\n30,1\n60,0.5\n", "no column 'phase_deg' ('angle', 'f')"),
+        ("phase_deg,g\n30,1\n60,0.5\n", "columns (phase_deg, g) are no"),
+        ("phase_deg,-5\n30,1\n60,0.5\n", "columns (phase_deg, -5) are no"),
+        ("phase_deg,0.75,1.5\n30,1,1\n60,0.5,0.5\n", "columns (phase_deg, 0.75, 1.5) are no"),
+        ("phase_deg,1500,750\n30,1,1\n60,0.5,0.5\n", "ascending wavelengths"),
+        ("phase_deg,750,750\n30,1,1\n60,0.5,0.5\n", "two columns of one name"),
+        ("phase_deg\n30\n60\n", "columns (phase_deg) are no"),
         ("phase_deg,f\n30,1\n", "1 rows below the header"),
         ("phase_deg,f\n", "0 rows below the header"),
         ("# nothing\n", "only comments"),
-        ("phase_deg,f\n60,0.5\n30,1\n", "line 3: phase_deg does not ascend"),
-        ("phase_deg,f\n30,1\n30,1\n60,1\n", "line 3: phase_deg does not ascend"),
+        ("phase_deg,f\n60,0.5\n30,1\n", "line 3, column 'phase_deg': '30'; phase angles ascend"),
+        ("phase_deg,f\n30,1\n30,1\n60,1\n", "line 3, column 'phase_deg': '30'; phase angles ascend"),
         ("phase_deg,f\n40,1\n60,0.5\n", "runs from 40 to 60; it must contain 30"),
         ("phase_deg,f\n10,1\n20,0.5\n", "runs from 10 to 20; it must contain 30"),
-        ("phase_deg,f\n30,1\n60,\n", "line 3, column 'f': f is missing"),
-        ("phase_deg,f\n30,1\n60,nan\n", "line 3, column 'f': f is missing"),
-        ("phase_deg,f\n30,1\n60,0\n", "line 3, column 'f': f is 0; it must be above 0"),
-        ("phase_deg,f\n30,1\n60,-2\n", "f is -2"),
-        ("phase_deg,f\n30,1\n60,inf\n", "f is inf"),
+        ("phase_deg,f\n30,1\n60,\n", "line 3, column 'f': "),
+        ("phase_deg,f\n30,1\n60,nan\n", "line 3, column 'f': "),
+        ("phase_deg,f\n30,1\n60,0\n", "line 3, column 'f': '0'; f is a number above 0"),
+        ("phase_deg,f\n30,1\n60,-2\n", "'-2'; f is"),
+        ("phase_deg,f\n30,1\n60,inf\n", "'inf'; f is"),
         ("phase_deg,f\n30,1\n60,half\n", "line 3, column 'f': 'half' is not a number"),
-        ("phase_deg,f\n-1,1\n60,1\n", "line 2: phase_deg is -1 deg"),
-        ("phase_deg,f\n30,1\n180,1\n", "line 3: phase_deg is 180 deg"),
-        ("phase_deg,f\n,1\n60,1\n", "line 2: phase_deg is missing"),
+        ("phase_deg,f\n-1,1\n60,1\n", "line 2, column 'phase_deg': '-1'; phase angles lie"),
+        ("phase_deg,f\n30,1\n180,1\n", "line 3, column 'phase_deg': '180'; phase"),
+        ("phase_deg,f\n,1\n60,1\n", "line 2, column 'phase_deg': ''; phase"),
         ("phase_deg,f\n30,1\n60,1,2\n", "line 3 has 3 fields"),
     ],
 )
 def test_a_table_that_cannot_be_used(text: str, message: str) -> None:
-    with pytest.raises(DataError, match=message) as raised:
+    with pytest.raises(DataError, match=re.escape(message)) as raised:
         read_phase_function(table(text))
     assert str(raised.value).startswith("mine.csv: ")
     assert "\n" not in str(raised.value)

@@ -17,7 +17,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.photometry import Geometry, phase_function
 from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
@@ -33,8 +33,8 @@ from lunarsci.spectra.vnis.simulation.instrument import (
     scene_radiance,
     simulate,
 )
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import ROCK, Scene, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 Files = dict[str, bytes]
 Write = Callable[[Mapping[str, bytes]], Path]

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.solar import solar_spectrum
-from lunarsci.spectra.vnis.channel_order import displaced_channels, equal_frames, repeated_rows, scale_step
-from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, Detector
+from lunarsci.spectra.vnis.channels import (
+    JOIN_NM,
+    SPLICED_NM,
+    Detector,
+    displaced_channels,
+    equal_frames,
+    repeated_rows,
+    scale_step,
+)
 from lunarsci.spectra.vnis.detector import irradiance_at, outlying
 
 PARTS: tuple[tuple[Detector, slice], ...] = (("vnir", slice(0, 90)), ("swir", slice(90, None)))

@@ -7,9 +7,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.spectra.photometry.phase import Geometry
-from lunarsci.spectra.vnis.label import Label
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.photometry import Geometry
+from lunarsci.spectra.vnis.label import Label, product_name
 from lunarsci.spectra.vnis.observation import LANDING_SITE, SUN_DEG, doubts_of
 from lunarsci.spectra.vnis.splice import usual_gains
 from lunarsci.sun import sun_in_moon_frame, sun_incidence_deg

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import find_parts, one_per_observation, read_observation
 
 Files = dict[str, bytes]

@@ -17,7 +17,7 @@ from lunarsci.spectra.bands import measure_bands
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import constrained, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.photometry.phase import Geometry, PhaseFunction, phase_function
+from lunarsci.spectra.photometry import Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
@@ -27,8 +27,8 @@ from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.label import read_label
 from lunarsci.spectra.vnis.observation import Observation, SwirTable
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 Write = Callable[[Mapping[str, bytes]], Path]
 

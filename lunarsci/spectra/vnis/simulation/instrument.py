@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry.correction import correction_factor
-from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.photometry import Geometry, correction_factor, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum, sun_moon_distance_au
 from lunarsci.spectra.vnis.channels import (
     CUBE_SHAPE,
