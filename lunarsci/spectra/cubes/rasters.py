@@ -45,7 +45,7 @@ from lunarsci.spectra.cubes.cube import (
     sha256_of,
 )
 from lunarsci.spectra.photometry import correction_factor
-from lunarsci.spectra.readers.envi import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
+from lunarsci.spectra.readers.envi import SUFFIX, EnviHeader, data_names, header_names, partner
 from lunarsci.spectra.readers.pds import LABELS, data_file, is_pds_label, label_beside, radiance, read_pds_label
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
 from lunarsci.spectra.rows import number, quoted, separator_of, split_fields, split_lines
@@ -172,8 +172,7 @@ def flat_file(header: EnviHeader, data: str) -> FlatFile:
     lines, samples, bands = (header.whole(key) for key in ("lines", "samples", "bands"))
     if not 0 < lines * samples * bands <= MOST_VALUES:
         raise DataError(f"{header.file}: lines = {lines}, samples = {samples}, bands = {bands} are no image; check it")
-    remedy = "a cube has whole numbers (1, 2, 3, 12, 13, 14, 15) or floats (4, 5); complex ones are no reflectances"
-    dtype = header.dtype(NUMBERS, remedy).str
+    dtype = header.dtype().str
     found = FlatFile(data, dtype, header.whole("header offset", "0"), lines, samples, bands, interleave)
     if (size := Path(data).stat().st_size) != found.bytes:
         what = "shorter" if size < found.bytes else "longer"

@@ -19,6 +19,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength, says_error
+from lunarsci.spectra.readers.likely import LARGE_ERROR
 from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit, only_percent, stated_unit
 from lunarsci.spectra.rows import (
     DECIMAL_COMMA,
@@ -208,8 +209,6 @@ def _by_keys(about: Sequence[str], width: int) -> list[str]:
 
 FEWEST_CHANNELS = 8
 """Wavelengths in a header before its columns are channels; assumed."""
-HARDLY_ERROR = 0.3
-"""Share of the column before it from which a column is hardly its error; that of `likely`, assumed."""
 MOST_COMPARED, SAME = 6, 2e-4
 """Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
 _BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
@@ -379,7 +378,7 @@ def unnamed(
         spectra = list(zip(kept[::2], kept[1::2], strict=True))
         each = ", ".join(f"{sigma.position} of {one.position}" for one, sigma in spectra[:3] if sigma)
         said.append(f"columns without names read as errors: {each}; name the columns to decide otherwise")
-    elif len(kept) == 2 and shares[0] < HARDLY_ERROR:
+    elif len(kept) == 2 and shares[0] < LARGE_ERROR:
         raise DataError(
             f"{source.name}: three columns without names: the third may be a spectrum or a standard deviation; add a "
             "header line such as wavelength_nm,reflectance,reflectance_sigma"

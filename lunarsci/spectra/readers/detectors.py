@@ -11,17 +11,13 @@ from itertools import pairwise
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.spectra.readers.likely import LEAST_STEP, STEP_CHANNELS, STEP_SURE, scatter_of
 from lunarsci.spectra.readers.table import SpectrumTable
 
-LEAST_CHANNELS = 5
-"""Of a detector, as of the splice of VNIS; assumed."""
 MOST_DETECTORS = 4
 """Of a spectrometer; assumed: field spectrometers have two or three."""
 EVEN = 0.25
 """Share by which steps of one detector differ from the one before, at most; assumed."""
-SURE, LEAST = 10.0, 0.01
-"""Errors by which levels of two interleaved grids differ, and least ratio in ln R, before they are two detectors;
-those of steps in `likely`, assumed."""
 
 
 def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
@@ -76,7 +72,7 @@ def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
 
 def _overlap(wavelength_nm: FloatArray, parts: Sequence[IntArray]) -> bool:
     """Whether each of a few detectors begins within the one before it, and ends beyond it."""
-    if not 2 <= len(parts) <= MOST_DETECTORS or min(map(len, parts)) < LEAST_CHANNELS:
+    if not 2 <= len(parts) <= MOST_DETECTORS or min(map(len, parts)) < STEP_CHANNELS:
         return False
     ends = [(wavelength_nm[part[0]], wavelength_nm[part[-1]]) for part in parts]
     return all(a < c <= b < d for (a, b), (c, d) in pairwise(ends))
@@ -105,7 +101,7 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     Where two could follow, the one nearer in value does. What follows evenly beyond the last of the others is theirs.
     """
     steps = np.diff(ascending)
-    if ascending.size < 4 * LEAST_CHANNELS or (steps[1:] >= (1 - EVEN) * steps[:-1]).all():
+    if ascending.size < 4 * STEP_CHANNELS or (steps[1:] >= (1 - EVEN) * steps[:-1]).all():
         return []
     one = _even(ascending, values)
     other = np.setdiff1d(np.arange(ascending.size), one)
@@ -115,7 +111,7 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     low, high = one[one <= end], np.sort(np.concatenate([other, one[one > end]]))
     while low.size > 1 and high.size > 1 and _is_missed(ascending[low[-1]], ascending[high]):
         low, high = low[:-1], np.sort(np.append(high, low[-1]))
-    if low.size < LEAST_CHANNELS or high.size < LEAST_CHANNELS or low[-1] < high[0]:
+    if low.size < STEP_CHANNELS or high.size < STEP_CHANNELS or low[-1] < high[0]:
         return []
     beside = np.diff(ascending[high[: np.searchsorted(high, low[-1]) + 2]])
     return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
@@ -154,7 +150,7 @@ def _differences(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, h
     if not within.size:
         return np.empty(0)
     level = np.log(values[high])
-    spline = CubicSpline(x, level) if x.size > LEAST_CHANNELS else interp1d(x, level)
+    spline = CubicSpline(x, level) if x.size > STEP_CHANNELS else interp1d(x, level)
     return np.asarray(spline(wavelength_nm[within]) - np.log(values[within]))
 
 
@@ -169,12 +165,7 @@ def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, hi
     found = _differences(wavelength_nm, values, low, high)
     if not found.size:
         return False
-    scatter = max(_scatter(values[part]) for part in (low, high))
+    levels = [np.log(values[part][values[part] > 0]) for part in (low, high)]
+    scatter = max(scatter_of(level) if level.size > 2 else np.inf for level in levels)
     error = max(scatter, float(found.std(ddof=1)) if found.size > 1 else 0.0) / found.size**0.5
-    return bool(abs(float(found.mean())) > max(LEAST, SURE * error))
-
-
-def _scatter(values: FloatArray) -> float:
-    """Of ln R from channel to channel, about straight lines between neighbours: 6 variances of it."""
-    level = np.log(values[values > 0])
-    return float(np.median(np.abs(np.diff(level, 2)))) / (0.6745 * 6**0.5) if level.size > 2 else np.inf
+    return bool(abs(float(found.mean())) > max(LEAST_STEP, STEP_SURE * error))

@@ -1,7 +1,8 @@
-"""Headers of ENVI files: `key = value` lines that say how the flat file beside them is laid out.
+"""ENVI spectral libraries, and headers of ENVI files: `key = value` lines that say how the file beside is laid out.
 
 `spectral` reads them too, but leaves values that the header ignores as they are, scaled, and stops with an error of
-Python at a file of another size; GDAL reads no libraries (`docs/validation/files.md`).
+Python at a file of another size; GDAL reads no libraries, and is an extra (`docs/validation/files.md`). The numbers
+are read by numpy.
 """
 
 import re
@@ -28,8 +29,7 @@ from lunarsci.spectra.readers.table import (
 from lunarsci.spectra.rows import number, quoted
 
 SUFFIX = ".hdr"
-FLOATS = {"4": "f4", "5": "f8"}
-NUMBERS = {"1": "u1", "2": "i2", "3": "i4", **FLOATS, "12": "u2", "13": "u4", "14": "i8", "15": "u8"}
+NUMBERS = {"1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "12": "u2", "13": "u4", "14": "i8", "15": "u8"}
 """Codes of `data type`, as NV5's manual of ENVI header files lists them, without the complex ones (6 and 9)."""
 _ORDERS = {"0": "<", "1": ">"}
 _UNKNOWN_UNITS = {"", "unknown", "unspecified", "none", "index", "n/a"}
@@ -51,55 +51,38 @@ class EnviHeader:
     def whole(self, key: str, default: str | None = None) -> int:
         """A whole number. Raises DataError where it is none, or missing without a default."""
         text = self.fields.get(key, default)
-        if text is None:
-            raise DataError(f"{self.file}: has no '{key}'; complete the header or fetch it again")
-        if not re.fullmatch(r"[0-9]{1,12}", text):
-            raise DataError(f"{self.file}: '{key}' is {quoted(text)}, no whole number; correct the header")
+        if text is None or not re.fullmatch(r"[0-9]{1,12}", text):
+            what = "missing" if text is None else f"{quoted(text)}, no whole number"
+            raise DataError(f"{self.file}: '{key}' is {what}; correct the header or fetch it again")
         return int(text)
 
     def number(self, key: str) -> float | None:
         """A number, None where there is no such key. Raises DataError for another text."""
-        text = self.fields.get(key)
-        if text is None:
-            return None
-        value = number(text)
-        if value is None:
-            raise DataError(f"{self.file}: '{key}' is {quoted(text)}, no number; correct the header")
-        return value
+        found = self.numbers(key, 1, "one")
+        return None if found is None else float(found[0])
 
     def numbers(self, key: str, count: int, of: str) -> FloatArray | None:
         """As many numbers as `of` says, (count,), None where there is no such key. Raises DataError for others."""
-        if key not in self.fields:
-            return None
-        cells = self.cells(key)
+        cells = self.cells(key) if key in self.fields else []
         values = [number(cell) for cell in cells]
-        wrong = next((cell for cell, value in zip(cells, values, strict=True) if value is None), None)
-        if wrong is not None:
-            raise DataError(f"{self.file}: {quoted(wrong)} in '{key}' is no number; correct the header")
-        self.count(values, count, key, of)
-        return np.array(values, dtype=float)
+        if key in self.fields and (None in values or len(values) != count):
+            odd = f"{quoted(cells[values.index(None)])} in '{key}' is no number" if None in values else ""
+            what = odd or f"{len(cells)} '{key}' for {of} = {count}"
+            raise DataError(f"{self.file}: {what}; correct the header")
+        return np.array(values, dtype=float) if key in self.fields else None
 
     def cells(self, key: str) -> list[str]:
         """What commas part; one at the end parts nothing."""
         cells = [cell.strip() for cell in self.fields[key].split(",")]
         return cells[:-1] if cells and not cells[-1] else cells
 
-    def count(self, found: Sequence[object], wanted: int, what: str, of: str) -> None:
-        """Raises DataError where there are more or fewer of something than the header says elsewhere."""
-        if len(found) != wanted:
-            why = " (a comma in a name?)" if what == "spectra names" else ""
-            raise DataError(f"{self.file}: {len(found)} '{what}' for {of} = {wanted}{why}; correct the header")
-
-    def dtype(self, types: Mapping[str, str], remedy: str) -> np.dtype[np.generic]:
-        """Type and byte order of the numbers, one of `types`. Raises DataError for another."""
+    def dtype(self) -> np.dtype[np.generic]:
+        """Type and byte order of the numbers. Raises DataError for others than `NUMBERS`."""
         kind, order = self.fields.get("data type", ""), self.fields.get("byte order", "0")
-        if kind not in types:
-            raise DataError(f"{self.file}: 'data type' is {quoted(kind)}; {remedy}")
-        if order not in _ORDERS:
-            raise DataError(
-                f"{self.file}: 'byte order' is {quoted(order)}; it must be 0 (little-endian) or 1 (big-endian)"
-            )
-        return np.dtype(_ORDERS[order] + types[kind])
+        if kind not in NUMBERS or order not in _ORDERS:
+            rule = f"real numbers are {', '.join(NUMBERS)}, the order is 0 (little-endian) or 1 (big-endian)"
+            raise DataError(f"{self.file}: 'data type' is {quoted(kind)} and 'byte order' {quoted(order)}; {rule}")
+        return np.dtype(_ORDERS[order] + NUMBERS[kind])
 
     def wavelength_unit(self) -> str | None:
         """Unit of the wavelengths, None where the header has none. Raises DataError for another that is not read."""
@@ -244,10 +227,10 @@ def _size(header: EnviHeader) -> tuple[int, int]:
         remedy = "give a library; of an image, `lunarsci spectra map` makes maps and takes spectra out"
         raise DataError(f"{file}: is an ENVI header {is_what}, not of an 'ENVI Spectral Library'; {remedy}")
     channels, spectra = header.whole("samples"), header.whole("lines")
-    if header.whole("bands", "1") != 1:
-        raise DataError(f"{file}: has bands = {header.fields['bands']}; a spectral library has 1")
-    if channels < 1 or spectra < 1 or channels * spectra > _MOST_VALUES:
-        raise DataError(f"{file}: samples = {channels} and lines = {spectra} are no possible library; check the header")
+    bands = header.whole("bands", "1")
+    if bands != 1 or channels < 1 or spectra < 1 or channels * spectra > _MOST_VALUES:
+        size = f"samples = {channels}, lines = {spectra} and bands = {bands}"
+        raise DataError(f"{file}: {size} are no possible library, which has 1 band; check the header")
     return channels, spectra
 
 
@@ -258,13 +241,15 @@ def _names(header: EnviHeader, spectra: int) -> tuple[str, ...]:
     if not any(names):
         return ("",) * spectra
     names = names[:-1] if len(names) == spectra + 1 and not names[-1] else names
-    header.count(names, spectra, "spectra names", "lines")
+    if len(names) != spectra:
+        what = f"{len(names)} 'spectra names' for lines = {spectra} (a comma in a name?)"
+        raise DataError(f"{header.file}: {what}; correct the header")
     return tuple(names)
 
 
 def _values(data: InputFile, header: EnviHeader, shape: tuple[int, int]) -> np.ndarray[Any, Any]:
     """Numbers of every record as they are stored, (spectra, channels)."""
-    dtype = header.dtype(NUMBERS, "a library holds real numbers: 1 to 5 or 12 to 15")
+    dtype = header.dtype()
     offset = header.whole("header offset", "0")
     wanted = offset + shape[0] * shape[1] * dtype.itemsize
     if len(data.data) != wanted:

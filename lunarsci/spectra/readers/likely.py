@@ -11,19 +11,21 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import NORMAL_MAD, BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError
 from lunarsci.heights.no_data import far_ends
 from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.collection import SpectrumRows
+from lunarsci.spectra.noise import SECOND_DIFFERENCE
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 
 DELETED_BELOW = -1e30
 """ENVI and USGS write -1.23e34 for a deleted channel (Kokaly et al. 2017, 10.3133/ds1035); no reflectance is near."""
 FAR = 9.0
 """Times the largest of the others by which a number that is none of them lies beyond it; assumed."""
-FEWEST_OTHERS = 10
-"""Numbers beside one that repeats, and that could be a reflectance by its size, before it is a marker; assumed."""
+FEWEST = 10
+"""Usable channels of a spectrum that is judged at all, and numbers beside one that repeats before that marks no data
+though it could be a reflectance; assumed."""
 MOST_MARKERS = 3
 """Different markers of a file; assumed."""
 _AT_ONCE = 256
@@ -48,7 +50,7 @@ def markers_of(values: FloatArray) -> list[float]:
         parts = (left[block.start : block.stop] for block in spans(len(left), _AT_ONCE))
         new = {
             one.value for part in parts for one in far_ends(part, FAR, from_zero=True)
-            if abs(one.value) > MAX_PERCENT or (one.repeats > 1 and one.others >= FEWEST_OTHERS)
+            if abs(one.value) > MAX_PERCENT or (one.repeats > 1 and one.others >= FEWEST)
         }  # fmt: skip
         if not new:
             break
@@ -88,8 +90,6 @@ LONE_STEP = 0.5
 channel of 560 measured spectra of the Moon, of meteorites and minerals does. [-]"""
 IN_STEPS = 10.0
 """And by how many median steps between neighbours, so that noise is not taken for single channels; assumed. [-]"""
-FEWEST = 10
-"""Usable channels of a spectrum that is judged at all."""
 TOO_SMOOTH = 5.0
 """Times the scatter from channel to channel that errors are, in the median, before it is said that they cannot be
 independent; assumed. Measured: 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard
@@ -98,11 +98,9 @@ STEP_CHANNELS, STEP_SURE, LEAST_STEP = 5, 10.0, 0.01
 """Channels on either side of a step, errors by which straight lines through them miss each other, and the least ratio
 by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one (7.9 at most), and steps of 3 % at
 1000 nm and -3 % at 1400 nm put into them are found in 67 and 76 %, nine in ten where channels are 5 nm apart."""
-STEP_SHARE, STEP_BESIDE, STEP_GAP = 0.6, 0.35, 3.0
-"""Least share of a step that lies between two channels, the most that lies between those beside them, and how many
-times the median channel distance they are apart at most; assumed."""
-MOST_STEPS = 2
-"""Steps of a spectrum: field spectrometers have three detectors at most; assumed."""
+STEP_GAP, MOST_STEPS = 3.0, 2
+"""Median channel distances that the two channels are apart at most, and steps of a spectrum; assumed, as field
+spectrometers have three detectors at most."""
 SAID = {
     "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",
     "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; if "
@@ -153,8 +151,9 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
     odd = {"large_error": large, "bright": bright, "constant": lowest == highest}
     judged = {name: enough & each for name, each in odd.items()}
     if sigma is not None:
+        each = [(v[u], s[u]) for v, u, s in zip(values, usable, sigma, strict=True)]
         judged["smooth"] = np.array(
-            [n and _smooth(v[u], s[u]) for n, v, u, s in zip(enough, values, usable, sigma, strict=True)]
+            [n and 0 < TOO_SMOOTH * scatter_of(v) < np.median(s) for n, (v, s) in zip(enough, each, strict=True)], bool
         )
     return judged
 
@@ -253,20 +252,13 @@ def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, Float
     share = 2.0 / size + (at - middle[low]) ** 2 / spread[low] + (at - middle[high]) ** 2 / spread[high]
     variance = (left_over[:, low] + left_over[:, high]) / (2 * size - 4)
     usual = np.median(variance, axis=1, keepdims=True)
-    apart, rise = np.diff(place_nm), np.diff(level, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         sure = np.abs(step) / np.sqrt(np.maximum(variance, usual) * share)
-        inner = (rise[:, edge] - 0.5 * (slope[:, low] + slope[:, high]) * apart[edge]) / step
-        beside = np.maximum(
-            np.abs(rise[:, edge - 1] - slope[:, low] * apart[edge - 1]),
-            np.abs(rise[:, edge + 1] - slope[:, high] * apart[edge + 1]),
-        ) / np.abs(step)
-    good = (np.abs(step) > LEAST_STEP) & (np.abs(inner - 1.1) < 1.1 - STEP_SHARE) & (beside < STEP_BESIDE)
-    good &= apart[edge] < STEP_GAP * float(np.median(apart))
+    apart = np.diff(place_nm)
+    good = (np.abs(step) > LEAST_STEP) & (apart[edge] < STEP_GAP * float(np.median(apart)))
     return np.where(good, sure, 0.0), step
 
 
-def _smooth(values: FloatArray, sigma: FloatArray) -> bool:
-    """Whether errors are far larger than the scatter about straight lines between neighbours: 6 variances of it."""
-    scatter = float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * 6**0.5)
-    return 0 < scatter * TOO_SMOOTH < float(np.median(sigma))
+def scatter_of(values: FloatArray) -> float:
+    """Of three channels or more, about straight lines between their neighbours: 6 variances of one. [as values]"""
+    return float(np.median(np.abs(np.diff(values, 2)))) * NORMAL_MAD / SECOND_DIFFERENCE

@@ -2,9 +2,11 @@
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from lunarsci.errors import DataError, ParameterError
@@ -65,36 +67,27 @@ def product_name(path: str) -> ProductName | None:
     if match is None:
         return None
     part = {key: (value or "").upper() for key, value in match.groupdict().items()}
-    return ProductName(
-        mission=part["mission"],
-        instrument=part["instrument"],
-        kind=part["kind"],
-        role=part["role"],
-        start=part["start"],
-        stop=part["stop"],
-        sequence=part["sequence"],
-        version=part["version"],
-        level=part["level"],
-        is_label=part["label"] == "L",
-        synthetic=bool(part["synthetic"]),
-    )
+    texts = {
+        key: part[key] for key in ("mission", "instrument", "kind", "role", "start", "stop", "sequence", "version")
+    }
+    return ProductName(**texts, level=part["level"], is_label=part["label"] == "L", synthetic=bool(part["synthetic"]))
 
 
 def check_supported(name: ProductName, file: str) -> None:
     """Raise DataError, with the reason, for products whose layout is not known well enough to read them."""
+    why = ""
     if name.instrument == "LMS":
-        why = "the wavelengths of its table are not part of the product and not published with it"
-        raise DataError(f"{file}: lunar mineralogical spectrometer (LMS): {why}; convert it to CSV with wavelengths")
-    if name.mission != "CE4":
-        why = "its attached labels do not describe the data"
-        raise DataError(f"{file}: VNIS of {name.mission}: {why}; only Chang'E-4 is read, convert it to CSV")
-    if name.level != "2B":
-        raise DataError(f"{file}: is level {name.level}, radiance is in level 2B; fetch the file ending in .2B")
-    if name.kind not in ("VD", "SD") or name.role == "CAL":
-        raise DataError(f"{file}: is the product {name.kind}, not an image cube VD or a table SD; name one of these")
+        why = "of the lunar mineralogical spectrometer (LMS), whose wavelengths are not published; convert it to CSV"
+    elif name.mission != "CE4":
+        why = f"VNIS of {name.mission}, whose labels do not describe it: only Chang'E-4 is read; convert it to CSV"
+    elif name.level != "2B":
+        why = f"level {name.level}, radiance is in level 2B; fetch the file ending in .2B"
+    elif name.kind not in ("VD", "SD") or name.role == "CAL":
+        why = f"the product {name.kind}, not an image cube VD or a table SD; name one of these"
+    if why:
+        raise DataError(f"{file}: is {why}")
 
 
-_REMEDY = "fetch it again"
 _ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")
 _PHASE_TOLERANCE_DEG = 2.0
 """Labels of observation 136 agree with their own directions to 0.02 deg; what is tolerated is assumed."""
@@ -102,6 +95,7 @@ _YEARS = (2013, 2100)
 """No VNIS flew before Chang'E-3."""
 _LONGEST = timedelta(hours=3)
 """An observation takes about eight minutes; assumed."""
+_WHOLE = re.compile(r"[0-9]{0,15}")
 _UNSCALED = {"scaling_factor": 1.0, "value_offset": 0.0, "offset": 0.0}
 
 
@@ -156,11 +150,9 @@ def read_label(source: InputFile) -> Label:
         found = root.tag[:40]
         raise DataError(f"{source.name}: is no PDS4 product label (root element '{found}'); name the .2BL file")
     start, stop = (_time(root, f".//time_coordinates/{key}_date_time", source.name) for key in ("start", "stop"))
-    if stop < start:
-        raise DataError(f"{source.name}: the measurement stops before it starts; correct the label or fetch it again")
-    if stop - start > _LONGEST:
-        hours = (stop - start).total_seconds() / 3600
-        raise DataError(f"{source.name}: the measurement lasts {hours:.1f} hours, it takes minutes; correct the label")
+    if not timedelta() <= stop - start <= _LONGEST:
+        ends = f"from {start:%Y-%m-%dT%H:%M} to {stop:%Y-%m-%dT%H:%M}"
+        raise DataError(f"{source.name}: was measured {ends}; it takes minutes, correct the label or fetch it again")
     return Label(
         file=source.name,
         name=_name(root, source.name),
@@ -180,21 +172,13 @@ def _name(root: Element, file: str) -> ProductName:
         root, ".//identification_area/logical_identifier", file
     )
     inside = product_name(text.rpartition(":")[2]) if text else None
+    outside, sequence = product_name(file), _text(root, ".//mission_area/sequence_id", file)
     if inside is None:
         raise DataError(f"{file}: its product id {text[:80]!r} is no VNIS product name; fetch the label again")
-    outside = product_name(file)
-    if outside is not None and (inside.observation, inside.kind) != (outside.observation, outside.kind):
-        raise DataError(
-            f"{file}: describes the {inside.kind} product of {inside.observation}, its name says {outside.kind} of "
-            f"{outside.observation}; labels were swapped or renamed, fetch them again"
-        )
-    if outside is not None and replace(outside, is_label=False) != inside:
-        raise DataError(
-            f"{file}: describes {text[:100]!r}, a product of another version, level or session; fetch it again"
-        )
-    sequence = _text(root, ".//mission_area/sequence_id", file)
-    if sequence and sequence.zfill(4) != inside.sequence:
-        raise DataError(f"{file}: states sequence {sequence[:20]}, its product id {inside.sequence}; fetch it again")
+    same = outside is None or replace(outside, is_label=False) == inside
+    if not same or (sequence and sequence.zfill(4) != inside.sequence):
+        number = f" in sequence {sequence[:20]}" if same else ""
+        raise DataError(f"{file}: describes {text[:100]!r}{number}: swapped or another version; fetch it again")
     return inside
 
 
@@ -203,18 +187,14 @@ def _geometry(root: Element, file: str) -> Geometry:
     view = ".//angle_pointing_results/center_point/{}"
     incidence = _angle(root, sun.format("incidence_angle"), file)
     emission, azimuth, phase = (_angle(root, view.format(key), file) for key in _ANGLES)
-    if incidence >= 90:
-        raise DataError(f"{file}: the Sun stands {incidence:g} deg from the zenith, below the horizon; nothing is lit")
     try:
         geometry = Geometry(incidence, emission, phase)
     except ParameterError as error:
         raise DataError(f"{file}: {error}") from error
     expected = phase_angle_deg(incidence, emission, azimuth - _angle(root, sun.format("azimuth_angle"), file))
     if abs(expected - phase) > _PHASE_TOLERANCE_DEG:
-        raise DataError(
-            f"{file}: states a phase angle of {phase:g} deg, its directions of Sun and view give {expected:.1f}; "
-            "one of them is wrong, correct the label"
-        )
+        what = f"states a phase angle of {phase:g} deg, its directions of Sun and view give {expected:.1f}"
+        raise DataError(f"{file}: {what}; one of them is wrong, correct the label")
     return geometry
 
 
@@ -272,44 +252,45 @@ def _text(root: Element, path: str, file: str) -> str:
     return (found[0].text or "").strip() if found else ""
 
 
-def _count(root: Element, path: str, file: str) -> int | None:
+def _parsed(root: Element, path: str, file: str, parse: Callable[[str], Any], what: str) -> Any:
+    """What the text at a path says. Raises DataError where `parse` gives None."""
     text = _text(root, path, file)
-    if not text:
-        return None
-    if not (text.isascii() and text.isdigit()) or len(text) > 15:
-        raise DataError(f"{file}: {path.rpartition('/')[2]} is {text[:40]!r}, not a count; fetch the label again")
-    return int(text)
-
-
-def _number(root: Element, path: str, file: str) -> float:
-    text, what = _text(root, path, file), path.lstrip("./")
-    if not text:
-        raise DataError(f"{file}: the label lacks {what}; fetch it again")
-    value = number(text)
-    if value is None or not math.isfinite(value):
-        raise DataError(f"{file}: {what} is {text[:40]!r}, not a number; correct the label or fetch it again")
+    if (value := parse(text)) is None:
+        found = f"is {text[:40]!r}, not {what}" if text else "is missing"
+        raise DataError(f"{file}: {path.lstrip('./')} {found}; correct the label or fetch it again")
     return value
 
 
+def _count(root: Element, path: str, file: str) -> int | None:
+    text = str(_parsed(root, path, file, lambda text: text if _WHOLE.fullmatch(text) else None, "a count"))
+    return int(text) if text else None
+
+
+def _number(root: Element, path: str, file: str) -> float:
+    return float(_parsed(root, path, file, _finite, "a number"))
+
+
+def _finite(text: str) -> float | None:
+    value = number(text)
+    return value if value is not None and math.isfinite(value) else None
+
+
 def _angle(root: Element, path: str, file: str) -> float:
-    value = _number(root, path, file)
-    found = root.find(path)
-    unit = "" if found is None else found.get("unit", "deg").strip().lower()
+    value, element = _number(root, path, file), root.find(path)
+    unit = "" if element is None else element.get("unit", "deg").strip().lower()
     if unit not in ("deg", "degree", "degrees", "°", ""):
         raise DataError(f"{file}: {path.lstrip('./')} is in {unit[:20]!r}, expected degrees; correct the label")
     return value
 
 
 def _time(root: Element, path: str, file: str) -> datetime:
-    text = _text(root, path, file)
+    moment: datetime = _parsed(root, path, file, _moment, "a time such as 2020-07-16T08:17:04Z")
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+
+
+def _moment(text: str) -> datetime | None:
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise DataError(
-            f"{file}: {path.lstrip('./')} is {text[:40]!r}, not a time such as 2020-07-16T08:17:04Z"
-        ) from error
-    if not _YEARS[0] <= moment.year < _YEARS[1]:
-        raise DataError(
-            f"{file}: {path.lstrip('./')} is in the year {moment.year}; correct the label or fetch it again"
-        )
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except ValueError:
+        return None
+    return moment if _YEARS[0] <= moment.year < _YEARS[1] else None

@@ -145,7 +145,7 @@ def test_wavelengths_from_a_table(envi: Any, tmp_path: Path) -> None:
         ({"band_names": "{" + ", ".join(f"MNF {k}" for k in range(1, 86)) + "}"}, "is a rotated component"),
         ({"file_type": "ENVI Classification"}, "no image of spectra"),
         ({"interleave": "bsx"}, "'interleave' is 'bsx'"),
-        ({"data_type": 6}, "complex ones are no reflectances"),
+        ({"data_type": 6}, "real numbers are 1, 2"),
         ({"lines": 7}, "shorter than the"),
         ({"lines": 5}, "longer than the"),
         ({"samples": 0}, "are no image"),
