@@ -13,6 +13,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.collection import alike_channels
 from lunarsci.spectra.noise import scatter_noise_rows
 from lunarsci.spectra.spectrum import LARGEST_SMOOTH_NM, smoothing_operator
 
@@ -266,7 +267,7 @@ class IndexColumn:
         value, sigma, between, calibration = (np.full(size, np.nan) for _ in range(4))
         return cls(value, sigma, between, calibration, np.full(size, NO_CHANNELS, np.int8))
 
-    def take(self, other: "IndexColumn", rows: Sequence[int]) -> None:
+    def take(self, other: "IndexColumn", rows: Sequence[int] | IntArray) -> None:
         """Put another column's spectra into these rows."""
         for name in ("value", "sigma", "interpolation", "calibration", "status"):
             getattr(self, name)[rows] = getattr(other, name)
@@ -302,7 +303,7 @@ def index_arrays(
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(values) & (values > 0)
     found = {name: IndexColumn.empty(len(values)) for name in names}
-    for rows, channels in _alike(usable):
+    for channels, rows in alike_channels(usable):
         if channels.sum() < 2:
             continue
         own = values[np.ix_(rows, channels)]
@@ -314,15 +315,6 @@ def index_arrays(
         for name in names:
             group.into(found[name], rows, INDICES[name])
     return found
-
-
-def _alike(usable: BoolArray) -> list[tuple[IntArray, BoolArray]]:
-    """Numbers of the rows that have the same usable channels, and these."""
-    if usable.all():
-        return [(np.arange(len(usable)), usable[0])] if len(usable) else []
-    kinds, kind = np.unique(np.packbits(usable, axis=1), axis=0, return_inverse=True)
-    rows = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
-    return [(own, usable[own[0]]) for own in rows]
 
 
 @dataclass(slots=True, eq=False)

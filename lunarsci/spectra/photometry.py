@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import acos, atan2, cos, degrees, isfinite, pi, pow, radians, sin
-from typing import Protocol
 
 import numpy as np
 
@@ -89,39 +88,35 @@ _SHORTEST_NM = 100.0
 """Below it a wavelength is one in um; assumed."""
 
 
-class PhaseFunction(Protocol):
+class PhaseFunction:
     """f(g) relative to the standard geometry, at the wavelengths asked for."""
 
-    @property
-    def name(self) -> str:
-        """How results call it."""
-
-    @property
-    def source(self) -> str:
-        """What to cite, or the file it came from."""
+    name: str
+    """How results call it."""
+    source: str
+    """What to cite, or the file it came from."""
 
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """ln f(g) / f(30 deg), shape of `wavelength_nm`. [-]"""
+        raise NotImplementedError
 
     def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """What ln R would gain where the curve went on beyond its last wavelengths instead of being held there. [-]"""
+        return np.zeros(np.shape(wavelength_nm))
 
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """What to know when it is used beyond where it was established; '' within."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class FlatPhase:
+class FlatPhase(PhaseFunction):
     """f = 1: the disk function alone."""
 
     name: str = "flat"
     source: str = "none: f = 1"
 
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
-        """Zeros, shape of `wavelength_nm`. [-]"""
-        return np.zeros(np.shape(wavelength_nm))
-
-    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """Zeros, shape of `wavelength_nm`. [-]"""
         return np.zeros(np.shape(wavelength_nm))
 
@@ -133,7 +128,7 @@ class FlatPhase:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SelenePhase:
+class SelenePhase(PhaseFunction):
     """Phase function of one albedo group of the Moon from the SELENE (Kaguya) Spectral Profiler.
 
     The tabulated parameters scatter from channel to channel and jump between detectors (944/955 nm) and where the table
@@ -192,7 +187,7 @@ class SelenePhase:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TablePhase:
+class TablePhase(PhaseFunction):
     """A tabulated phase function, linear in ln f between its nodes, its edge values held beyond them.
 
     Attributes
@@ -216,10 +211,6 @@ class TablePhase:
         if self.wavelength_nm.size == 0:
             return np.full(np.shape(wavelength_nm), (at - standard)[0])
         return np.asarray(np.interp(wavelength_nm, self.wavelength_nm, at - standard), dtype=np.float64)
-
-    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
-        """0: nothing is known beyond a table's wavelengths. [-]"""
-        return np.zeros(np.shape(wavelength_nm))
 
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside the table, and the count of channels beyond its wavelengths."""

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.tables import table_rows
+from lunarsci.spectra.spectrum import channel_arrays
 from lunarsci.sun import sun_from_moon_au
 
 _LIGHT_TIME_S = 499.0
@@ -82,18 +83,11 @@ class SolarSpectrum:
     source: str
 
     def __post_init__(self) -> None:
-        wavelength = np.array(self.wavelength_nm, dtype=float)
-        irradiance = np.array(self.irradiance, dtype=float)
-        if wavelength.ndim != 1 or wavelength.size < 2 or irradiance.shape != wavelength.shape:
-            raise DataError(f"{self.name}: a solar spectrum needs two or more wavelengths with one irradiance each")
-        for what, values in (("a wavelength", wavelength), ("an irradiance", irradiance)):
-            if not (np.isfinite(values).all() and (values > 0).all()):
-                raise DataError(f"{self.name}: {what} is missing or not above 0; correct or delete that row")
-        if not (np.diff(wavelength) > 0).all():
-            raise DataError(f"{self.name}: wavelengths are not strictly ascending; sort them and keep one row each")
-        for attribute, values in (("wavelength_nm", wavelength), ("irradiance", irradiance)):
-            values.setflags(write=False)
-            object.__setattr__(self, attribute, values)
+        wavelength, irradiance = channel_arrays(self.name, self.wavelength_nm, self.irradiance)
+        if wavelength.size < 2 or not (np.isfinite(irradiance).all() and (irradiance > 0).all()):
+            raise DataError(f"{self.name}: fewer than two wavelengths, or an irradiance is missing or not above 0")
+        object.__setattr__(self, "wavelength_nm", wavelength)
+        object.__setattr__(self, "irradiance", irradiance)
 
 
 @cache

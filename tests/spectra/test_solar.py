@@ -106,9 +106,9 @@ def test_an_unknown_standard_lists_the_known(ask: Callable[[str], object]) -> No
 @pytest.mark.parametrize(
     ("wavelength", "irradiance", "what"),
     [
-        ([500.0], [1.0], "two or more"),
-        ([500.0, 501.0], [1.0], "one irradiance each"),
-        ([500.0, np.nan], [1.0, 1.0], "a wavelength is missing"),
+        ([500.0], [1.0], "fewer than two"),
+        ([500.0, 501.0], [1.0], "shapes"),
+        ([500.0, np.nan], [1.0, 1.0], "not finite"),
         ([500.0, 501.0], [1.0, 0.0], "an irradiance is missing or not above 0"),
         ([500.0, 500.0], [1.0, 1.0], "ascending"),
         ([501.0, 500.0], [1.0, 1.0], "ascending"),

@@ -27,7 +27,7 @@ def test_arrays_cannot_be_changed_afterwards() -> None:
         ([500, 400], [0.1, 0.1], None, "ascending"),
         ([500, 500], [0.1, 0.1], None, "ascending"),
         ([0, 500], [0.1, 0.1], None, "above 0"),
-        ([np.nan, 500], [0.1, 0.1], None, "missing"),
+        ([np.nan, 500], [0.1, 0.1], None, "finite"),
         ([400, 500], [0.1], None, "shape"),
         ([400, 500], [0.1, 0.1], [0.01, 0.0], "uncertainty"),
         ([400, 500], [0.1, 0.1], [0.01], "shape"),

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -140,7 +140,7 @@ class MapFile:
             for rows, arrays in blocks:
                 for layer in self.layers:
                     values = file.variables[layer.name]
-                    values[rows.start : rows.stop] = _stored(arrays[layer.name], self.dtype(layer))
+                    values[rows.start : rows.stop] = np.ascontiguousarray(arrays[layer.name], self.dtype(layer))
 
     def _geotiff(self, path: Path, blocks: Iterable[Block]) -> None:
         try:
@@ -190,10 +190,6 @@ def _as_float(values: npt.NDArray[Any], layer: Layer) -> FloatArray:
     if layer.meanings and not layer.bits:
         found[values == NO_CODE] = np.nan
     return found
-
-
-def _stored(values: npt.NDArray[Any], dtype: str) -> npt.NDArray[Any]:
-    return np.ascontiguousarray(values, dtype=dtype)
 
 
 def _netcdf_layer(file: Any, layer: Layer, dtype: str, dims: tuple[str, str], links: Mapping[str, str]) -> None:
@@ -298,7 +294,7 @@ LONG_HOURS = 1 / 60
 """What takes longer is said before it begins."""
 
 
-class Product(Protocol):
+class Product:
     """Some layers that are measured together; it goes to other processes, so it is small."""
 
     name: ClassVar[str]
@@ -306,24 +302,29 @@ class Product(Protocol):
     @property
     def slow(self) -> bool:
         """Whether it works on one spectrum after the other."""
+        return False
 
     @property
     def layers(self) -> Sequence[Layer]:
         """What it measures."""
+        return ()
 
     @property
     def tables(self) -> Sequence[str]:
         """Tables of lunarsci that it reads."""
+        return ()
 
     @property
     def sources(self) -> Sequence[str]:
         """What to cite."""
+        return ()
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: IntArray) -> Mapping[str, Any]:
         """Each layer, (n,), of spectra (n, c) with NaN in channels that cannot be used.
 
         `places` are the line and the sample of each in the map, (n, 2).
         """
+        raise NotImplementedError
 
 
 def fetched(cube: Cube, region: Region, rows: range) -> dict[str, Any]:

@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
 from lunarsci.constants import SMOOTHING
 from lunarsci.errors import DataError, Failure, RequestError
 from lunarsci.io.records import Codes, Records
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.indices import INDICES, NO_CHANNELS, STATUSES, IndexColumn, index_arrays
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
-from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,8 +124,11 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
         raise RequestError(f"`index` {unknown[0]}: there are {', '.join(INDICES)}")
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     found = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
-    for rows, columns in _measured(batch.spectra, names, asked.smooth_nm):
-        for name, column in columns.items():
+    for rows in batch.spectra.alike():
+        alike = batch.spectra.taken(rows).arrays()
+        shifts = {str(k): alike.shifts[:, k] for k in range(alike.shifts.shape[1])}
+        how: dict[str, Any] = {"names": names, "smooth_nm": asked.smooth_nm, "shifts": shifts}
+        for name, column in index_arrays(alike.wavelength_nm, alike.reflectance, alike.sigma, **how).items():
             found[name].take(column, rows)
     if all((column.status == NO_CHANNELS).all() for column in found.values()):
         needs = sorted({round(nm) for name in names for nm in INDICES[name].wavelengths_nm})
@@ -136,22 +137,3 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
             f"{needs[-1]} nm, with channels at most 60 nm apart"
         )
     return FoundIndices(batch, found)
-
-
-def _measured(
-    spectra: Sequence[Spectrum], names: Sequence[str], smooth_nm: float
-) -> Iterator[tuple[list[int], dict[str, IndexColumn]]]:
-    """Numbers of spectra on the same channels, and their indices."""
-
-    groups: dict[Any, list[int]] = {}
-    for number, item in enumerate(spectra):
-        key = (item.wavelength_nm.tobytes(), item.uncertainty is None, tuple(item.systematic))
-        groups.setdefault(key, []).append(number)
-    for rows in groups.values():
-        own = [spectra[number] for number in rows]
-        values = np.array([np.where(item.usable, item.reflectance, np.nan) for item in own])
-        sigma: FloatArray | None = None
-        if own[0].uncertainty is not None:
-            sigma = np.array([item.uncertainty for item in own])
-        shifts = {name: np.array([item.systematic[name] for item in own]) for name in own[0].systematic}
-        yield rows, index_arrays(own[0].wavelength_nm, values, sigma, names=names, smooth_nm=smooth_nm, shifts=shifts)

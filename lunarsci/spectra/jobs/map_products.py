@@ -76,11 +76,10 @@ _BAND_COLUMNS = {
 
 
 @dataclass(frozen=True, slots=True)
-class BandsProduct:
+class BandsProduct(Product):
     """The 1 and 2 um bands, as `lunarsci.bands` measures them."""
 
     name: ClassVar[str] = "bands"
-    slow: ClassVar[bool] = False
     continuum: Any
     smooth_nm: float
 
@@ -105,10 +104,6 @@ class BandsProduct:
         return found
 
     @property
-    def tables(self) -> Sequence[str]:
-        return ()
-
-    @property
     def sources(self) -> Sequence[str]:
 
         return (PAPER, SMOOTHING)
@@ -127,11 +122,10 @@ class BandsProduct:
 
 
 @dataclass(frozen=True, slots=True)
-class IndicesProduct:
+class IndicesProduct(Product):
     """Spectral indices, as `lunarsci.indices` computes them."""
 
     name: ClassVar[str] = "indices"
-    slow: ClassVar[bool] = False
 
     @classmethod
     def of(cls, request: MapRequest) -> "IndicesProduct":
@@ -148,10 +142,6 @@ class IndicesProduct:
             found.append(Layer(f"{name}_interpolation", "what another interpolation of channels differs by", unit))
             found.append(Layer(f"{name}_status", f"whether there is {index.title}", meanings=STATUSES))
         return found
-
-    @property
-    def tables(self) -> Sequence[str]:
-        return ()
 
     @property
     def sources(self) -> Sequence[str]:
@@ -180,11 +170,10 @@ CONTEST = ORIGINS.index("contest")
 
 
 @dataclass(frozen=True, slots=True)
-class FitProduct:
+class FitProduct(Product):
     """The Modified Gaussian Model, as `lunarsci.fit` fits it; with `contest_every` above 0 as `fit_region` does."""
 
     name: ClassVar[str] = "fit"
-    slow: ClassVar[bool] = False
     assemblage: str
     continuum: Any
     model_error: float | None
@@ -281,7 +270,7 @@ def model_of(assemblage: str, continuum: Any) -> MgmModel:
 
 
 @dataclass(frozen=True, slots=True)
-class UnmixProduct:
+class UnmixProduct(Product):
     """Shares of minerals as the networks of `lunarsci.unmix` foretell them, in all pixels at once.
 
     `both` : whether mixtures of end members are fitted beside, pixel by pixel. `minerals` : those that there may be.
@@ -380,11 +369,10 @@ class UnmixProduct:
 
 
 @dataclass(frozen=True, slots=True)
-class MatchProduct:
+class MatchProduct(Product):
     """Which craters' composition a pixel has, as `lunarsci.match` compares its bands and its pyroxenes."""
 
     name: ClassVar[str] = "match"
-    slow: ClassVar[bool] = True
     bands: BandsProduct
     fit: FitProduct
     craters: str | None
@@ -397,6 +385,10 @@ class MatchProduct:
                 "no candidate has a known composition that pixels could have; name a table of craters as `craters`"
             )
         return made
+
+    @property
+    def slow(self) -> bool:
+        return True
 
     @property
     def names(self) -> Sequence[str]:
@@ -418,10 +410,6 @@ class MatchProduct:
     def tables(self) -> Sequence[str]:
 
         return () if self.craters else (TABLE,)
-
-    @property
-    def sources(self) -> Sequence[str]:
-        return ()
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""

@@ -168,14 +168,10 @@ def _as_arrays(item: Any) -> Any:
 
 def _sd(error: Any) -> Any:
     """One standard deviation of an uncertainty of astropy's NDData."""
-    deviation = error.represent_as(_standard_deviation()) if hasattr(error, "represent_as") else error
-    return deviation.quantity if hasattr(deviation, "quantity") else deviation.array
-
-
-def _standard_deviation() -> Any:
     from astropy.nddata import StdDevUncertainty
 
-    return StdDevUncertainty
+    deviation = error.represent_as(StdDevUncertainty) if hasattr(error, "represent_as") else error
+    return deviation.quantity if hasattr(deviation, "quantity") else deviation.array
 
 
 def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance_unit: Any) -> Iterator[SpectrumRows]:

@@ -50,15 +50,16 @@ from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import read_observation
 
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
-
 _READERS: dict[str, Callable[[InputFile], SpectrumTable]] = {
     **{"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib, "excel": read_excel},
-    **{"jcamp": read_jcamp, "json": read_json},
+    **{"jcamp": read_jcamp, "json": read_json, "ecsv": read_ecsv, "fits": read_fits, "pds": read_pds},
     **{name: partial(read_with_astropy, format=name) for name in ("votable", "mrt")},
 }
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
-_FOREIGN = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
+_PACKED = {magic: f"compressed ({kind}); unpack it first" for magic, kind in _PACKED.items()}
+_OTHERS = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
+_FOREIGN = {magic: f"{kind}, not a table of spectra; save them as CSV or ECSV" for magic, kind in _OTHERS.items()}
 _FITS = b"SIMPLE  ="
 _RELAB_SUFFIXES = {".tab", ".asc"}
 _FITS_SUFFIXES = {".fits", ".fit", ".fts"}
@@ -95,7 +96,7 @@ def read_spectra(
         return SpectrumRows.of(_calibrated(source.name))
     if format is None and (label := label_of_table(source)) is not None:
         source = label
-    table = _reader(format or _format_of(source))(source)
+    table = _READERS[format or _format_of(source)](source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
 
 
@@ -118,13 +119,6 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
         raise ParameterError(f"{what} '{value}' is not known; use one of {', '.join(allowed)}")
 
 
-def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
-    # astropy takes longer to import than a CSV file to read: only files that need it pay for it.
-    if format in ("ecsv", "fits", "pds"):
-        return {"ecsv": read_ecsv, "fits": read_fits, "pds": read_pds}[format]
-    return _READERS[format]
-
-
 def _format_of(source: InputFile) -> str:
     suffix = Path(source.name).suffix.lower()
     if source.data.startswith(_FITS):
@@ -135,7 +129,9 @@ def _format_of(source: InputFile) -> str:
         )
     if source.data.startswith(b"PK\x03\x04") and (b"xl/" in source.data or suffix == ".xlsx"):
         return "excel"
-    _refuse_by_magic(source)
+    for magic, kind in (_PACKED | _FOREIGN).items():
+        if source.data.startswith(magic):
+            raise DataError(f"{source.name}: is {kind}")
     if looks_like_envi(source):
         return "envi"
     if is_pds_label(source):
@@ -155,15 +151,6 @@ def _format_of(source: InputFile) -> str:
     if looks_like_splib(text):
         return "splib"
     return "relab" if looks_like_relab(text, named_so=suffix in _RELAB_SUFFIXES) else "text"
-
-
-def _refuse_by_magic(source: InputFile) -> None:
-    for magic, kind in _PACKED.items():
-        if source.data.startswith(magic):
-            raise DataError(f"{source.name}: is compressed ({kind}); unpack it first")
-    for magic, kind in _FOREIGN.items():
-        if source.data.startswith(magic):
-            raise DataError(f"{source.name}: is {kind}, not a table of spectra; save the spectra as CSV or ECSV")
 
 
 _SAID = {

@@ -24,7 +24,7 @@ from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.columns import assign_roles, rows_by_id
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
 from lunarsci.spectra.rows import number, quoted
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import Spectrum, channel_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,36 +95,25 @@ class EndMember:
     specimen: str = ""
 
     def __post_init__(self) -> None:
-        if not self.id.strip():
-            raise DataError("an end member has no id; name its column")
-        if self.mineral is not None and self.mineral not in MINERALS:
-            raise DataError(f"{self.id}: mineral {self.mineral!r} is not known; use one of {', '.join(MINERALS)}")
-        for name in ("wavelength_nm", "reflectance"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
-        self._check_channels()
+        if not self.id.strip() or (self.mineral is not None and self.mineral not in MINERALS):
+            what = f"mineral {self.mineral!r}, or an empty id; minerals are {', '.join(MINERALS)}"
+            raise DataError(f"{self.id}: {what}")
+        wavelength, reflectance = channel_arrays(self.id, self.wavelength_nm, self.reflectance)
+        if not np.isfinite(reflectance).all():
+            raise DataError(f"{self.id}: a reflectance is not finite; leave that channel out")
+        object.__setattr__(self, "wavelength_nm", wavelength)
+        object.__setattr__(self, "reflectance", reflectance)
         self._check_sample()
 
-    def _check_channels(self) -> None:
-        wavelength, reflectance = self.wavelength_nm, self.reflectance
-        if wavelength.ndim != 1 or wavelength.size == 0 or wavelength.shape != reflectance.shape:
-            raise DataError(f"{self.id}: {wavelength.shape} wavelengths and {reflectance.shape} reflectances; give one "
-                            "of each per channel, and at least one channel")  # fmt: skip
-        if not (np.isfinite(wavelength).all() and np.isfinite(reflectance).all()):
-            raise DataError(f"{self.id}: a wavelength or reflectance is not finite; leave that channel out")
-        if wavelength[0] <= 0 or not (np.diff(wavelength) > 0).all():
-            raise DataError(f"{self.id}: wavelengths are not above 0 and strictly ascending; sort them")
-
     def _check_sample(self) -> None:
-        for name in ("fo", "fs", "en", "wo", "an"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value <= 1:
-                raise DataError(f"{self.id}: {name} = {value:g} is no mole fraction; give 0 to 1, not per cent")
-        for name in ("min_um", "max_um"):
-            value = getattr(self, name)
-            if value is not None and not (value >= 0 and math.isfinite(value)):
-                raise DataError(f"{self.id}: {name} = {value:g} is no grain size; give um, 0 or more")
+        for names, most, what in (
+            (("fo", "fs", "en", "wo", "an"), 1.0, "no mole fraction; give 0 to 1, not per cent"),
+            (("min_um", "max_um"), 1e9, "no grain size; give um, 0 or more"),
+        ):
+            for name in names:
+                value = getattr(self, name)
+                if value is not None and not 0 <= value <= most:
+                    raise DataError(f"{self.id}: {name} = {value:g} is {what}")
         if self.min_um is not None and self.max_um is not None and self.min_um > self.max_um:
             raise DataError(f"{self.id}: grain sizes run from {self.min_um:g} down to {self.max_um:g} um; swap them")
 

@@ -29,7 +29,7 @@ from lunarsci.io.documents import LABEL_BYTES
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.rows import NamedTable, Row, split_lines
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM, equal_frames, repeated_rows
-from lunarsci.spectra.vnis.label import DataFile, Label, ProductName, check_supported, product_name, read_label
+from lunarsci.spectra.vnis.label import Label, ProductName, check_supported, product_name, read_label
 from lunarsci.sun import sun_incidence_deg
 
 LANDING_SITE = (177.5991, -45.4446)
@@ -102,10 +102,15 @@ def read_cube(source: InputFile, label: Label) -> Cube:
     described = next((file for file in label.files if file.axes), None)
     if described is None:
         raise DataError(f"{label.file}: describes no image array; fetch the label of the VD product again")
-    _check_description(described, label.file)
+    axes = " x ".join(f"{elements} {name}" for name, elements in described.axes)
+    expected = f"a cube has 100 band x 256 line x 256 sample, IEEE754LSBSingle, {CUBE_BYTES} bytes"
+    alike = described.axes == _AXES and described.size in (None, CUBE_BYTES)
+    if not alike or (described.data_type or "").lower() not in _TYPES:
+        stated = f"{axes[:80]} of type {described.data_type!r}, {described.size} bytes"
+        raise DataError(f"{label.file}: states {stated}; {expected}; fetch data and label again")
     if len(source.data) != CUBE_BYTES:
         short = "truncated; " if len(source.data) < CUBE_BYTES else ""
-        raise DataError(f"{source.name}: {len(source.data)} bytes, a cube has {CUBE_BYTES}; {short}fetch it again")
+        raise DataError(f"{source.name}: {len(source.data)} bytes; {expected}; {short}fetch it again")
     kind = _TYPES[(described.data_type or "").lower()]
     cube = np.frombuffer(source.data, kind).reshape(CUBE_SHAPE)
     if _implausible(cube):
@@ -116,16 +121,6 @@ def read_cube(source: InputFile, label: Label) -> Cube:
         one, other = (f"{VNIR_NM[band]:g}" for band in equal)
         raise DataError(f"{source.name}: the images at {one} and {other} nm have the same numbers; fetch it again")
     return cube.astype(np.float32, copy=False)
-
-
-def _check_description(described: DataFile, label: str) -> None:
-    if described.axes != _AXES:
-        stated = " x ".join(f"{elements} {name}" for name, elements in described.axes)
-        raise DataError(f"{label}: states {stated[:80]}, a cube has 100 band x 256 line x 256 sample; fetch it again")
-    if (described.data_type or "").lower() not in _TYPES:
-        raise DataError(f"{label}: states numbers of type {described.data_type!r}; a cube has IEEE754LSBSingle")
-    if described.size not in (None, CUBE_BYTES):
-        raise DataError(f"{label}: states {described.size} bytes, a cube has {CUBE_BYTES}; fetch data and label again")
 
 
 def _implausible(cube: npt.NDArray[np.floating]) -> bool:
