@@ -30,12 +30,12 @@ LEAST_PIVOT = 1e-15
 """Share of its moment that a pivot must keep, or the channels do not determine the polynomial."""
 (
     VALUES, NOISE, IN, X, SHARE, HEFT, HEFT_SLOPE, RESIDUAL, OF_RATIO, OF_CURVE, ONTO, WIDE_NM, WIDE_DEPTH,
-    NARROW_NM, NARROW_DEPTH, SPARE, AREA, ASYMMETRY, OWN_NODE, OWN_WEIGHT
+    NARROW_NM, NARROW_DEPTH, SPARE, AREA, ASYMMETRY, CHOSEN_NODE, CHOSEN_WEIGHT
 ) = range(TIE_ROWS, TIE_ROWS + 20)  # fmt: skip
-RATIO = OWN_WEIGHT + TERMS
-OWN = len(CONTINUA)
+RATIO = CHOSEN_WEIGHT + TERMS
+CHOSEN = len(CONTINUA)
 """Place behind the continua: of the one that each spectrum is measured under."""
-CURVE, PER_LEVEL, ROWS = (RATIO + k * (OWN + 1) for k in (1, 2, 3))
+CURVE, PER_LEVEL, ROWS = (RATIO + k * (CHOSEN + 1) for k in (1, 2, 3))
 """Rows, n of each, of the table (ROWS n, 8) that eight spectra of n channels are worked on in, behind those of their
 continua.
 
@@ -47,7 +47,7 @@ where it is not above 0).
 """
 MOMENTS, RIGHT, COEFFICIENTS, SOLVED, FACTOR = 0, 2 * SIZE, 3 * SIZE, 4 * SIZE, 5 * SIZE
 (
-    DETERMINED, LOWEST, SECOND, FOUND, RIVALLED, DEPTH_HERE, PLACE, FIRST, LAST, MIDDLE_NM, HALF_NM, INNER
+    DETERMINED, LOWEST, SECOND, HAS_MINIMUM, RIVALLED, DEPTH_HERE, PLACE, FIRST, LAST, MIDDLE_NM, HALF_NM, INNER
 ) = range(FACTOR + SIZE * SIZE, FACTOR + SIZE * SIZE + 12)  # fmt: skip
 OF_TERM = INNER + 1
 OF_SHAPE = OF_TERM + TERMS
@@ -64,7 +64,7 @@ class BandWork(NamedTuple):
     k: FloatArray
     tie: Indices
     nodes: Indices
-    own: FloatArray
+    room: FloatArray
 
 
 @formula
@@ -181,8 +181,8 @@ def minima(k: Any) -> None:
         before, here = here, behind
     store(k, LOWEST, _polished(k, first))
     store(k, SECOND, _polished(k, second))
-    store(k, FOUND, choose(np.inf - least, load(k, DETERMINED), spread(0.0)))
-    store(k, RIVALLED, choose(np.inf - next_least, load(k, FOUND), spread(0.0)))
+    store(k, HAS_MINIMUM, choose(np.inf - least, load(k, DETERMINED), spread(0.0)))
+    store(k, RIVALLED, choose(np.inf - next_least, load(k, HAS_MINIMUM), spread(0.0)))
 
 
 @formula
@@ -273,28 +273,29 @@ def per_channel(g: BandGrid, work: BandWork, first: int, behind: int, out: int, 
     place, one, two, three = load(k, PLACE), spread(0.0), spread(0.0), spread(0.0)
     for j in range(first, behind):
         onto, of_level, direct = _parts(
-            load(t, OF_RATIO * count + j), load(t, OF_CURVE * count + j), load(t, (RATIO + OWN) * count + j),
-            load(t, (CURVE + OWN) * count + j), load(t, (PER_LEVEL + OWN) * count + j), of_deepest, place, float(j),
+            load(t, OF_RATIO * count + j), load(t, OF_CURVE * count + j), load(t, (RATIO + CHOSEN) * count + j),
+            load(t, (CURVE + CHOSEN) * count + j), load(t, (PER_LEVEL + CHOSEN) * count + j), of_deepest, place,
+            float(j),
         )  # fmt: skip
-        node = load(t, OWN_NODE * count + j)
-        two += of_level * load(t, (OWN_WEIGHT + 1) * count + j)
-        three += of_level * load(t, (OWN_WEIGHT + 2) * count + j)
+        node = load(t, CHOSEN_NODE * count + j)
+        two += of_level * load(t, (CHOSEN_WEIGHT + 1) * count + j)
+        three += of_level * load(t, (CHOSEN_WEIGHT + 2) * count + j)
         store(t, out * count + j, direct)
         store(t, OF_RATIO * count + j, of_level)
         store(t, ONTO * count + j, onto + node * two)
         two = choose(node, spread(0.0), two)
     for j in range(behind, count):
-        node = load(t, OWN_NODE * count + j)
+        node = load(t, CHOSEN_NODE * count + j)
         store(t, out * count + j, spread(0.0))
         store(t, ONTO * count + j, node * two)
         two = choose(node, spread(0.0), two)
     for j in range(behind - 1, first - 1, -1):
-        node = load(t, OWN_NODE * count + j)
-        one += load(t, OF_RATIO * count + j) * load(t, OWN_WEIGHT * count + j)
+        node = load(t, CHOSEN_NODE * count + j)
+        one += load(t, OF_RATIO * count + j) * load(t, CHOSEN_WEIGHT * count + j)
         store(t, ONTO * count + j, load(t, ONTO * count + j) + node * one)
         one = choose(node, spread(0.0), one)
     for j in range(first - 1, -1, -1):
-        node = load(t, OWN_NODE * count + j)
+        node = load(t, CHOSEN_NODE * count + j)
         store(t, out * count + j, spread(0.0))
         store(t, ONTO * count + j, node * one)
         one = choose(node, spread(0.0), one)
@@ -313,7 +314,7 @@ def _parts(
 @uncounted
 def _to_ties(work: BandWork, one: Any, two: Any, three: Any, count: int) -> None:
     """What derivatives to the level give to the channels of the continuum's terms; the hull's nodes have theirs."""
-    t, k, tie = work.t, work.k, work.tie[OWN]
+    t, k, tie = work.t, work.k, work.tie[CHOSEN]
     store(k, OF_TERM, one)
     store(k, OF_TERM + 1, two)
     store(k, OF_TERM + 2, three)
@@ -394,21 +395,21 @@ def _connected(t: Any, k: Any, curve: int, band: IntArray, below: Any, count: in
 
 @uncounted
 def has_any(k: Any, row: int) -> bool:
-    found = False
+    there = False
     for lane in range(LANES):
-        found = found or k[row, lane] > 0.0
-    return found
+        there = there or k[row, lane] > 0.0
+    return there
 
 
 @uncounted
-def window_of(g: BandGrid, work: BandWork, own: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
+def window_of(g: BandGrid, work: BandWork, which: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
     """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
 
     SHARE takes the depth over the deepest, X the scaled wavelength, HEFT_SLOPE the derivative of the weight
     to the share. Returns the first channel that any of the eight has, and the one behind the last.
     """
     t, k, wavelength_nm, count = work.t, work.k, g.wavelength_nm, g.wavelength_nm.size
-    curve = CURVE + own
+    curve = CURVE + which
     least, place = deepest_of(t, curve, band[2], band[3], count)
     most = highest(1.0 - least, spread(LEAST_DEPTH))
     store(k, PLACE, place)
@@ -471,8 +472,8 @@ def _right_side(k: Any, x: Any, derivative: int, factor: Any) -> None:
     """Derivative of 1, x, …, x^4 at x, times a factor, into RIGHT."""
     power = x * 0.0 + factor
     for n in range(SIZE):
-        own = n * (n - 1) if derivative == 2 else n if derivative == 1 else 1
-        store(k, RIGHT + n, power * float(own) if n >= derivative else x * 0.0)
+        times = n * (n - 1) if derivative == 2 else n if derivative == 1 else 1
+        store(k, RIGHT + n, power * float(times) if n >= derivative else x * 0.0)
         power = power * x if n >= derivative else power
 
 
@@ -504,7 +505,7 @@ def _difference(k: Any, x: Any, other: Any) -> None:
 def _minimum(g: BandGrid, work: BandWork, first: int, behind: int, row: int) -> None:
     """The minimum in a window; derivatives of wavelength and depth into rows from `row` on."""
     t, k = work.t, work.k
-    fit(t, k, RATIO + OWN, first, behind, g.wavelength_nm.size)
+    fit(t, k, RATIO + CHOSEN, first, behind, g.wavelength_nm.size)
     minima(k)
     x, curvature, per_x = load(k, LOWEST), curvature_at(k, load(k, LOWEST)), load(k, HALF_NM)
     _ask_curvature(k, x)
@@ -545,12 +546,12 @@ def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float, least: float
     The derivatives of centre, depth, area and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
     """
     t, k, count = work.t, work.k, g.wavelength_nm.size
-    first, behind = window_of(g, work, OWN, band, WIDE[0], WIDE[1], True)
+    first, behind = window_of(g, work, CHOSEN, band, WIDE[0], WIDE[1], True)
     _minimum(g, work, first, behind, WIDE_NM)
-    store(k, HAS_SHAPE, load(k, FOUND))
+    store(k, HAS_SHAPE, load(k, HAS_MINIMUM))
     half = load(k, HALF_NM) * bias
     _remember_wide(k, half * half)
-    first, behind = window_of(g, work, OWN, band, NARROW[0], NARROW[1], False)
+    first, behind = window_of(g, work, CHOSEN, band, NARROW[0], NARROW[1], False)
     _minimum(g, work, first, behind, NARROW_NM)
     _join(t, k, count)
     hidden = _areas(g, work, band)
@@ -596,7 +597,7 @@ def _part_of_wide(k: Any, common: Any) -> Any:
     of_wide = load(k, CENTER_VARIANCE) + load(k, UNSAID)
     of_narrow = load(k, MINIMUM_VARIANCE) + load(k, MINIMUM_RIVAL)
     share = (of_narrow - common) / highest(of_wide + of_narrow - common * 2.0, TINY)
-    there = (load(k, INNER) > 0.0) & (load(k, FOUND) > 0.0)
+    there = (load(k, INNER) > 0.0) & (load(k, HAS_MINIMUM) > 0.0)
     return choose(there, lowest(highest(share, 0.0), 1.0), 1.0)
 
 
@@ -641,7 +642,7 @@ def _areas(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     wavelength_nm, steps_nm = g.wavelength_nm, g.steps_nm
     center, across, area, excess = load(k, SHAPE_NM), load(k, SHAPE_DEPTH) * 2.0, spread(0.0), spread(0.0)
     for j in range(band[0], band[1]):
-        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(t, (RATIO + OWN) * count + j))
+        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(t, (RATIO + CHOSEN) * count + j))
         area += deep
         excess += deep * side
         store(t, OF_RATIO * count + j, side * -steps_nm[j])
@@ -654,8 +655,8 @@ def _areas(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     asymmetry, variance = excess * per_area, spread(0.0)
     for j in range(count):
         of_excess = load(t, ASYMMETRY * count + j) - across * load(t, WIDE_NM * count + j)
-        own = (of_excess - asymmetry * load(t, AREA * count + j)) * per_area
-        off = own * load(t, NOISE * count + j)
+        slope = (of_excess - asymmetry * load(t, AREA * count + j)) * per_area
+        off = slope * load(t, NOISE * count + j)
         variance += off * off
     store(k, SHAPE_AREA, area)
     store(k, SHAPE_ASYMMETRY, asymmetry)
@@ -677,12 +678,12 @@ def _gaussian_centre(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     A parabola through ln depth, weighted with the depth squared: Guo (2011), 10.1109/MSP.2011.941846.
     """
     t, k, count = work.t, work.k, g.wavelength_nm.size
-    first, behind = window_of(g, work, OWN, band, HALF, HALF + 1e-9, False)
+    first, behind = window_of(g, work, CHOSEN, band, HALF, HALF + 1e-9, False)
     m0, m1, m2, m3, m4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     r0, r1, r2 = spread(0.0), spread(0.0), spread(0.0)
     for j in range(first, behind):
         x = load(t, X * count + j)
-        heft, power, right = _gaussian_terms(load(t, (CURVE + OWN) * count + j), load(t, HEFT * count + j), x)
+        heft, power, right = _gaussian_terms(load(t, (CURVE + CHOSEN) * count + j), load(t, HEFT * count + j), x)
         m0, m1, r0, r1 = m0 + heft, m1 + power, r0 + right, r1 + right * x
         power = power * x
         m2, r2 = m2 + power, r2 + right * x * x

@@ -184,17 +184,17 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     )
 
 
-NARROW_SAID = "a narrow absorption at"
+NARROW_TEXT = "a narrow absorption at"
 
 
-def narrow_said(center_nm: float, width_nm: float) -> str:
+def narrow_text(center_nm: float, width_nm: float) -> str:
     """A narrow absorption, and what makes such ones.
 
-    >>> narrow_said(1920.0, 105.0)
+    >>> narrow_text(1920.0, 105.0)
     'a narrow absorption at 1920 nm, 105 nm wide: water or hydroxyl'
     """
     cause = "water or hydroxyl" if center_nm < WATER_MOST_NM else "hydroxyl or a carbonate"
-    return f"{NARROW_SAID} {center_nm:.0f} nm, {width_nm:.0f} nm wide: {cause}"
+    return f"{NARROW_TEXT} {center_nm:.0f} nm, {width_nm:.0f} nm wide: {cause}"
 
 
 def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]:
@@ -209,15 +209,15 @@ def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]
     def shown(one: float, to: int) -> str:
         return f"{round(one, to):.{max(to, 0)}f}"
 
-    known = [error for error in errors if error is not None]
-    own = [max(places, min(-math.floor(math.log10(float(f"{one:.0e}"))), most)) if one else places for one in known]
-    return [shown(value, places), *(shown(max(one, 10.0**-to), to) for one, to in zip(known, own, strict=True))]
+    stated = [error for error in errors if error is not None]
+    digits = [max(places, min(-math.floor(math.log10(float(f"{one:.0e}"))), most)) if one else places for one in stated]
+    return [shown(value, places), *(shown(max(one, 10.0**-to), to) for one, to in zip(stated, digits, strict=True))]
 
 
-def centre_said(center_nm: float, sigma_nm: float, spread_nm: float | None, *, named: bool = True) -> str:
+def centre_text(center_nm: float, sigma_nm: float, spread_nm: float | None, *, named: bool = True) -> str:
     """A centre with both of its errors, that of the noise and what methods differ by.
 
-    >>> centre_said(1976.2, 6.8, 69.0), centre_said(973.031, 0.068, 5.7, named=False)
+    >>> centre_text(1976.2, 6.8, 69.0), centre_text(973.031, 0.068, 5.7, named=False)
     ('1976 ± 7 (noise) ± 69 (method) nm', '973.0 ± 0.07 ± 5.7 nm')
     """
     value, *errors = with_errors(center_nm, sigma_nm, spread_nm)
@@ -273,11 +273,11 @@ class BandResult:
     note: str = ""
 
     @property
-    def centre_said(self) -> str:
+    def centre_text(self) -> str:
         """The centre with both of its errors; '' where there is none."""
         if self.center_nm is None or self.center_sigma_nm is None:
             return ""
-        return centre_said(self.center_nm, self.center_sigma_nm, self.center_method_nm, named=False)
+        return centre_text(self.center_nm, self.center_sigma_nm, self.center_method_nm, named=False)
 
 
 def nothing_of(count: int) -> tuple[FloatArray, Codes]:
@@ -369,11 +369,11 @@ SIGNIFICANT = 6.0
 several hundred that are tried counts."""
 NEAR_NM = 80.0
 """How far from the centre of a band it may lie; assumed: smoothing over 205 nm moves the centre of a sharp one."""
-OWN_SHARE, BESIDE_SHARE = 0.5, 0.15
+BAND_SHARE, BESIDE_SHARE = 0.5, 0.15
 """Shares of the depth of a band, in ln R, from which it makes the band, and from which it is said to be beside it.
 
 Half is where it is more of the band than anything else. Looked at on every second sample series of RELAB, counted on
-the others (`tests/spectra/test_narrow.py`): of 25 such bands of olivines and plagioclases without pyroxene it makes 15,
+the others (`tests/spectra/test_band_status.py`): of 25 such bands of olivines and plagioclases without pyroxene it makes 15,
 of 80 bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
 
 
@@ -416,11 +416,11 @@ def narrow_absorptions(
         strength = -(left @ shapes.T) / size
         explained = np.where(strength > 0, strength**2 * size, 0.0) / np.maximum((left**2).sum(axis=1), 1e-300)[:, None]
         k = explained.argmax(axis=1)
-        own = explained[np.arange(rows.size), k]
+        most = explained[np.arange(rows.size), k]
         free = x.size - NARROW_DEGREE - 2
-        better = own > np.maximum(best[rows], SIGNIFICANT**2 / (SIGNIFICANT**2 + free))
+        better = most > np.maximum(best[rows], SIGNIFICANT**2 / (SIGNIFICANT**2 + free))
         to, k, at = rows[better], k[better], np.flatnonzero(better)
-        best[to], place[to], width[to], share[to] = own[at], centre, widths[k], strength[at, k] / whole[to]
+        best[to], place[to], width[to], share[to] = most[at], centre, widths[k], strength[at, k] / whole[to]
     narrow = (width <= NARROW_WIDEST_NM) & (share >= BESIDE_SHARE)
     return np.where(narrow, place, np.nan), np.where(narrow, width, np.nan), np.where(narrow, share, 0.0)
 
@@ -439,5 +439,5 @@ def judge_width(wavelength_nm: FloatArray, reflectance: FloatArray, numbers: Flo
     values = np.asarray(reflectance[seen], float)
     at, width, share = narrow_absorptions(wavelength_nm, values, numbers[seen, CENTER], numbers[seen, DEPTH])
     numbers[seen, NARROW_NM], numbers[seen, NARROW_WIDTH] = at, width
-    gone = seen[share >= OWN_SHARE]
+    gone = seen[share >= BAND_SHARE]
     numbers[gone, :DEEPEST], codes[gone, CONTINUUM], codes[gone, STATUS] = np.nan, -1, TOO_NARROW

@@ -74,7 +74,7 @@ from lunarsci.spectra.band_status import (
     BandResult,
     Codes,
     judge_width,
-    narrow_said,
+    narrow_text,
     nothing_of,
     sentence,
     short_by,
@@ -189,8 +189,8 @@ def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: 
     nowhere = choose(highest - 1.0 > model.LEAST_DEPTH, BELOW, SHALLOW)
     above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
     crossing = choose(highest - 1.0 > depth * CROSSING_SHARE, BELOW, choose(end > depth * RUNAWAY_SHARE, AWAY, OK))
-    found = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
-    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, found), FALLS)
+    result = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
+    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, result), FALLS)
 
 
 @uncounted
@@ -218,17 +218,17 @@ def judge(g: BandGrid, places: Places, work: BandWork, b: int, c: int) -> None:
 
 
 @uncounted
-def centre(work: BandWork, own: int, first: int, behind: int, count: int) -> Any:
+def centre(work: BandWork, which: int, first: int, behind: int, count: int) -> Any:
     """Centre in a window, NaN where there is none. [nm]"""
     k = work.k
-    fit(work.t, k, model.RATIO + own, first, behind, count)
+    fit(work.t, k, model.RATIO + which, first, behind, count)
     minima(k)
-    there = choose(load(k, model.INNER), load(k, model.FOUND), spread(0.0))
+    there = choose(load(k, model.INNER), load(k, model.HAS_MINIMUM), spread(0.0))
     return choose(there, load(k, model.MIDDLE_NM) + load(k, model.HALF_NM) * load(k, model.LOWEST), spread(np.nan))
 
 
 @uncounted
-def go_on(places: Places, k: Any, lane: int, found: FloatArray, codes: Codes) -> bool:
+def go_on(places: Places, k: Any, lane: int, numbers: FloatArray, codes: Codes) -> bool:
     """Turn to the next continuum that nothing is against, and say of the others what is; whether there is one."""
     for tried in range(int(k[TRIED, lane]) + 1, places.order.size):
         c = places.order[tried]
@@ -238,18 +238,18 @@ def go_on(places: Places, k: Any, lane: int, found: FloatArray, codes: Codes) ->
         if code == OK:
             k[TRIED, lane] = float(tried)
             return True
-        record(places, k, lane, c, code, found, codes)
+        record(places, k, lane, c, code, numbers, codes)
     k[TRIED, lane] = -2.0
     return False
 
 
 @uncounted
-def record(places: Places, k: Any, lane: int, c: int, code: int, found: FloatArray, codes: Codes) -> None:
+def record(places: Places, k: Any, lane: int, c: int, code: int, numbers: FloatArray, codes: Codes) -> None:
     deepest = k[DEEPEST_NM + c, lane]
     if code == OK or c == HULL:
-        codes[CONTINUUM], codes[STATUS], found[DEEPEST] = c, code, deepest
+        codes[CONTINUUM], codes[STATUS], numbers[DEEPEST] = c, code, deepest
     if code != OK and c == places.wanted:
-        codes[NOTE], found[NOTE_DEEPEST] = code, deepest
+        codes[NOTE], numbers[NOTE_DEEPEST] = code, deepest
 
 
 @formula
@@ -258,27 +258,27 @@ def _picked(conic: Any, hull: Any, first: Any, second: Any, third: Any) -> Any:
 
 
 @uncounted
-def own_continuum(g: BandGrid, places: Places, work: BandWork) -> None:
+def chosen_continuum(g: BandGrid, places: Places, work: BandWork) -> None:
     """Put what belongs to the continuum that each spectrum is tried under where `shape` looks for it."""
     t, k, count = work.t, work.k, g.wavelength_nm.size
     for lane in range(LANES):
         tried = int(k[TRIED, lane])
         c = places.order[tried] if tried >= 0 else HULL
         for term in range(TERMS):
-            work.tie[model.OWN, term, lane] = work.tie[c, term, lane]
+            work.tie[model.CHOSEN, term, lane] = work.tie[c, term, lane]
         k[IS_CONIC, lane], k[IS_HULL, lane] = 1.0 if c == CONIC else 0.0, 1.0 if c == HULL else 0.0
     conic, hull = load(k, IS_CONIC), load(k, IS_HULL)
     for j in range(count):
-        store(t, model.OWN_NODE * count + j, load(t, NODE * count + j) * hull)
+        store(t, model.CHOSEN_NODE * count + j, load(t, NODE * count + j) * hull)
     for j in range(places.low, places.high):
         for row in (model.RATIO, model.CURVE, model.PER_LEVEL):
             at = row * count + j
-            own = _picked(conic, hull, load(t, at), load(t, at + count), load(t, at + 2 * count))
-            store(t, at + model.OWN * count, own)
+            value = _picked(conic, hull, load(t, at), load(t, at + count), load(t, at + 2 * count))
+            store(t, at + model.CHOSEN * count, value)
         for term in range(TERMS):
             at = (WEIGHT + term) * count + j
-            own = _picked(conic, hull, load(t, at), load(t, at + TERMS * count), load(t, at + 2 * TERMS * count))
-            store(t, (model.OWN_WEIGHT + term) * count + j, own)
+            value = _picked(conic, hull, load(t, at), load(t, at + TERMS * count), load(t, at + 2 * TERMS * count))
+            store(t, (model.CHOSEN_WEIGHT + term) * count + j, value)
 
 
 @uncounted
@@ -318,15 +318,15 @@ def measure_rows(
 
     def work(chunk: int) -> None:
         rows = slice(chunk * CHUNK, min((chunk + 1) * CHUNK, count))
-        own = np.ascontiguousarray(reflectance[rows], float)
-        given = np.empty((0, own.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
-        noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, own.shape), float)
-        _measure(grid, places, own, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
+        part = np.ascontiguousarray(reflectance[rows], float)
+        given = np.empty((0, part.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
+        noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, part.shape), float)
+        _measure(grid, places, part, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
         if grid.wavelength_nm[-1] < ABSENT_NM:
             two = codes[rows, -1, STATUS]
             two[np.isin(two, NO_BAND)] = NOT_COVERED
-        found = numbers[rows, -1]
-        found[:, METHOD] = np.fmax(found[:, METHOD], short_by(found[:, CENTER], float(grid.wavelength_nm[-1])))
+        second = numbers[rows, -1]
+        second[:, METHOD] = np.fmax(second[:, METHOD], short_by(second[:, CENTER], float(grid.wavelength_nm[-1])))
 
     each_in_threads(work, -(-count // CHUNK), progress)
     return numbers, codes
@@ -350,7 +350,7 @@ def curve_of_centre(
     t, inside = work.t, [*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]
     take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, model.VALUES * count)
     smooth(grid.smoother, t, model.VALUES * count, SMOOTHED * count)
-    tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.own)
+    tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.room)
     _remove(t, c, inside[0], inside[1], count)
     wide_nm, wide_center, _, wide = _polynomial(grid, work, c, np.array(inside), model.WIDE)
     nm, narrow_center, there, narrow = _polynomial(grid, work, c, np.array(inside), model.NARROW)
@@ -373,14 +373,14 @@ def _polynomial(
     counting = grid.wavelength_nm[first:behind][t[model.HEFT * count + first : model.HEFT * count + behind, 0] >= 0.5]
     coefficients = k[model.COEFFICIENTS : model.COEFFICIENTS + model.SIZE, 0].copy()
     curve = np.polynomial.Polynomial(coefficients, (middle - half, middle + half), (-1.0, 1.0))
-    there = bool(k[model.INNER, 0] > 0 and k[model.FOUND, 0] > 0)
+    there = bool(k[model.INNER, 0] > 0 and k[model.HAS_MINIMUM, 0] > 0)
     return np.linspace(counting[0], counting[-1], DRAWN), middle + half * float(k[model.LOWEST, 0]), there, curve
 
 
 @uncounted
 def _measure(
     g: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork,
-    found: FloatArray, codes: Codes,
+    numbers: FloatArray, codes: Codes,
 ) -> None:  # fmt: skip
     """`measure_rows` of some rows, into `found` and `codes`; noise of no rows is found from the scatter."""
     t, count, low, high = work.t, g.wavelength_nm.size, places.low, places.high
@@ -393,11 +393,11 @@ def _measure(
             _noise(t, count)
         for c in range(len(CONTINUA)):
             if g.ties.available[c]:
-                tie_down(c, g.ties, t, work.tie[c], work.nodes, work.own)
+                tie_down(c, g.ties, t, work.tie[c], work.nodes, work.room)
                 _remove(t, c, low, high, count)
         for b in range(len(places.bands)):
             _measure_band(
-                g, places, work, b, shifts[begin:], found[begin : begin + LANES], codes[begin : begin + LANES]
+                g, places, work, b, shifts[begin:], numbers[begin : begin + LANES], codes[begin : begin + LANES]
             )
 
 
@@ -431,7 +431,7 @@ def _remove(t: Any, c: int, low: int, high: int, count: int) -> None:
 
 @uncounted
 def _measure_band(
-    g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, found: FloatArray, codes: Codes
+    g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, numbers: FloatArray, codes: Codes
 ) -> None:
     """One band of eight spectra, each under the wanted continuum or the first that is fit for use."""
     k, open_ = work.k, places.missing[b] == OK
@@ -441,55 +441,51 @@ def _measure_band(
     waiting = False
     for lane in range(LANES):
         k[TRIED, lane] = -1.0
-        if lane < len(found):
-            own = codes[lane, b]
-            own[CONTINUUM], own[STATUS], own[NOTE] = -1, places.missing[b], OK
+        if lane < len(numbers):
+            code_row = codes[lane, b]
+            code_row[CONTINUUM], code_row[STATUS], code_row[NOTE] = -1, places.missing[b], OK
             if open_:
-                own[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
-                waiting = go_on(places, k, lane, found[lane, b], own) or waiting
+                code_row[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
+                waiting = go_on(places, k, lane, numbers[lane, b], code_row) or waiting
     while waiting:
         waiting = False
-        own_continuum(g, places, work)
+        chosen_continuum(g, places, work)
         shape(g, work, places.bands[b], places.bias[b], places.least[b])
-        for lane in range(len(found)):
+        for lane in range(len(numbers)):
             tried = int(k[TRIED, lane])
             if tried >= 0:
                 c, code = places.order[tried], verdict(places.limits_nm[b], k, lane)
-                record(places, k, lane, c, code, found[lane, b], codes[lane, b])
+                record(places, k, lane, c, code, numbers[lane, b], codes[lane, b])
                 if code == OK:
-                    _fill(g, work, lane, c, shifts[lane], found[lane, b])
+                    _fill(g, work, lane, c, shifts[lane], numbers[lane, b])
                     k[TRIED, lane] = -2.0
                 else:
-                    waiting = go_on(places, k, lane, found[lane, b], codes[lane, b]) or waiting
+                    waiting = go_on(places, k, lane, numbers[lane, b], codes[lane, b]) or waiting
 
 
 @uncounted
-def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, found: FloatArray) -> None:
+def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, numbers: FloatArray) -> None:
     """The numbers of a band that is there, with what other continua and another definition of the centre differ by."""
     k = work.k
-    found[CENTER], found[DEPTH] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
-    found[AREA_NM], found[ASYMMETRY_SHARE] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
-    found[CENTER_SIGMA], found[DEPTH_SIGMA] = (
-        math.sqrt(k[model.CENTER_VARIANCE, lane]),
-        math.sqrt(k[model.DEPTH_VARIANCE, lane]),
-    )
-    found[AREA_SIGMA], found[ASYMMETRY_SIGMA] = (
-        math.sqrt(k[model.AREA_VARIANCE, lane]),
-        math.sqrt(k[model.ASYMMETRY_VARIANCE, lane]),
-    )
+    numbers[CENTER], numbers[DEPTH] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
+    numbers[AREA_NM], numbers[ASYMMETRY_SHARE] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
+    numbers[CENTER_SIGMA] = math.sqrt(k[model.CENTER_VARIANCE, lane])
+    numbers[DEPTH_SIGMA] = math.sqrt(k[model.DEPTH_VARIANCE, lane])
+    numbers[AREA_SIGMA] = math.sqrt(k[model.AREA_VARIANCE, lane])
+    numbers[ASYMMETRY_SIGMA] = math.sqrt(k[model.ASYMMETRY_VARIANCE, lane])
     if shifts.shape[0] > 0:
-        found[CENTER_CALIBRATION] = _shared(work.t, model.WIDE_NM, lane, shifts)
-        found[DEPTH_CALIBRATION] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
-        found[AREA_CALIBRATION] = _shared(work.t, model.AREA, lane, shifts)
+        numbers[CENTER_CALIBRATION] = _shared(work.t, model.WIDE_NM, lane, shifts)
+        numbers[DEPTH_CALIBRATION] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
+        numbers[AREA_CALIBRATION] = _shared(work.t, model.AREA, lane, shifts)
     least = most = k[model.WIDE_CENTER_NM, lane]
     for other in range(len(CONTINUA)):
         there = k[OTHER_NM + other, lane]
         if other != c and g.ties.available[other] and not math.isnan(there):
             least, most = min(least, there), max(most, there)
     if most - least > SAME_NM:
-        found[SYSTEMATIC] = (most - least) / 2.0
-    found[GAUSSIAN] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
-    found[METHOD] = np.fmax(found[SYSTEMATIC], found[GAUSSIAN])
+        numbers[SYSTEMATIC] = (most - least) / 2.0
+    numbers[GAUSSIAN] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
+    numbers[METHOD] = np.fmax(numbers[SYSTEMATIC], numbers[GAUSSIAN])
 
 
 @uncounted
@@ -539,8 +535,8 @@ class SpectrumBands:
     def curves(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
         grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
-        seen = [(band, own, at) for band in BANDS if (at := (own := self.bands[band.key]).center_nm) is not None]
-        return {b.key: curve_of_centre(grid, self.reflectance, own.continuum, b, at) for b, own, at in seen}
+        seen = [(band, one, at) for band in BANDS if (at := (one := self.bands[band.key]).center_nm) is not None]
+        return {b.key: curve_of_centre(grid, self.reflectance, one.continuum, b, at) for b, one, at in seen}
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""
@@ -602,15 +598,15 @@ def band_arrays(
     wavelength = np.asarray(wavelength_nm, float)
     if wavelength.size > MOST_CHANNELS:
         raise DataError(f"{wavelength.size} channels are more than {MOST_CHANNELS}; average some of them")
-    found = BandArrays(*nothing_of(len(values)))
+    result = BandArrays(*nothing_of(len(values)))
     for mask, rows in alike_channels(np.isfinite(values) & (values > 0)):
         if mask.sum() >= FEWEST_CHANNELS:
             part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
             errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
             given = AlikeSpectra(wavelength[mask], part, errors, np.zeros((rows.size, 0, part.shape[1])))
-            own = _measured(given, wanted=continuum_name, smoothing=used, narrow=False)
-            found.numbers[rows], found.codes[rows] = own["numbers"], own["codes"]
-    return found
+            measured = _measured(given, wanted=continuum_name, smoothing=used, narrow=False)
+            result.numbers[rows], result.codes[rows] = measured["numbers"], measured["codes"]
+    return result
 
 
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
@@ -626,11 +622,11 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
 
     def part(self, block: range) -> "BandsOfSpectra":
         """Of some of the spectra, next to each other."""
-        own = slice(block.start, block.stop)
-        found = BandsOfSpectra(self.spectra[own], self.wanted, self.smoothing)
-        found.arrays = BandArrays(self.arrays.numbers[own], self.arrays.codes[own])
-        found.reasons = {place - block.start: why for place, why in self.reasons.items() if place in block}
-        return found
+        rows = slice(block.start, block.stop)
+        result = BandsOfSpectra(self.spectra[rows], self.wanted, self.smoothing)
+        result.arrays = BandArrays(self.arrays.numbers[rows], self.arrays.codes[rows])
+        result.reasons = {place - block.start: why for place, why in self.reasons.items() if place in block}
+        return result
 
     def __getitem__(self, place: Any) -> Any:
         if isinstance(place, slice):
@@ -651,19 +647,19 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
 
     def _band(self, number: int, place: int, wavelength_nm: FloatArray) -> BandResult:
         numbers, code = self.arrays.numbers[place, number].tolist(), int(self.arrays.codes[place, number, CONTINUUM])
-        known = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
-        status, why = (self._said(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
+        values = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
+        status, why = (self._sentence(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
         status = self._remark(number, place) or status if code >= 0 else status
-        return BandResult(**known, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
+        return BandResult(**values, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
 
-    def _said(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
+    def _sentence(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
         """The sentence of a status or a note."""
         code, deepest = self.arrays.codes[place, number, which], DEEPEST if which == STATUS else NOTE_DEEPEST
         if which == NOTE and code == OK:
             return ""
         if code == TOO_NARROW:
             at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
-            return f"no band: {narrow_said(at, width)}, no pyroxene's"
+            return f"no band: {narrow_text(at, width)}, no pyroxene's"
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
         return text if which == STATUS else f"{self.wanted} not used: {text}"
 
@@ -671,30 +667,30 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         """What is said of a band that is there: that its centre depends on the method, and what else lies in it."""
         at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
         parts = [DEPENDS] if self.arrays.depends[place, number] else []
-        return "; ".join([*parts, *([f"in it {narrow_said(at, width)}"] if at == at else [])])
+        return "; ".join([*parts, *([f"in it {narrow_text(at, width)}"] if at == at else [])])
 
     def texts(self, number: int, which: int) -> list[str]:
         """The status or the note of a band of all spectra."""
         codes = self.arrays.codes[:, number, which]
-        found = ["" if which == NOTE else "ok"] * len(self)
+        texts = ["" if which == NOTE else "ok"] * len(self)
         deepest = self.arrays.numbers[:, number, DEEPEST if which == STATUS else NOTE_DEEPEST].tolist()
-        known: dict[tuple[int, float], str] = {}
+        sentences: dict[tuple[int, float], str] = {}
         for place in np.flatnonzero(codes != OK).tolist():
             if codes[place] in (NOT_COVERED, TOO_NARROW):
                 spectrum = self.spectra[place]
-                found[place] = self._said(number, place, which, spectrum.wavelength_nm[spectrum.usable])
+                texts[place] = self._sentence(number, place, which, spectrum.wavelength_nm[spectrum.usable])
                 continue
             key = int(codes[place]), deepest[place] if codes[place] == ELSEWHERE else 0.0
-            if key not in known:
-                known[key] = self._said(number, place, which, _NOTHING)
-            found[place] = known[key]
+            if key not in sentences:
+                sentences[key] = self._sentence(number, place, which, _NOTHING)
+            texts[place] = sentences[key]
         seen = self.arrays.codes[:, number, CONTINUUM] >= 0
         odd = self.arrays.depends[:, number] | seen & np.isfinite(self.arrays.numbers[:, number, NARROW_NM])
         for place in np.flatnonzero(odd).tolist() if which == STATUS else ():
-            found[place] = self._remark(number, place)
+            texts[place] = self._remark(number, place)
         for place, reason in self.reasons.items() if which == STATUS else ():
-            found[place] = f"no result: {reason}"
-        return found
+            texts[place] = f"no result: {reason}"
+        return texts
 
     @property
     def uncovered(self) -> dict[int, str]:
@@ -732,11 +728,11 @@ def measure_bands(
     ------
     DataError when too few or too many channels can be used, or where smoothing flattens a band.
     """
-    found: SpectrumBands | BandFailure
-    (found,) = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)
-    if isinstance(found, BandFailure):
-        raise DataError(f"{found.id}: {found.status.removeprefix('no result: ')}")
-    return found
+    result: SpectrumBands | BandFailure
+    (result,) = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)
+    if isinstance(result, BandFailure):
+        raise DataError(f"{result.id}: {result.status.removeprefix('no result: ')}")
+    return result
 
 
 def measure_batch(
@@ -751,21 +747,25 @@ def measure_batch(
     batch = BandsOfSpectra(SpectrumCollection.of(spectra), continuum_name, used)
     done = 0
     for positions in batch.spectra.alike():
-        own = batch.spectra.taken(positions)
-        channels = own[0].wavelength_nm[own[0].usable]
+        alike = batch.spectra.taken(positions)
+        channels = alike[0].wavelength_nm[alike[0].usable]
         if reason := _unusable(channels, used):
             batch.reasons |= dict.fromkeys(positions.tolist(), reason)
         else:
-            found = arrays_in_blocks(
+            result = arrays_in_blocks(
                 partial(_measured, wanted=continuum_name, smoothing=used, narrow=True),
-                len(own),
-                rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
+                len(alike),
+                rows_in_memory(64.0 * channels.size, most=kept_rows(len(alike), BLOCK_ROWS)),
                 stage="bands",
-                about=lambda own=own: {"spectra": own.digest(), "continuum": continuum_name, "smoothing": repr(used)},
-                fetch=lambda block, own=own: own[block.start : block.stop].arrays(),
+                about=lambda alike=alike: {
+                    "spectra": alike.digest(),
+                    "continuum": continuum_name,
+                    "smoothing": repr(used),
+                },
+                fetch=lambda block, alike=alike: alike[block.start : block.stop].arrays(),
                 progress=None if progress is None else lambda now, _, done=done: progress(done + now, len(spectra)),
             )
-            batch.arrays.numbers[positions], batch.arrays.codes[positions] = found["numbers"], found["codes"]
+            batch.arrays.numbers[positions], batch.arrays.codes[positions] = result["numbers"], result["codes"]
         done += len(positions)
     return batch
 

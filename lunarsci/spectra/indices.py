@@ -302,19 +302,21 @@ def index_arrays(
     values = np.asarray(reflectance, float)
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(values) & (values > 0)
-    found = {name: IndexColumn.empty(len(values)) for name in names}
+    columns = {name: IndexColumn.empty(len(values)) for name in names}
     for channels, rows in alike_channels(usable):
         if channels.sum() < 2:
             continue
-        own = values[np.ix_(rows, channels)]
+        measured = values[np.ix_(rows, channels)]
         noise = (
-            scatter_noise_rows(own) if sigma is None else np.broadcast_to(sigma, values.shape)[np.ix_(rows, channels)]
+            scatter_noise_rows(measured)
+            if sigma is None
+            else np.broadcast_to(sigma, values.shape)[np.ix_(rows, channels)]
         )
         shared = [np.asarray(shift)[np.ix_(rows, channels)] for shift in (shifts or {}).values()]
-        group = _Group(wavelength_nm[channels], own, noise, shared, smooth_nm)
+        group = _Group(wavelength_nm[channels], measured, noise, shared, smooth_nm)
         for name in names:
-            group.into(found[name], rows, INDICES[name])
-    return found
+            group.into(columns[name], rows, INDICES[name])
+    return columns
 
 
 @dataclass(slots=True, eq=False)
@@ -345,15 +347,15 @@ class _Group:
             other, _ = index.formula(self.reflectance @ curved.T)
         carried = derivatives @ straight[:, used]
         column.value[rows] = np.where(np.isfinite(value), value, np.nan)
-        known = np.isfinite(value)
+        finite = np.isfinite(value)
         shared = np.array([(carried * shift[:, used]).sum(axis=1) for shift in self.shifts]).reshape(-1, len(value))
-        column.sigma[rows] = np.where(known, np.sqrt(((carried * self.sigma[:, used]) ** 2).sum(axis=1)), np.nan)
-        column.interpolation[rows] = np.where(known, np.abs(other - value), np.nan)
-        column.calibration[rows] = np.where(known, np.sqrt((shared**2).sum(axis=0)), np.nan)
+        column.sigma[rows] = np.where(finite, np.sqrt(((carried * self.sigma[:, used]) ** 2).sum(axis=1)), np.nan)
+        column.interpolation[rows] = np.where(finite, np.abs(other - value), np.nan)
+        column.calibration[rows] = np.where(finite, np.sqrt((shared**2).sum(axis=0)), np.nan)
         beyond = (value < index.low) | (value > index.high)
         if index.of_soils:
             beyond |= (reflectance[:, 0] < SOILS[0]) | (reflectance[:, 0] > SOILS[1])
-        column.status[rows] = np.where(known, np.where(beyond, BEYOND, OK), UNDEFINED)
+        column.status[rows] = np.where(finite, np.where(beyond, BEYOND, OK), UNDEFINED)
 
 
 def reached(wavelength_nm: FloatArray, wanted_nm: FloatArray) -> BoolArray:

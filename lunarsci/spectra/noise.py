@@ -65,16 +65,16 @@ def running_medians(t: Any, source: int, out: int, channels: int, window: int, s
     for j in range(channels):
         largest = highest(largest, _size(load(t, source + j)))
     for j in range(channels - 2):
-        own = load(t, source + j + 1)
-        store(second, j, _size((load(t, source + j + 2) - own) - (own - load(t, source + j))))
+        middle = load(t, source + j + 1)
+        store(second, j, _size((load(t, source + j + 2) - middle) - (middle - load(t, source + j))))
     for j in range(size):
         _insert(ordered, j, load(second, j))
     first, last = half + 1, channels - 2 - half
     for j in range(channels):
         if first < j <= last:
             _replace(ordered, size, load(second, j - half - 2), load(second, j + half - 1))
-        found = load(ordered, half) * NORMAL_MAD / SECOND_DIFFERENCE
-        store(t, out + j, highest(found, largest * EPSILON))
+        scatter = load(ordered, half) * NORMAL_MAD / SECOND_DIFFERENCE
+        store(t, out + j, highest(scatter, largest * EPSILON))
 
 
 @formula

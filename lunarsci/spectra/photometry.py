@@ -177,13 +177,13 @@ class SelenePhase(PhaseFunction):
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside 5-85 deg, and the count of channels beyond the wavelengths."""
         low, high = FITTED_DEG
-        found = []
+        result = []
         if not low <= phase_deg <= high:
             unchecked = f", and beyond {COMPARED_DEG:g} deg nothing checks it" if phase_deg > COMPARED_DEG else ""
-            found.append(
+            result.append(
                 f"phase {phase_deg:.1f} deg extrapolates the formula fitted to {low:g}-{high:g} deg{unchecked}"
             )
-        return _said(self.name, [*found, _beyond(wavelength_nm, self.wavelength_nm)])
+        return _remark_of(self.name, [*result, _beyond(wavelength_nm, self.wavelength_nm)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,10 +215,10 @@ class TablePhase(PhaseFunction):
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside the table, and the count of channels beyond its wavelengths."""
         low, high = self.phase_deg[0], self.phase_deg[-1]
-        found = []
+        result = []
         if not low <= phase_deg <= high:
-            found.append(f"phase {phase_deg:.1f} deg lies outside its {low:g}-{high:g} deg; the edge value is held")
-        return _said(self.name, [*found, _beyond(wavelength_nm, self.wavelength_nm)])
+            result.append(f"phase {phase_deg:.1f} deg lies outside its {low:g}-{high:g} deg; the edge value is held")
+        return _remark_of(self.name, [*result, _beyond(wavelength_nm, self.wavelength_nm)])
 
 
 def _held(wavelength_nm: FloatArray, channels_nm: FloatArray) -> FloatArray:
@@ -237,7 +237,7 @@ def _beyond(wavelength_nm: FloatArray, channels_nm: FloatArray) -> str:
     return f"{count} of {asked.size} {lie} outside its {edges}, where the edge value is held"
 
 
-def _said(name: str, parts: list[str]) -> str:
+def _remark_of(name: str, parts: list[str]) -> str:
     text = "; ".join(part for part in parts if part)
     return f"phase function {name}: {text}" if text else ""
 
@@ -273,8 +273,8 @@ def phase_function(name: str) -> PhaseFunction:
     Raises ParameterError for an unknown name.
     """
     if name not in PHASE_FUNCTIONS:
-        known = ", ".join(PHASE_FUNCTIONS)
-        raise ParameterError(f"phase function '{name}' is unknown; choose one of: {known}, or give a table")
+        names = ", ".join(PHASE_FUNCTIONS)
+        raise ParameterError(f"phase function '{name}' is unknown; choose one of: {names}, or give a table")
     return FlatPhase() if name == "flat" else _selene(name.removeprefix("sp-"))
 
 
@@ -448,8 +448,8 @@ def correction_factor(geometry: Geometry, wavelength_nm: FloatArray, disk: str, 
 
 def remarks(geometry: Geometry, wavelength_nm: FloatArray, disk: str, phase: PhaseFunction) -> list[str]:
     """What a reader of the corrected spectrum should know: use of a model beyond where it is good."""
-    found = (outside(disk, geometry), phase.remark(geometry.phase_deg, wavelength_nm))
-    return [remark for remark in found if remark]
+    result = (outside(disk, geometry), phase.remark(geometry.phase_deg, wavelength_nm))
+    return [remark for remark in result if remark]
 
 
 def model_spread(geometry: Geometry, wavelength_nm: FloatArray, disk: str, phase: PhaseFunction) -> FloatArray:

@@ -140,13 +140,13 @@ def numbers_at_once(lines: Sequence[tuple[int, str]], separator: str) -> FloatAr
     width, size = lines[0][1].count(separator) + 1, sum(len(line) for _, line in lines)
     if separator == " " or size < _MANY or any(line.count(separator) != width - 1 for _, line in lines):
         return None
-    found, step = np.empty((width, len(lines))), max(1, _READ_AT_ONCE * len(lines) // size)
+    result, step = np.empty((width, len(lines))), max(1, _READ_AT_ONCE * len(lines) // size)
     for first in range(0, len(lines), step):
         some = _plain_numbers([line for _, line in lines[first : first + step]], separator)
         if some is None:
             return None
-        found[:, first : first + step] = some.reshape(-1, width).T
-    return found
+        result[:, first : first + step] = some.reshape(-1, width).T
+    return result
 
 
 def _plain_numbers(lines: Sequence[str], separator: str) -> FloatArray | None:

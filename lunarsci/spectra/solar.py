@@ -135,11 +135,11 @@ def in_band_irradiance(solar: SolarSpectrum, center_nm: npt.ArrayLike, fwhm_nm: 
     if not all(np.isfinite(values).all() and (values > 0).all() for values in (centers, widths)):
         raise ParameterError("center_nm and fwhm_nm must be finite and above 0 nm; correct the channel table")
     _check_coverage(solar, centers, widths)
-    found = np.empty(centers.shape)
+    result = np.empty(centers.shape)
     coarsest = (1.0, 0.0, 0.0)
     for at in np.ndindex(centers.shape):
         center, fwhm = float(centers[at]), float(widths[at])
-        found[at], step = _gaussian_mean(solar, center, fwhm)
+        result[at], step = _gaussian_mean(solar, center, fwhm)
         coarsest = max(coarsest, (step / fwhm, center, step))
     if coarsest[0] > 1:
         message = (
@@ -147,7 +147,7 @@ def in_band_irradiance(solar: SolarSpectrum, center_nm: npt.ArrayLike, fwhm_nm: 
             f"{coarsest[2] / coarsest[0]:.3g} nm: solar lines are lost; use a spectrum with finer steps"
         )
         warnings.warn(message, LunarSciWarning, stacklevel=2)
-    return found
+    return result
 
 
 def _check_coverage(solar: SolarSpectrum, centers: FloatArray, widths: FloatArray) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.figure import as_label, name_points, page
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.band_status import BandResult
-from lunarsci.spectra.bands import BandColumns, SpectrumBands, columns_of
+from lunarsci.spectra.band_status import BandColumns, BandResult
+from lunarsci.spectra.bands import SpectrumBands, columns_of
 from lunarsci.spectra.chemistry.plane import (
     OLIVINE_NM,
     Anchor,
@@ -92,8 +92,8 @@ Predictors = Mapping[str, tuple[Any, Any]]
 
 def chemistry(measured: SpectrumBands) -> dict[str, CompositionEstimate]:
     """Estimates by key, of those regressions whose bands are there; see `chemistries`."""
-    found = chemistries(columns_of([measured]))
-    return {key: item.of(0) for key, item in found.items() if item.present[0]}
+    result = chemistries(columns_of([measured]))
+    return {key: item.of(0) for key, item in result.items() if item.present[0]}
 
 
 def chemistries(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
@@ -111,16 +111,16 @@ def chemistries(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
         "bc2000": (np.where(there, two.center_nm, np.nan), errors_nm(two)),
         "bar": area_ratio(one, two),
     }
-    found = estimates(predictors, ratio) | chondrites(bands)
+    result = estimates(predictors, ratio) | chondrites(bands)
     for line in regressions().values():
         if line.place == "chondrite":
-            doubt, own = found["fa_chondrite"].reason, found[line.key].reason
-            own[:] = np.where(doubt != "", doubt, own)
-            own[np.isnan(bands_of_chondrites(bands)[0][:, 1])] = NO_AREAS
+            doubt, reason = result["fa_chondrite"].reason, result[line.key].reason
+            reason[:] = np.where(doubt != "", doubt, reason)
+            reason[np.isnan(bands_of_chondrites(bands)[0][:, 1])] = NO_AREAS
     used = (there & (one.continuum == CONIC)) | (np.isfinite(two.center_nm) & (two.continuum == CONIC))
-    for key in _CENTRED & found.keys():
-        found[key].caveat[used] += "; made under a continuum of straight lines, not under the conic as here"
-    return {key: found[key] for key in KEYS if key in found}
+    for key in _CENTRED & result.keys():
+        result[key].caveat[used] += "; made under a continuum of straight lines, not under the conic as here"
+    return {key: result[key] for key in KEYS if key in result}
 
 
 _CENTRED = frozenset(KEYS) - {"ol_dunn", "opx_cloutis", "fs_chondrite", "fa_chondrite", "ol_chondrite"}
@@ -152,12 +152,12 @@ def estimates(predictors: Predictors, depth_ratio: FloatArray) -> dict[str, Esti
             places[line.place] = objections(line.place, first, second, depth_ratio)
         return _estimate(line, *predictors[line.predictor], places[line.place])
 
-    found = {
+    made = {
         key: one(line) for key, line in regressions().items() if "gaffey" not in key and line.predictor in predictors
     }
     if {"bc1000", "bc2000"} <= predictors.keys():
-        found = _gaffey(first, second, one) | found
-    return found
+        made = _gaffey(first, second, one) | made
+    return made
 
 
 def _estimate(line: Regression, x: FloatArray, sigma: FloatArray, objection: Texts) -> Estimates:
@@ -346,24 +346,24 @@ class ChondriteLaw:
     def _apart(self, bands: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x - m_x, (m, 2), and S_xx + E, (m, 2, 2); a band that is not there has an endless error."""
         there = np.isfinite(bands)
-        own = np.where(there, errors**2, 1e12)[:, None, :] * np.eye(2)
-        return np.where(there, bands - self.mean[:2], 0.0), self.covariance[:2, :2] + own
+        errors_squared = np.where(there, errors**2, 1e12)[:, None, :] * np.eye(2)
+        return np.where(there, bands - self.mean[:2], 0.0), self.covariance[:2, :2] + errors_squared
 
 
-def learn_law(known: FloatArray, rocks: Sequence[str], groups: Sequence[str]) -> ChondriteLaw:
+def learn_law(samples: FloatArray, rocks: Sequence[str], groups: Sequence[str]) -> ChondriteLaw:
     """Law of spectra (n, 5), NaN for what is not known.
 
     The spectra of a rock, the rocks of a group (H, L, LL) and the groups count alike: which of them a laboratory has
     measured most says nothing of the next.
     """
-    weight = np.ones(len(known))
+    weight = np.ones(len(samples))
     for names in (np.array(rocks), np.array(groups)):
         for name in np.unique(names):
             weight[names == name] /= weight[names == name].sum()
-    there = np.isfinite(known)
+    there = np.isfinite(samples)
     part = weight[:, None] * there
-    mean = np.sum(part * np.where(there, known, 0.0), axis=0) / part.sum(axis=0)
-    apart = np.where(there, known - mean, 0.0)
+    mean = np.sum(part * np.where(there, samples, 0.0), axis=0) / part.sum(axis=0)
+    apart = np.where(there, samples - mean, 0.0)
     raw = (weight[:, None] * apart).T @ apart / (part.T @ there)
     return ChondriteLaw(mean, (1.0 - SHRINKAGE) * raw + SHRINKAGE * np.diag(np.diagonal(raw)))
 
@@ -399,17 +399,17 @@ def bands_of_chondrites(bands: Mapping[str, BandColumns]) -> tuple[FloatArray, F
 
 def chondrites(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
     """What the law of ordinary chondrites says: `fa_chondrite`, `fs_chondrite`, `ol_chondrite`."""
-    found, errors = bands_of_chondrites(bands)
+    result, errors = bands_of_chondrites(bands)
     law = embedded_law()
-    values, sigmas = law.composition(found, errors)
-    reason = np.where(law.likeness(found) < UNLIKE, "the bands are not those of an ordinary chondrite", "")
+    values, sigmas = law.composition(result, errors)
+    reason = np.where(law.likeness(result) < UNLIKE, "the bands are not those of an ordinary chondrite", "")
     caveat = "not corrected for temperature: 100 K above the laboratory's add 20 nm to the 2 µm centre"
     texts = {"domain": "an ordinary chondrite", "caveat": caveat, "source": "chondrite-bands"}
     return {
         f"{key}_chondrite": Estimates(
             quantity=quantity,
             unit="-" if quantity == "ol_share" else "mol %",
-            present=np.isfinite(found[:, 0]),
+            present=np.isfinite(result[:, 0]),
             value=values[:, place],
             sigma=sigmas[:, place],
             reason=reason.astype(object),
@@ -419,16 +419,16 @@ def chondrites(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
     }
 
 
-def chondrite_record(found: Mapping[str, Estimates], row: int) -> dict[str, Any] | None:
+def chondrite_record(result: Mapping[str, Estimates], row: int) -> dict[str, Any] | None:
     """The key `chondrite` of `lunarsci spectra unmix --json`: what a spectrum says if it is an ordinary chondrite's.
 
     `fa`, `fs` [mol %] and `olivine_in_mafic` [-], each with intervals; None where there is no 2 um band.
     """
-    first = found["fa_chondrite"]
+    first = result["fa_chondrite"]
     if not first.present[row]:
         return None
     most = {"fa": 100.0, "fs": 100.0, "olivine_in_mafic": 1.0}
-    values = {name: _with_intervals(one.of(row), most[name]) for name, one in zip(most, found.values(), strict=True)}
+    values = {name: _with_intervals(one.of(row), most[name]) for name, one in zip(most, result.values(), strict=True)}
     return values | {"in_domain": not first.reason[row], "status": first.reason[row] or "if an ordinary chondrite"}
 
 

@@ -160,7 +160,7 @@ class MapFile:
             for number, layer in enumerate(self.layers, 1):
                 file.set_band_description(number, layer.name)
                 file.set_band_unit(number, layer.units if layer.units != "1" else "")
-                file.update_tags(number, long_name=layer.long_name, **_told(layer))
+                file.update_tags(number, long_name=layer.long_name, **_flag_attributes(layer))
             for rows, arrays in blocks:
                 window = Window(0, rows.start, samples, len(rows))
                 for number, layer in enumerate(self.layers, 1):
@@ -177,7 +177,7 @@ def _georeference(frame: PixelFrame | None) -> dict[str, Any]:
     return {"transform": Affine(*frame.transform), **crs}
 
 
-def _told(layer: Layer) -> dict[str, Any]:
+def _flag_attributes(layer: Layer) -> dict[str, Any]:
     """Codes and their meanings, as CF names them."""
     if not layer.meanings:
         return {}
@@ -186,10 +186,10 @@ def _told(layer: Layer) -> dict[str, Any]:
 
 
 def _as_float(values: npt.NDArray[Any], layer: Layer) -> FloatArray:
-    found = values.astype(float)
+    result = values.astype(float)
     if layer.meanings and not layer.bits:
-        found[values == NO_CODE] = np.nan
-    return found
+        result[values == NO_CODE] = np.nan
+    return result
 
 
 def _netcdf_layer(file: Any, layer: Layer, dtype: str, dims: tuple[str, str], links: Mapping[str, str]) -> None:
@@ -201,7 +201,7 @@ def _netcdf_layer(file: Any, layer: Layer, dtype: str, dims: tuple[str, str], li
     if layer.standard_name:
         variable.attrs["standard_name"] = layer.standard_name
         return
-    for key, value in _told(layer).items():
+    for key, value in _flag_attributes(layer).items():
         variable.attrs[key] = np.array(value, dtype=dtype) if isinstance(value, list) else value
     for key, value in links.items():
         variable.attrs[key] = value
@@ -238,8 +238,8 @@ def _coordinates(file: Any, made: MapFile, dims: tuple[str, str]) -> dict[str, s
 
 def _axis_names(name: str, geographic: bool) -> dict[str, str]:
     if geographic:
-        known = {"x": ("longitude", "degrees_east"), "y": ("latitude", "degrees_north")}
-        return {"standard_name": known[name][0], "units": known[name][1]}
+        names = {"x": ("longitude", "degrees_east"), "y": ("latitude", "degrees_north")}
+        return {"standard_name": names[name][0], "units": names[name][1]}
     return {"standard_name": f"projection_{name}_coordinate", "units": "m"}
 
 
@@ -333,7 +333,7 @@ def fetched(cube: Cube, region: Region, rows: range) -> dict[str, Any]:
     thin = (slice(None, None, region.step),) * 2
     values, flags = cube.read(lines, samples)
     reflectance, flags = values[thin], flags[thin]
-    flags[~region.kept(cube, rows)] |= LEFT_OUT
+    flags[~region.wanted(cube, rows)] |= LEFT_OUT
     planes = {
         name: plane.read(lines, samples)[:: region.step, :: region.step] for name, plane in cube.backplanes.items()
     }
@@ -344,7 +344,7 @@ def measured(products: Sequence[Product], wavelength_nm: Any, block: Mapping[str
     """Every layer of a block, (rows, samples)."""
     flags, shape = block["flags"], block["flags"].shape
     wanted = (flags & (NO_DATA | LEFT_OUT)) == 0
-    found: dict[str, Any] = {FLAG_LAYER: flags, **block["planes"]}
+    result: dict[str, Any] = {FLAG_LAYER: flags, **block["planes"]}
     reflectance, places = block["reflectance"][wanted], np.argwhere(wanted) + np.array([block["first"], 0])
     for product in products:
         values = product.measure(wavelength_nm, reflectance, places) if len(reflectance) else {}
@@ -352,8 +352,8 @@ def measured(products: Sequence[Product], wavelength_nm: Any, block: Mapping[str
             whole = np.full(shape, _nothing(layer))
             if layer.name in values:
                 whole[wanted] = values[layer.name]
-            found[layer.name] = whole
-    return found
+            result[layer.name] = whole
+    return result
 
 
 def warn_of_cost(products: Sequence[Product], cube: Cube, region: Region) -> None:
@@ -364,7 +364,7 @@ def warn_of_cost(products: Sequence[Product], cube: Cube, region: Region) -> Non
     rows = (region.shape[0] * k // 4 for k in (2, 1, 3, 0))
     blocks = (fetched(cube, region, range(row, row + 1)) for row in rows)
     wanted = (block["reflectance"][(block["flags"] & (NO_DATA | LEFT_OUT)) == 0] for block in blocks)
-    some = next((found for found in wanted if len(found) >= TRIED), np.empty((0, 0)))[:TRIED]
+    some = next((result for result in wanted if len(result) >= TRIED), np.empty((0, 0)))[:TRIED]
     if not len(some):
         return
     places = np.zeros((TRIED, 2), np.int64)
@@ -376,12 +376,14 @@ def warn_of_cost(products: Sequence[Product], cube: Cube, region: Region) -> Non
     each = (time.perf_counter() - begun) / TRIED
     count = region.shape[0] * region.shape[1]
     hours = each * count / 3600
-    told = (
+    duration = (
         f"{60 * hours:.0f} minutes" if hours < 2 else f"{hours:.0f} hours" if hours < 48 else f"{hours / 24:.0f} days"
     )
     if hours > LONG_HOURS:
         names = " and ".join(product.name for product in slow)
-        message = f"{names}: {each:.2g} s a pixel, about {told} for {count:,} pixels on one core; `every` makes it less"
+        message = (
+            f"{names}: {each:.2g} s a pixel, about {duration} for {count:,} pixels on one core; `every` makes it less"
+        )
         warn(message)
 
 
@@ -408,9 +410,9 @@ class Tally:
             yield rows, arrays
 
     def _add(self, arrays: Mapping[str, Any]) -> None:
-        kept = (arrays[FLAG_LAYER].ravel() & LEFT_OUT) == 0
-        some = np.flatnonzero(kept)[:: self.step]
-        self.pixels += int(kept.sum())
+        retained = (arrays[FLAG_LAYER].ravel() & LEFT_OUT) == 0
+        some = np.flatnonzero(retained)[:: self.step]
+        self.pixels += int(retained.sum())
         for layer in self.layers:
             values = arrays[layer.name].ravel()
             if not layer.meanings:
@@ -418,7 +420,7 @@ class Tally:
                 continue
             for k, name in enumerate(layer.meanings):
                 hit = (values & (1 << k)) != 0 if layer.bits else values == k
-                self.codes[layer.name][name] += int(np.count_nonzero(hit if name == "left_out" else hit & kept))
+                self.codes[layer.name][name] += int(np.count_nonzero(hit if name == "left_out" else hit & retained))
 
     def counts(self) -> dict[str, int]:
         """Pixels that were wanted, and how many of them have each flag."""

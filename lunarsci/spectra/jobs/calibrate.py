@@ -176,14 +176,14 @@ def check_fits(path: Path | None, products: Products) -> None:
 def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataError]]]:
     """One file of each observation, and the arguments that name none, with the reason."""
 
-    found: list[str] = []
+    result: list[str] = []
     failures: list[tuple[str, DataError]] = []
     for argument in [products] if isinstance(products, str | Path) else products:
         try:
-            found += _products(str(argument))
+            result += _products(str(argument))
         except DataError as error:
             failures.append((str(argument), error))
-    return one_per_observation(found), failures
+    return one_per_observation(result), failures
 
 
 def _products(argument: str) -> list[str]:

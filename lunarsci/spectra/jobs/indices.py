@@ -57,12 +57,12 @@ class FoundIndices(Result):
     def content(self) -> dict[str, Any]:
 
         about = {name: _about(INDICES[name]) for name in self.columns}
-        return {**self.batch.said, "indices": about, "spectra": self.records()}
+        return {**self.batch.remarks, "indices": about, "spectra": self.records()}
 
     def records(self) -> Records:
         """Each spectrum with a nested object for each index."""
 
-        found: dict[str, Any] = {
+        result: dict[str, Any] = {
             name: {
                 "value": column.value,
                 "sigma": column.sigma,
@@ -73,7 +73,7 @@ class FoundIndices(Result):
             }
             for name, column in self.columns.items()
         }
-        return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **found})
+        return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **result})
 
     def rows(self) -> Records:
         """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
@@ -123,17 +123,17 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
     if unknown := [name for name in names if name not in INDICES]:
         raise RequestError(f"`index` {unknown[0]}: there are {', '.join(INDICES)}")
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
-    found = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
+    result = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
     for rows in batch.spectra.alike():
         alike = batch.spectra.taken(rows).arrays()
         shifts = {str(k): alike.shifts[:, k] for k in range(alike.shifts.shape[1])}
         how: dict[str, Any] = {"names": names, "smooth_nm": asked.smooth_nm, "shifts": shifts}
         for name, column in index_arrays(alike.wavelength_nm, alike.reflectance, alike.sigma, **how).items():
-            found[name].take(column, rows)
-    if all((column.status == NO_CHANNELS).all() for column in found.values()):
+            result[name].take(column, rows)
+    if all((column.status == NO_CHANNELS).all() for column in result.values()):
         needs = sorted({round(nm) for name in names for nm in INDICES[name].wavelengths_nm})
         raise DataError(
             f"{batch.origins[0]}: no channels where an index needs them; these need reflectances from {needs[0]} to "
             f"{needs[-1]} nm, with channels at most 60 nm apart"
         )
-    return FoundIndices(batch, found)
+    return FoundIndices(batch, result)

@@ -100,9 +100,9 @@ class CubeMap(Result):
         kind = "value" if not layer.meanings else "bits" if layer.bits else "code"
         row: dict[str, Any] = {"name": layer.name, "long_name": layer.long_name, "units": layer.units, "kind": kind}
         seen = self.sampled.get(layer.name)
-        known = np.empty(0) if seen is None else seen[np.isfinite(seen)]
-        low, median, high = np.quantile(known, (0.05, 0.5, 0.95)) if known.size else (None, None, None)
-        share = known.size / seen.size if seen is not None and seen.size else None
+        finite = np.empty(0) if seen is None else seen[np.isfinite(seen)]
+        low, median, high = np.quantile(finite, (0.05, 0.5, 0.95)) if finite.size else (None, None, None)
+        share = finite.size / seen.size if seen is not None and seen.size else None
         codes = " ".join(f"{name}={count}" for name, count in self.codes.get(layer.name, {}).items() if count)
         return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
 
@@ -233,8 +233,10 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
         for name, plane in image.backplanes.items()
         if name in ("longitude", "latitude")
     }
-    told = [name for k, name in enumerate(FLAGS) if flags[0, 0] & np.uint8(1 << k)]
-    return PixelSpectrum(cube=image, line=line, sample=sample, reflectance=reflectance[0, 0], flags=told, places=places)
+    names = [name for k, name in enumerate(FLAGS) if flags[0, 0] & np.uint8(1 << k)]
+    return PixelSpectrum(
+        cube=image, line=line, sample=sample, reflectance=reflectance[0, 0], flags=names, places=places
+    )
 
 
 def made_from(cube: Cube, products: Sequence[Product]) -> MadeFrom:

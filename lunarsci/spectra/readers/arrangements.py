@@ -68,8 +68,8 @@ class TableInText:
     @property
     def keys(self) -> dict[str, str]:
         """What lines of `key: value` say."""
-        found = (_KEY.match(line) for line in self.about)
-        return {one[1].strip(): one[2].strip() for one in found if one}
+        result = (_KEY.match(line) for line in self.about)
+        return {one[1].strip(): one[2].strip() for one in result if one}
 
 
 def text_table(lines: Lines, file: str) -> TableInText:
@@ -170,8 +170,8 @@ def _with_head(table: TableInText, begin: int, file: str) -> TableInText:
         names = _named_above(rows[at], rows[at + 1 :])
     if names and units:
         names = [f"{name} [{unit}]" if unit.strip("-") else name for name, unit in zip(names, units, strict=True)]
-    found = _by_keys(about, width) or names or units
-    return replace(table, lines=body, names=found or None, about=about)
+    result = _by_keys(about, width) or names or units
+    return replace(table, lines=body, names=result or None, about=about)
 
 
 def _is_prose(cells: Sequence[str]) -> bool:
@@ -240,17 +240,17 @@ def spectra_in_rows(table: TableInText, source: InputFile, about: dict[str, Any]
     errors = {k: k - 1 for k, row in enumerate(rows) if k > 0 and any(says_error(row.fields[t]) for t in texts)}
     errors = {k: of for k, of in errors.items() if of not in errors}
     sigma = {of: Column("", values[k], k + 1) for k, of in errors.items()}
-    kept = [k for k in range(len(rows)) if k not in errors]
-    rows, values = [rows[k] for k in kept], values[kept]
+    used = [k for k in range(len(rows)) if k not in errors]
+    rows, values = [rows[k] for k in used], values[used]
     ids = [row.fields[label] if label is not None else "" for row in rows]
     ids = ids if len({*ids}) == len(ids) else [""] * len(ids)
     if not texts:
         ids = [id and f"row {id}" for id in ids]
-    said = f"wavelengths in the header, {len(rows)} spectra in rows; give the table with spectra in columns otherwise"
+    notes = f"wavelengths in the header, {len(rows)} spectra in rows; give the table with spectra in columns otherwise"
     return SpectrumTable(
         source, "text", Column("wavelength", wavelength, 1, unit),
-        tuple((Column(id, own, k + 1), sigma.get(k)) for k, id, own in zip(kept, ids, values, strict=True)),
-        tuple(f"column {k + 1}" for k in channels), {**about, "read_as": [said]},
+        tuple((Column(id, one, k + 1), sigma.get(k)) for k, id, one in zip(used, ids, values, strict=True)),
+        tuple(f"column {k + 1}" for k in channels), {**about, "read_as": [notes]},
     )  # fmt: skip
 
 
@@ -261,14 +261,14 @@ def _is_text(row: Row, place: int, decimal: bool) -> bool:
 
 def header_channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | None] | None:
     """Places of names that are wavelengths, these and their unit; None where they are few or in no order."""
-    found = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
-    values = np.array([float((match[1] or match[3]).replace(",", ".")) for _, match in found])
+    result = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
+    values = np.array([float((match[1] or match[3]).replace(",", ".")) for _, match in result])
     if values.size < FEWEST_CHANNELS or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
         return None
     if not any(low <= values.min() and values.max() <= high for low, high in SURELY.values()):
         return None
-    units = {length_unit(match[2] or match[4]) for _, match in found if match[2] or match[4]}
-    return [k for k, _ in found], values, units.pop() if len(units) == 1 else None
+    units = {length_unit(match[2] or match[4]) for _, match in result if match[2] or match[4]}
+    return [k for k, _ in result], values, units.pop() if len(units) == 1 else None
 
 
 def _first_is_wavelength(names: Sequence[str], rows: Sequence[Row]) -> bool:
@@ -280,7 +280,7 @@ def _first_is_wavelength(names: Sequence[str], rows: Sequence[Row]) -> bool:
     return is_wavelength(names[0]) or (likely and number(names[0]) is None and len(rows) >= FEWEST_CHANNELS)
 
 
-def own_wavelengths(names: Sequence[str]) -> list[list[int]]:
+def wavelength_groups(names: Sequence[str]) -> list[list[int]]:
     """Places of the columns of each spectrum, its wavelengths first, where each has its own; none for another table."""
     starts = [k for k, name in enumerate(names) if is_wavelength(_NUMBERED.sub("", name))]
     if len(starts) < 2 and names[0]:
@@ -308,21 +308,21 @@ def one_below_another(names: Sequence[str], rows: Sequence[Row], separator: str,
     if len(each) < 2 or len(each) * FEWEST_CHANNELS > len(rows) or max(wavelengths.values()) < 2:
         return []
     others = [k for k in range(len(names)) if k != place and k not in labels]
-    found = list[list[Column]]()
-    for id, own in each.items():
+    result = list[list[Column]]()
+    for id, its_rows in each.items():
         titles = [id if len(others) == 1 or k == others[0] else f"{id} {names[k]}" for k in others]
-        columns = [Column(names[place], numbers(own, place, quoted(names[place]), file, decimal), place + 1)]
+        columns = [Column(names[place], numbers(its_rows, place, quoted(names[place]), file, decimal), place + 1)]
         for title, k in zip(titles, others, strict=True):
-            columns.append(Column(title, numbers(own, k, quoted(names[k]), file, decimal), k + 1))
-        found.append(columns)
-    return found
+            columns.append(Column(title, numbers(its_rows, k, quoted(names[k]), file, decimal), k + 1))
+        result.append(columns)
+    return result
 
 
 def on_one_grid(
     groups: Sequence[Sequence[Column]],
     source: InputFile,
     about: dict[str, Any],
-    said: str = "",
+    notes: str = "",
     format: str = "text",
 ) -> SpectrumTable:
     """Spectra with wavelengths of their own on the wavelengths of all, missing where they have none."""
@@ -332,24 +332,24 @@ def on_one_grid(
     spectra = list[tuple[Column, Column | None]]()
     for wavelength, *others in groups:
         roles = assign_roles([wavelength.name, *(one.name for one in others)], source, wavelength=0)
-        known = np.isfinite(wavelength.values)
-        place = np.searchsorted(every, wavelength.values[known])
+        finite = np.isfinite(wavelength.values)
+        place = np.searchsorted(every, wavelength.values[finite])
         if np.unique(place).size < place.size:
             raise DataError(f"{source.name}: column {wavelength.label} repeats a wavelength; keep one row of each")
 
-        def spread(column: Column, known: Any = known, place: Any = place) -> Column:
+        def spread(column: Column, finite: Any = finite, place: Any = place) -> Column:
             values = np.full(every.size, np.nan)
-            values[place] = column.values[known]
+            values[place] = column.values[finite]
             return Column(column.name, values, column.position, column.unit)
 
         spectra += [(spread(others[r - 1]), None if s is None else spread(others[s - 1])) for r, s in roles.spectra]
     names = [one.name for one, _ in spectra]
     spectra = [(c if names.count(c.name) == 1 else _without_name(c), s) for c, s in spectra]
-    said = said or f"{len(groups)} columns of wavelengths: each read as those of the columns up to the next"
+    notes = notes or f"{len(groups)} columns of wavelengths: each read as those of the columns up to the next"
     places = tuple(f"wavelength {value:g}" for value in every)
     first = groups[0][0]
     wavelength = Column(first.name, every, first.position, first.unit)
-    about = {**about, "read_as": [said]} if len(groups) > 1 else about
+    about = {**about, "read_as": [notes]} if len(groups) > 1 else about
     return SpectrumTable(source, format, wavelength, tuple(spectra), places, about)
 
 
@@ -366,44 +366,47 @@ def unnamed(
     Raises DataError for a third and last column that could be the errors of the second as well as a spectrum.
     """
     wavelength, *others = columns
-    said, counts = list[str](), [k for k, one in enumerate(others) if k > 0 and _is_count(one.values, others[0].values)]
+    notes, counts = (
+        list[str](),
+        [k for k, one in enumerate(others) if k > 0 and _is_count(one.values, others[0].values)],
+    )
     if counts:
         listed = ", ".join(str(others[k].position) for k in counts)
-        said.append(f"column {listed} without a name read as a count, left out; name the columns to decide otherwise")
-    kept = [one for k, one in enumerate(others) if k not in counts]
-    kept = _without_copies(kept, said)
-    spectra: list[tuple[Column, Column | None]] = [(one, None) for one in kept]
-    shares = [_share(a.values, b.values) for a, b in zip(kept[::2], kept[1::2], strict=False)]
-    if len(kept) == 2 * len(shares) > 0 and all(share <= ERROR_SHARE for share in shares):
-        spectra = list(zip(kept[::2], kept[1::2], strict=True))
+        notes.append(f"column {listed} without a name read as a count, left out; name the columns to decide otherwise")
+    retained = [one for k, one in enumerate(others) if k not in counts]
+    retained = _without_copies(retained, notes)
+    spectra: list[tuple[Column, Column | None]] = [(one, None) for one in retained]
+    shares = [_share(a.values, b.values) for a, b in zip(retained[::2], retained[1::2], strict=False)]
+    if len(retained) == 2 * len(shares) > 0 and all(share <= ERROR_SHARE for share in shares):
+        spectra = list(zip(retained[::2], retained[1::2], strict=True))
         each = ", ".join(f"{sigma.position} of {one.position}" for one, sigma in spectra[:3] if sigma)
-        said.append(f"columns without names read as errors: {each}; name the columns to decide otherwise")
-    elif len(kept) == 2 and shares[0] < LARGE_ERROR:
+        notes.append(f"columns without names read as errors: {each}; name the columns to decide otherwise")
+    elif len(retained) == 2 and shares[0] < LARGE_ERROR:
         raise DataError(
             f"{source.name}: three columns without names: the third may be a spectrum or a standard deviation; add a "
             "header line such as wavelength_nm,reflectance,reflectance_sigma"
         )
-    elif len(kept) > 1:
-        said.append(f"{len(kept)} columns without names read as spectra; name the columns to decide otherwise")
-    about = {**about, "read_as": said} if said else about
+    elif len(retained) > 1:
+        notes.append(f"{len(retained)} columns without names read as spectra; name the columns to decide otherwise")
+    about = {**about, "read_as": notes} if notes else about
     return SpectrumTable(source, "text", wavelength, tuple(spectra), places, about)
 
 
-def _without_copies(columns: Sequence[Column], said: list[str]) -> list[Column]:
+def _without_copies(columns: Sequence[Column], notes: list[str]) -> list[Column]:
     """Columns less those that repeat one before them; one that is the quotient of two others is said to be."""
-    kept, copies = list[Column](), list[str]()
+    retained, copies = list[Column](), list[str]()
     for one in columns:
-        same = next((other for other in kept if np.array_equal(one.values, other.values, equal_nan=True)), None)
+        same = next((other for other in retained if np.array_equal(one.values, other.values, equal_nan=True)), None)
         if same is None:
-            kept.append(one)
+            retained.append(one)
         else:
             copies.append(f"{one.position} of {same.position}")
     if copies:
-        said.append(f"columns without names that repeat others left out: {', '.join(copies)}")
-    for ratio, over, under in permutations(kept, 3) if len(kept) <= MOST_COMPARED else ():
+        notes.append(f"columns without names that repeat others left out: {', '.join(copies)}")
+    for ratio, over, under in permutations(retained, 3) if len(retained) <= MOST_COMPARED else ():
         if over.position < under.position and _is_quotient(ratio.values, over.values, under.values):
-            said.append(f"column {ratio.position} is column {over.position} over {under.position}, a ratio of spectra")
-    return kept
+            notes.append(f"column {ratio.position} is column {over.position} over {under.position}, a ratio of spectra")
+    return retained
 
 
 def _is_quotient(ratio: FloatArray, over: FloatArray, under: FloatArray) -> bool:
@@ -415,10 +418,10 @@ def _is_quotient(ratio: FloatArray, over: FloatArray, under: FloatArray) -> bool
 
 def _is_count(values: FloatArray, first: FloatArray) -> bool:
     """Whether all are whole numbers, from 0 on, beside a spectrum that has others."""
-    known = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     fractions = (first[np.isfinite(first)] % 1.0 != 0.0).any()
-    return bool(known.size > 1 and (known % 1.0 == 0.0).all() and (known >= 0).all() and 1 <= known.max() < 1e4
-                and (fractions or (known == known[0]).all()))  # fmt: skip
+    return bool(finite.size > 1 and (finite % 1.0 == 0.0).all() and (finite >= 0).all() and 1 <= finite.max() < 1e4
+                and (fractions or (finite == finite[0]).all()))  # fmt: skip
 
 
 def _share(values: FloatArray, beside: FloatArray) -> float:

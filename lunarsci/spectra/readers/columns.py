@@ -81,7 +81,7 @@ def quantity_of(name: str) -> ColumnQuantity | None:
 
 def as_reflectance(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
     """A table whose `block`, and errors, are reflectances where columns hold something else; and what to say."""
-    spectra, said, reflectances = list(table.spectra), dict[str, str](), table.reflectances
+    spectra, notes, reflectances = list(table.spectra), dict[str, str](), table.reflectances
     for row, (column, sigma) in enumerate(table.spectra):
         if (quantity := quantity_of(column.name)) is None:
             continue
@@ -89,11 +89,11 @@ def as_reflectance(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
         with np.errstate(invalid="ignore", over="ignore"):
             reflectances[row] = quantity.reflectance(values)
             spectra[row] = _named(column), None if sigma is None else _error(sigma, values, quantity)
-        said.setdefault(
+        notes.setdefault(
             quantity.name,
             f"column {column.label} read as {quantity.name} and made reflectance; if it is one already, name it so",
         )
-    return replace(table, spectra=tuple(spectra), block=reflectances), list(said.values())
+    return replace(table, spectra=tuple(spectra), block=reflectances), list(notes.values())
 
 
 def _named(column: Column) -> Column:
@@ -109,7 +109,7 @@ def _error(sigma: Column, values: FloatArray, quantity: ColumnQuantity) -> Colum
 
 def with_absolute_errors(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
     """A table whose relative errors are made errors of their reflectances; and what to say where no unit is named."""
-    spectra, said = list(table.spectra), list[str]()
+    spectra, notes = list(table.spectra), list[str]()
     for row, (column, sigma) in enumerate(table.spectra):
         if sigma is None or not _is_relative(sigma.name, column.name):
             continue
@@ -117,16 +117,16 @@ def with_absolute_errors(table: SpectrumTable) -> tuple[SpectrumTable, list[str]
         in_percent = named or bool(np.nanmedian(share) > LARGE_ERROR)
         if not named:
             unit = "percent" if in_percent else "shares of 1"
-            said.append(f"column {sigma.label} read as relative errors in {unit}; name its unit to decide otherwise")
+            notes.append(f"column {sigma.label} read as relative errors in {unit}; name its unit to decide otherwise")
         absolute = np.abs(table.reflectances[row]) * (share / 100 if in_percent else share)
         spectra[row] = column, replace(sigma, name="", values=absolute, unit=column.unit)
-    return replace(table, spectra=tuple(spectra), block=table.reflectances), said
+    return replace(table, spectra=tuple(spectra), block=table.reflectances), notes
 
 
 def _is_relative(name: str, of: str) -> bool:
     """Whether the name of errors says that they are relative, apart from what they are the errors of."""
-    own = Counter(name_tokens(name)) - Counter(name_tokens(of))
-    return any(re.fullmatch(r"rel|relativ\w*|rel(err|sd|std|unc)\w*|rsd", word) for word in own)
+    words = Counter(name_tokens(name)) - Counter(name_tokens(of))
+    return any(re.fullmatch(r"rel|relativ\w*|rel(err|sd|std|unc)\w*|rsd", word) for word in words)
 
 
 def rows_by_id(source: InputFile) -> dict[str, tuple[int, dict[str, str]]]:
@@ -279,14 +279,14 @@ def _check_unique(names: Sequence[str], file: str) -> None:
 
 
 def _wavelength_place(names: Sequence[str], file: str) -> int:
-    found = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
-    found = [k for k in found if not _WAVENUMBER & {*name_tokens(names[k])}] or found
-    if len(found) > 1:
+    result = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    result = [k for k in result if not _WAVENUMBER & {*name_tokens(names[k])}] or result
+    if len(result) > 1:
         raise DataError(
-            f"{file}: {quoted(names[found[0]])} and {quoted(names[found[1]])} are both wavelengths; keep one of them"
+            f"{file}: {quoted(names[result[0]])} and {quoted(names[result[1]])} are both wavelengths; keep one of them"
         )
-    if found:
-        return found[0]
+    if result:
+        return result[0]
     if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM:
         raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one named wavelength_nm")
     return 0
@@ -346,15 +346,15 @@ def _owner(name: str, plain: Mapping[str, int]) -> int | None:
 def _systematic(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, tuple[tuple[str, int], ...]]:
     """By the place of a reflectance, the columns COLUMN_systematic_NAME that say how errors shift all its channels."""
     plain = {without_unit(names[k]): k for k in places}
-    found: dict[int, list[tuple[str, int]]] = {}
+    result: dict[int, list[tuple[str, int]]] = {}
     for k in places:
         match = _SYSTEMATIC.match(without_unit(names[k]))
         if match is None:
             continue
         if match[1] not in plain:
             raise DataError(f"{file}: there is no column {quoted(match[1])} that {quoted(names[k])} belongs to; add it")
-        found.setdefault(plain[match[1]], []).append((match[2], k))
-    return {owner: tuple(columns) for owner, columns in found.items()}
+        result.setdefault(plain[match[1]], []).append((match[2], k))
+    return {owner: tuple(columns) for owner, columns in result.items()}
 
 
 def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[str], file: str) -> None:
@@ -382,19 +382,22 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
     constant = unnamed & ((low > MAX_FRACTION) & ((low == high) | any(plain)) | running)
     if constant.any() and not constant.all():
-        kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
+        retained, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
         why = "the same value in all rows" if (low == high)[constant].all() else "raw numbers beside a reflectance"
         why = "the number of the row" if running[constant].all() else why
         warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
-        shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
-        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
-        high, deleted = high[kept], deleted[kept]
-    for (before, known), (column, own), most in zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False):
-        if known is None and own is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
+        shifts = {new: table.systematic[old] for new, old in enumerate(retained) if old in table.systematic}
+        table = replace(
+            table, spectra=tuple(table.spectra[k] for k in retained), systematic=shifts, block=values[retained]
+        )
+        high, deleted = high[retained], deleted[retained]
+    pairs = zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False)
+    for (before, errors), (column, sigma), most in pairs:
+        if errors is None and sigma is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
             text = f"column {column.label} is below {100 * ERROR_SHARE:g} % of {before.label} before it"
-            own_name = quoted(without_unit(before.name) + "_sigma")
-            warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
+            sigma_name = quoted(without_unit(before.name) + "_sigma")
+            warn(f"{table.source.name}: {text}: if it is its error, name it {sigma_name}")
     return table, deleted
 
 

@@ -31,7 +31,7 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
     parts = ways[0](table, wavelength_nm) or ways[1](table, wavelength_nm)
     if not parts:
         return _without_copies(table, wavelength_nm)
-    gain, keep, said = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
+    gain, keep, notes = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
     keep[parts[-1]] = True
     for low, high in reversed(list(pairwise(parts))):
         first, last = wavelength_nm[high[0]], wavelength_nm[low[-1]]
@@ -39,13 +39,13 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
         keep[low], keep[high] = wavelength_nm[low] < middle, keep[high] & (wavelength_nm[high] >= middle)
         ratio = np.array([_ratio(wavelength_nm, one, low, high) for one in table.reflectances * gain])
         gain[:, low] *= ratio[:, None]
-        said.append(
+        notes.append(
             f"two detectors overlap at {first:.5g}-{last:.5g} nm: read as one spectrum, the first scaled by "
             f"{float(np.median(ratio)):.4g} to the second and joined at {middle:.5g} nm; give each by itself to keep "
             "them apart"
         )
     chosen = np.concatenate([part[keep[part]] for part in parts])
-    return table.taken(chosen, gain), wavelength_nm[chosen], said
+    return table.taken(chosen, gain), wavelength_nm[chosen], notes
 
 
 def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
@@ -56,8 +56,8 @@ def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[Sp
     chosen = np.sort(np.unique(rows, axis=1, return_index=True)[1])
     if chosen.size == wavelength_nm.size:
         return table, wavelength_nm, []
-    said = [f"{wavelength_nm.size - chosen.size} rows that repeat another one are left out"]
-    return table.taken(chosen), wavelength_nm[chosen], said
+    notes = [f"{wavelength_nm.size - chosen.size} rows that repeat another one are left out"]
+    return table.taken(chosen), wavelength_nm[chosen], notes
 
 
 def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
@@ -156,16 +156,16 @@ def _differences(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, h
 
 def _ratio(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> float:
     """Of the second detector to the first, by the median where both measured; 1 where nothing tells."""
-    found = _differences(wavelength_nm, values, low, high)
-    return float(np.exp(np.median(found))) if found.size else 1.0
+    result = _differences(wavelength_nm, values, low, high)
+    return float(np.exp(np.median(result))) if result.size else 1.0
 
 
 def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> bool:
     """Whether the levels of two grids differ by more than their common channels, and all of each, scatter."""
-    found = _differences(wavelength_nm, values, low, high)
-    if not found.size:
+    result = _differences(wavelength_nm, values, low, high)
+    if not result.size:
         return False
     levels = [np.log(values[part][values[part] > 0]) for part in (low, high)]
     scatter = max(scatter_of(level) if level.size > 2 else np.inf for level in levels)
-    error = max(scatter, float(found.std(ddof=1)) if found.size > 1 else 0.0) / found.size**0.5
-    return bool(abs(float(found.mean())) > max(LEAST_STEP, STEP_SURE * error))
+    error = max(scatter, float(result.std(ddof=1)) if result.size > 1 else 0.0) / result.size**0.5
+    return bool(abs(float(result.mean())) > max(LEAST_STEP, STEP_SURE * error))

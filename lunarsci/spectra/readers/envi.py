@@ -58,8 +58,8 @@ class EnviHeader:
 
     def number(self, key: str) -> float | None:
         """A number, None where there is no such key. Raises DataError for another text."""
-        found = self.numbers(key, 1, "one")
-        return None if found is None else float(found[0])
+        result = self.numbers(key, 1, "one")
+        return None if result is None else float(result[0])
 
     def numbers(self, key: str, count: int, of: str) -> FloatArray | None:
         """As many numbers as `of` says, (count,), None where there is no such key. Raises DataError for others."""
@@ -119,11 +119,11 @@ def data_names(header: str, suffixes: Sequence[str]) -> list[str]:
 
 def partner(name: str, candidates: Sequence[str], what: str) -> str:
     """The first candidate that is a file. Raises DataError where none is."""
-    found = next((candidate for candidate in candidates if Path(candidate).is_file()), None)
-    if found is None:
+    result = next((candidate for candidate in candidates if Path(candidate).is_file()), None)
+    if result is None:
         looked = " or ".join(dict.fromkeys(Path(candidate).name.lower() for candidate in candidates))
         raise DataError(f"{name}: its {what} is missing; put {looked} beside it")
-    return found
+    return result
 
 
 def _fields(header: InputFile) -> dict[str, str]:
@@ -181,34 +181,34 @@ def read_envi(source: InputFile) -> SpectrumTable:
         header, data = source, _partner(source.name, data_names(source.name, DATA_SUFFIXES), "data file (.sli)")
     else:
         header, data = _partner(source.name, header_names(source.name), "header (.hdr)"), source
-    found = EnviHeader.of(header)
-    channels, spectra = _size(found)
-    names, scale = _names(found, spectra), found.scale()
-    wavelength = found.numbers("wavelength", channels, "samples")
+    head = EnviHeader.of(header)
+    channels, spectra = _size(head)
+    names, scale = _names(head, spectra), head.scale()
+    wavelength = head.numbers("wavelength", channels, "samples")
     if wavelength is None:
         raise DataError(f"{header.name}: has no 'wavelength'; a library needs one for each of its {channels} samples")
-    values = _values(data, found, (spectra, channels))
+    values = _values(data, head, (spectra, channels))
     whole = values.dtype.kind in "iu"
-    values = _reflectances(values, found, channels)
-    kept = [k for k, name in enumerate(names) if not _NOT_SPECTRA.match(name)]
-    if not kept:
+    values = _reflectances(values, head, channels)
+    retained = [k for k, name in enumerate(names) if not _NOT_SPECTRA.match(name)]
+    if not retained:
         raise DataError(f"{header.name}: all {spectra} records are wavelengths or widths; it has no spectra")
-    if len(kept) < spectra:
-        warn(f"{header.name}: left out {spectra - len(kept)} records that are wavelengths or widths")
-    unit, said = "fraction" if scale is not None else None, list[str]()
-    if scale is None and whole and np.nanmax(np.abs(values[kept]), initial=0) > MAX_PERCENT:
+    if len(retained) < spectra:
+        warn(f"{header.name}: left out {spectra - len(retained)} records that are wavelengths or widths")
+    unit, notes = "fraction" if scale is not None else None, list[str]()
+    if scale is None and whole and np.nanmax(np.abs(values[retained]), initial=0) > MAX_PERCENT:
         unit, values = "fraction", values / USUAL_SCALE
-        said.append(f"whole numbers without a scale read as reflectance times {USUAL_SCALE:g}; give the header "
+        notes.append(f"whole numbers without a scale read as reflectance times {USUAL_SCALE:g}; give the header "
                     "'reflectance scale factor' for another")  # fmt: skip
-    values = values if len(kept) == spectra else values[kept]
-    columns = [Column(names[k], own, k + 1, unit) for k, own in zip(kept, values, strict=True)]
+    values = values if len(retained) == spectra else values[retained]
+    columns = [Column(names[k], row, k + 1, unit) for k, row in zip(retained, values, strict=True)]
     return SpectrumTable(
         source,
         "envi",
-        Column("wavelength", wavelength, 1, found.wavelength_unit()),
+        Column("wavelength", wavelength, 1, head.wavelength_unit()),
         tuple((column, None) for column in columns),
         tuple(f"channel {k + 1}" for k in range(channels)),
-        {"inputs": {header.name: header.sha256, data.name: data.sha256}, **({"read_as": said} if said else {})},
+        {"inputs": {header.name: header.sha256, data.name: data.sha256}, **({"read_as": notes} if notes else {})},
         block=values,
     )
 

@@ -157,14 +157,14 @@ def _wavelengths(source: InputFile, record: _Record) -> tuple[InputFile, _Record
     wanted = f"{record.set}_Wavelengths_*.txt of {family} with {record.values.size} values"
     if source.name == "<stdin>":
         raise DataError(f"{source.name}: has no wavelengths and no folder to look for them; give the file's name")
-    found = [pair for pair in _candidates(source) if _fits(pair[1], record)]
-    if not found:
+    result = [pair for pair in _candidates(source) if _fits(pair[1], record)]
+    if not result:
         raise DataError(f"{source.name}: holds reflectance only; put {wanted} beside it or in the folder above")
-    distinct = {pair[1].values.tobytes() for pair in found}
+    distinct = {pair[1].values.tobytes() for pair in result}
     if len(distinct) > 1:
-        names = " and ".join(Path(file.name).name for file, _ in found[:2])
+        names = " and ".join(Path(file.name).name for file, _ in result[:2])
         raise DataError(f"{source.name}: {names} would both fit as its wavelengths; keep the right one")
-    return found[0]
+    return result[0]
 
 
 def _candidates(source: InputFile) -> list[tuple[InputFile, _Record]]:
@@ -229,12 +229,12 @@ def _blocks(text: str) -> Iterator[dict[str, str]]:
     block, key = dict[str, str](), ""
     for line in text.splitlines():
         line = line.split("$$")[0].rstrip()
-        if found := _RECORD.match(line):
-            key = re.sub(r"[\s/_-]", "", found[1]).upper()
+        if result := _RECORD.match(line):
+            key = re.sub(r"[\s/_-]", "", result[1]).upper()
             if key == "TITLE":
                 yield block
                 block = {}
-            block[key] = found[2]
+            block[key] = result[2]
         elif key:
             block[key] += f"\n{line}"
     yield block
@@ -304,16 +304,16 @@ def _digits(form: str, letters: str) -> float:
 def read_json(source: InputFile) -> SpectrumTable:
     """Read lists by name, or a list of rows with names, as pandas writes them. Raises DataError for any other JSON."""
     try:
-        found = json_document(inputs.text(source))
+        result = json_document(inputs.text(source))
     except ValueError as error:
         raise DataError(f"{source.name}: broken JSON ({str(error)[:80]}); fetch it again") from error
-    if isinstance(found, list) and found and all(isinstance(row, dict) for row in found):
-        found = {name: [row.get(name) for row in found] for name in found[0]}
+    if isinstance(result, list) and result and all(isinstance(row, dict) for row in result):
+        result = {name: [row.get(name) for row in result] for name in result[0]}
     lists = dict[str, list[Any]]()
-    for name, values in found.items() if isinstance(found, dict) else ():
-        own = list(values.values()) if isinstance(values, dict) else values
-        if isinstance(own, list) and own and all(map(_is_number, own)):
-            lists[str(name)] = own
+    for name, values in result.items() if isinstance(result, dict) else ():
+        cells = list(values.values()) if isinstance(values, dict) else values
+        if isinstance(cells, list) and cells and all(map(_is_number, cells)):
+            lists[str(name)] = cells
     lists = {name: one for name, one in lists.items() if len(one) == max(map(len, lists.values()))}
     if len(lists) < 2:
         raise DataError(f"{source.name}: is JSON without two lists of numbers; save the spectra as CSV or ECSV")

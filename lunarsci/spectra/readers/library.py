@@ -54,10 +54,10 @@ def mineral_named(name: str) -> str | None:
     word = name.strip().casefold()
     if not word:
         return None
-    found = _ALIASES.get(word, word)
-    if found not in MINERALS:
+    result = _ALIASES.get(word, word)
+    if result not in MINERALS:
         raise DataError(f"mineral {name!r} is not known; use one of {', '.join(MINERALS)}")
-    return found
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +120,8 @@ class EndMember:
     def sample(self) -> dict[str, Any]:
         """Everything but the id and the spectrum, as plain values."""
         names = ("mineral", "fo", "fs", "en", "wo", "an", "min_um", "max_um", "source")
-        found = {name: getattr(self, name) for name in names}
-        return found | ({"specimen": self.specimen} if self.specimen else {})
+        result = {name: getattr(self, name) for name in names}
+        return result | ({"specimen": self.specimen} if self.specimen else {})
 
 
 FORMAT = "lunarsci-library/1"
@@ -179,9 +179,9 @@ def end_member(spectrum: Spectrum, sample: Any, *, id: str | None = None) -> End
         mineral = mineral_named(str(sample.get("mineral") or ""))
     except DataError as error:
         raise DataError(f"{name}: {error}") from error
-    told: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
-    told |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
-    return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **told)
+    notes: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
+    notes |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
+    return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **notes)
 
 
 def _number(value: Any, what: str) -> float | None:
@@ -265,10 +265,10 @@ def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     for place, (member, share) in enumerate((group[k], shares[k]) for k in order):
         # Dashes and widths tell in grey what one colour does not.
         color = "0.4" if share is None else colormaps["viridis"](0.9 * share)
-        known = "" if share is None else f", {key.capitalize()} {100 * share:.0f}"
+        share_text = "" if share is None else f", {key.capitalize()} {100 * share:.0f}"
         dashes = LINE_STYLES[place % len(LINE_STYLES)]["linestyle"] if len(group) <= MOST_NAMES else "-"
         width = 1.0 + 0.8 * (place // len(LINE_STYLES) % 2) if len(group) <= MOST_NAMES else 0.8
-        look: Any = {"linestyle": dashes, "linewidth": width, "label": f"{as_label(member.id, 24)}{known}"}
+        look: Any = {"linestyle": dashes, "linewidth": width, "label": f"{as_label(member.id, 24)}{share_text}"}
         panel.plot(member.wavelength_nm, member.reflectance, color=color, **look)
     by = f", dark to bright by {key.capitalize()}" if any(share is not None for share in shares) else ""
     panel.set_title(f"{mineral or 'mineral not stated'}: {len(group)}{by}")
@@ -301,14 +301,14 @@ def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:
     mineral = _mineral(row, place)
     prefix = _PREFIXES.get(mineral or "", "")
     wanted = CHEMISTRY.get(mineral, ()) if mineral else ("fo", "fs", "en", "wo", "an")
-    found: dict[str, Any] = {"mineral": mineral, "source": row.get("source", "")}
+    result: dict[str, Any] = {"mineral": mineral, "source": row.get("source", "")}
     for key in _NUMBERS:
         if key in wanted or key.endswith("_um"):
             cell = row.get(prefix + key) or row.get(key, "")
-            found[key] = _value(cell, f"{place}, column {key}")
-    if not found["max_um"]:  # no grain is 0 um: such tables mean that nobody knows
-        found["min_um"] = found["max_um"] = None
-    return found
+            result[key] = _value(cell, f"{place}, column {key}")
+    if not result["max_um"]:  # no grain is 0 um: such tables mean that nobody knows
+        result["min_um"] = result["max_um"] = None
+    return result
 
 
 def _mineral(row: Mapping[str, str], place: str) -> str | None:
@@ -337,13 +337,13 @@ def _value(cell: str, place: str) -> float | None:
     return None if math.isnan(value) else value
 
 
-def with_description(member: EndMember, told: Mapping[str, Any]) -> EndMember:
+def with_description(member: EndMember, notes: Mapping[str, Any]) -> EndMember:
     """The end member with what a table says of it; what it leaves open stays. Raises DataError as `EndMember` does."""
-    said = {key: value for key, value in told.items() if value not in (None, "")}
-    if said.get("mineral") not in (None, member.mineral):
+    stated = {key: value for key, value in notes.items() if value not in (None, "")}
+    if stated.get("mineral") not in (None, member.mineral):
         # The chemistry of another mineral would contradict it.
         member = replace(member, fo=None, fs=None, en=None, wo=None, an=None)
-    return replace(member, **said)
+    return replace(member, **stated)
 
 
 FEWEST_CHANNELS = 20
@@ -413,11 +413,11 @@ def _chemistry_faults(member: EndMember) -> list[str]:
     ]
     if "fs" in wanted:
         parts = [getattr(member, key) for key in ("fs", "en", "wo")]
-        known = [part for part in parts if part is not None]
-        if len(known) == len(parts) and abs(sum(known) - 1) > SUM_TOLERANCE:
-            texts.append(f"fs + en + wo = {sum(known):.3f}, not 1; correct the analysis")
-        elif sum(known) > 1 + SUM_TOLERANCE:
-            texts.append(f"fs, en, wo, as far as known, add up to {sum(known):.3f}, more than 1; correct the analysis")
+        stated = [part for part in parts if part is not None]
+        if len(stated) == len(parts) and abs(sum(stated) - 1) > SUM_TOLERANCE:
+            texts.append(f"fs + en + wo = {sum(stated):.3f}, not 1; correct the analysis")
+        elif sum(stated) > 1 + SUM_TOLERANCE:
+            texts.append(f"fs, en, wo, as far as known, add up to {sum(stated):.3f}, more than 1; correct the analysis")
     return texts
 
 

@@ -45,7 +45,7 @@ def markers_of(values: FloatArray) -> list[float]:
     An end of a row is one where it is far from all others, and repeats beside ten of them or could be no reflectance in
     percent. Then the next, with the first left out.
     """
-    found, left = list[float](), values
+    result, left = list[float](), values
     for _ in range(MOST_MARKERS):
         parts = (left[block.start : block.stop] for block in spans(len(left), _AT_ONCE))
         new = {
@@ -54,15 +54,15 @@ def markers_of(values: FloatArray) -> list[float]:
         }  # fmt: skip
         if not new:
             break
-        found += sorted(new)
-        left = np.where(np.isin(left, found), np.nan, left)
-    return found
+        result += sorted(new)
+        left = np.where(np.isin(left, result), np.nan, left)
+    return result
 
 
-def unnamed_markers(parts: Sequence[npt.NDArray[Any]], known: Sequence[float]) -> list[float]:
+def unnamed_markers(parts: Sequence[npt.NDArray[Any]], stated: Sequence[float]) -> list[float]:
     """Numbers of parts of a cube that mark no data, beside those that are known: far from all others of all parts."""
     seen = np.concatenate([np.empty(0), *(part.ravel() for part in parts)])[None]
-    seen[np.isin(seen, known) | ~np.isfinite(seen) | (seen <= DELETED_BELOW)] = np.nan
+    seen[np.isin(seen, stated) | ~np.isfinite(seen) | (seen <= DELETED_BELOW)] = np.nan
     return [] if np.isnan(seen).all() else markers_of(seen)
 
 
@@ -71,14 +71,14 @@ def without_markers(table: SpectrumTable) -> tuple[SpectrumTable, IntArray, list
     values = table.reflectances
     deleted = without_deleted(values)
     count = np.stack([deleted, np.zeros_like(deleted)], axis=1)
-    said = list[str]()
-    if found := markers_of(values):
-        marked = np.isin(values, found)
+    notes = list[str]()
+    if result := markers_of(values):
+        marked = np.isin(values, result)
         values[marked] = np.nan
         count[:, 1] = marked.sum(axis=1)
-        listed = ", ".join(f"{one:g}" for one in found)
-        said = [f"{listed} read as the mark of no data: {int(marked.sum())} values left out"]
-    return replace(table, block=values), count, said
+        listed = ", ".join(f"{one:g}" for one in result)
+        notes = [f"{listed} read as the mark of no data: {int(marked.sum())} values left out"]
+    return replace(table, block=values), count, notes
 
 
 LARGE_ERROR = 0.3
@@ -101,7 +101,7 @@ by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one 
 STEP_GAP, MOST_STEPS = 3.0, 2
 """Median channel distances that the two channels are apart at most, and steps of a spectrum; assumed, as field
 spectrometers have three detectors at most."""
-SAID = {
+REMARKS = {
     "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",
     "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; if "
     "channels share them, as those of samples, name the column NAME_systematic_samples",
@@ -117,22 +117,22 @@ def unlikely(rows: SpectrumRows, file: str) -> list[str]:
 
     Raises DataError where every spectrum of the file is constant.
     """
-    found: dict[str, list[int]] = {name: [] for name in SAID}
+    result: dict[str, list[int]] = {name: [] for name in REMARKS}
     where = ""
     for block in spans(len(rows), _AT_ONCE):
-        own = slice(block.start, block.stop)
-        usable, values = ~rows.mask[own], rows.reflectance[own]
-        sigma = None if rows.uncertainty is None else rows.uncertainty[own]
+        block_rows = slice(block.start, block.stop)
+        usable, values = ~rows.mask[block_rows], rows.reflectance[block_rows]
+        sigma = None if rows.uncertainty is None else rows.uncertainty[block_rows]
         for name, odd in _odd(values, usable, sigma).items():
-            found[name] += (block.start + np.flatnonzero(odd)).tolist()
+            result[name] += (block.start + np.flatnonzero(odd)).tolist()
         for row, step, place in _steps(rows.wavelength_nm, values, usable):
             where = where or f" by {step:+.1%} at {place:.0f} nm"
-            found["step"].append(block.start + row)
-    if len(found["constant"]) == len(rows):
+            result["step"].append(block.start + row)
+    if len(result["constant"]) == len(rows):
         raise DataError(f"{file}: the same value in all channels; give measured reflectances")
     return [
-        f"{file}: {SAID[name]}: {len(k)}, first '{rows.ids[k[0]]}'{where if name == 'step' else ''}"
-        for name, k in found.items()
+        f"{file}: {REMARKS[name]}: {len(k)}, first '{rows.ids[k[0]]}'{where if name == 'step' else ''}"
+        for name, k in result.items()
         if k
     ]
 
@@ -160,13 +160,13 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
 
 def cleaned(parts: Sequence[SpectrumRows]) -> tuple[list[SpectrumRows], list[str]]:
     """The spectra without single channels far off their neighbours, and what to say of it."""
-    kept, odd = list[SpectrumRows](), list[str]()
+    retained, odd = list[SpectrumRows](), list[str]()
     for rows in parts:
         clean, which = without_lone(rows)
-        kept.append(clean)
+        retained.append(clean)
         odd += [rows.ids[row] for row in which]
     lone = "spectra with single channels a factor of 1.65 and more off both neighbours, which are left out"
-    return kept, [f"{lone}: {len(odd)}, first '{odd[0]}'"] if odd else []
+    return retained, [f"{lone}: {len(odd)}, first '{odd[0]}'"] if odd else []
 
 
 def without_steps(rows: SpectrumRows) -> SpectrumRows:
@@ -176,9 +176,9 @@ def without_steps(rows: SpectrumRows) -> SpectrumRows:
     """
     values, scaled = rows.reflectance.copy(), dict[int, FloatArray]()
     for block in spans(len(rows), _AT_ONCE):
-        own = slice(block.start, block.stop)
+        block_rows = slice(block.start, block.stop)
         for _ in range(MOST_STEPS):
-            for row, step, place in _steps(rows.wavelength_nm, values[own], ~rows.mask[own]):
+            for row, step, place in _steps(rows.wavelength_nm, values[block_rows], ~rows.mask[block_rows]):
                 gain = np.where(rows.wavelength_nm < place, 1.0 + step, 1.0)
                 values[block.start + row] *= gain
                 scaled[block.start + row] = scaled.get(block.start + row, 1.0) * gain
@@ -199,9 +199,9 @@ def without_lone(rows: SpectrumRows) -> tuple[SpectrumRows, list[int]]:
     """
     mask, odd = rows.mask, list[int]()
     for row, usable in enumerate(~rows.mask):
-        if usable.sum() >= FEWEST and (found := _lone(rows.reflectance[row][usable])).any():
+        if usable.sum() >= FEWEST and (result := _lone(rows.reflectance[row][usable])).any():
             mask = mask.copy() if not odd else mask
-            mask[row, np.flatnonzero(usable)[found]] = True
+            mask[row, np.flatnonzero(usable)[result]] = True
             odd.append(row)
     return (replace(rows, mask=mask) if odd else rows), odd
 
@@ -216,7 +216,7 @@ def _lone(values: FloatArray) -> BoolArray:
 
 def _steps(wavelength_nm: FloatArray, values: FloatArray, usable: BoolArray) -> list[tuple[int, float, float]]:
     """Of spectra (n, c) those with a step: which row, the largest step as a share of the value, and where. [nm]"""
-    found = []
+    result = []
     alike, which = np.unique(usable & (values > 0), axis=0, return_inverse=True)
     for kind, channels in enumerate(alike):
         if channels.sum() < 4 * STEP_CHANNELS:
@@ -224,11 +224,11 @@ def _steps(wavelength_nm: FloatArray, values: FloatArray, usable: BoolArray) -> 
         rows = np.flatnonzero(which.ravel() == kind)
         place = wavelength_nm[channels]
         sure, step = _step_at(place, np.log(values[np.ix_(rows, channels)]))
-        for row, own, steps in zip(rows, sure, step, strict=True):
-            if own[k := int(own.argmax())] > STEP_SURE:
+        for row, sizes, steps in zip(rows, sure, step, strict=True):
+            if sizes[k := int(sizes.argmax())] > STEP_SURE:
                 edge = k + STEP_CHANNELS - 1
-                found.append((int(row), float(np.expm1(steps[k])), float(place[edge : edge + 2].mean())))
-    return sorted(found)
+                result.append((int(row), float(np.expm1(steps[k])), float(place[edge : edge + 2].mean())))
+    return sorted(result)
 
 
 def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -116,8 +116,8 @@ def label_beside(path: str) -> str | None:
     """The label of a data file: of the same name, beside it; None where there is none."""
     given = Path(path)
     names = {given.with_suffix(end).name for low in LABELS for end in (low, low.upper())}
-    found = [str(given.with_name(name)) for name in sorted(names) if given.with_name(name).is_file()]
-    return found[0] if found else None
+    result = [str(given.with_name(name)) for name in sorted(names) if given.with_name(name).is_file()]
+    return result[0] if result else None
 
 
 def label_of_table(source: InputFile) -> InputFile | None:
@@ -125,8 +125,8 @@ def label_of_table(source: InputFile) -> InputFile | None:
     name = label_beside(source.name) if Path(source.name).suffix.lower() == ".tab" else None
     if name is None or not is_pds_label(label := read_input(name)):
         return None
-    own = Path(source.name).name.lower()
-    return label if any(one.file.lower() == own for one in read_pds_label(label).tables) else None
+    file_name = Path(source.name).name.lower()
+    return label if any(one.file.lower() == file_name for one in read_pds_label(label).tables) else None
 
 
 def data_file(label: str, name: str) -> str:
@@ -134,22 +134,22 @@ def data_file(label: str, name: str) -> str:
     if not name or Path(name).name != name:
         raise DataError(f"{label}: names the data file {name[:60]!r}, which is no plain file name; do not trust it")
     folder = Path(label).parent
-    found = next((one for one in folder.iterdir() if one.name.lower() == name.lower()), None)
-    if found is None:
+    result = next((one for one in folder.iterdir() if one.name.lower() == name.lower()), None)
+    if result is None:
         raise DataError(f"{label}: its data file {name} is missing; put it beside the label")
-    return str(found)
+    return str(result)
 
 
 def _of_pds3(source: InputFile) -> tuple[list[TableObject], list[ImageObject]]:
     text = source.data.split(b"\nEND\r")[0].split(b"\nEND\n")[0]
     root = _objects(inputs.text(InputFile(source.name, text + b"\n")), source.name)
-    own, tables, images = Path(source.name).name, list[TableObject](), list[ImageObject]()
+    file_name, tables, images = Path(source.name).name, list[TableObject](), list[ImageObject]()
     for holder, part in _walk(root):
         pointer = holder.keys.get(f"^{part.name}")
         if pointer is None:
             continue
         record = _whole(holder.keys.get("RECORD_BYTES") or root.keys.get("RECORD_BYTES"))
-        file, offset = _pointed(pointer, own, record)
+        file, offset = _pointed(pointer, file_name, record)
         columns = [one for one in part.parts if one.name == "COLUMN"]
         if columns and part.keys.get("INTERCHANGE_FORMAT", "ASCII").strip('"').upper() == "ASCII":
             spread = "SPREADSHEET" in part.name
@@ -191,13 +191,13 @@ def _walk(parent: _Object) -> Iterator[tuple[_Object, _Object]]:
         yield from _walk(part)
 
 
-def _pointed(pointer: str, own: str, record: int) -> tuple[str, int]:
+def _pointed(pointer: str, file_name: str, record: int) -> tuple[str, int]:
     """File and bytes before an object: ("x.tab", 3), "x.tab", or a record of the label's own file."""
     match = _POINTER.match(pointer.strip("() "))
     if match is None:
-        return own, 0
+        return file_name, 0
     if match[1].isdigit() or match[1].upper().endswith("<BYTES"):
-        return own, (int(match[1]) - 1) * (1 if "<BYTES>" in pointer.upper() else record)
+        return file_name, (int(match[1]) - 1) * (1 if "<BYTES>" in pointer.upper() else record)
     first = int(match[2] or 1) - 1
     return match[1].strip(), first * (1 if match[3] else record)
 
@@ -281,8 +281,8 @@ def _dtype(kind: str) -> str:
 
 
 def _text(parent: Element, path: str) -> str:
-    found = parent.find(path)
-    return "" if found is None else (found.text or "").strip()
+    result = parent.find(path)
+    return "" if result is None else (result.text or "").strip()
 
 
 def _plain(value: str) -> str:
@@ -295,14 +295,14 @@ def _whole(value: str | None, default: int = 0) -> int:
 
 
 def _numbers(texts: Sequence[str]) -> tuple[float, ...]:
-    found = list[float]()
+    result = list[float]()
     for cell in texts:
         plain = cell.strip().strip('"')
         if match := re.fullmatch(r"16#([0-9A-Fa-f]{8})#", plain):
-            found.append(float(np.frombuffer(bytes.fromhex(match[1]), ">f4")[0]))
+            result.append(float(np.frombuffer(bytes.fromhex(match[1]), ">f4")[0]))
         elif re.fullmatch(r"[+-]?\d+\.?\d*(?:[eE][+-]?\d+)?|[+-]?\.\d+", plain):
-            found.append(float(plain))
-    return tuple(found)
+            result.append(float(plain))
+    return tuple(result)
 
 
 _RADIANCE = ("W/", "W /", "RADIANCE", "MICROWATT", "WATT", "uW", "µW", "DN")
@@ -324,9 +324,9 @@ def read_pds(source: InputFile) -> SpectrumTable:
         raise DataError(f"{source.name}: is the label of {what}{unit}; `lunarsci spectra map` takes images of spectra")
     for table in spectral or label.tables:
         data = read_input(data_file(source.name, table.file))
-        found = _columns(data, table)
-        if sum(np.asarray(column).dtype.kind == "f" for column in found.values()) > 1:
-            read = spectrum_table(_as_table(found, table), source, "pds")
+        result = _columns(data, table)
+        if sum(np.asarray(column).dtype.kind == "f" for column in result.values()) > 1:
+            read = spectrum_table(_as_table(result, table), source, "pds")
             about = {**read.metadata, "inputs": {source.name: source.sha256, data.name: data.sha256}}
             return replace(read, metadata=about)
     raise DataError(f"{source.name}: no table with two columns of numbers; give the label of spectra")
@@ -359,13 +359,13 @@ def _columns(data: InputFile, table: TableObject) -> dict[str, Any]:
         rows = [[line[one.start : one.start + one.length] for one in table.fields] for line in lines]
         if table.rows and size and len(rows) != table.rows:
             raise DataError(f"{data.name}: {len(rows)} rows, its label says {table.rows} (truncated?); fetch it again")
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for k, one in enumerate(table.fields):
         cells = [row[k].strip().strip('"') if k < len(row) else "" for row in rows]
         values = [number(cell) for cell in cells]
-        name = one.name if one.name not in found else f"{one.name}_{k + 1}"
-        found[name] = cells if None in values else _unmarked(np.array(values, dtype=float), one.missing)
-    return found
+        name = one.name if one.name not in result else f"{one.name}_{k + 1}"
+        result[name] = cells if None in values else _unmarked(np.array(values, dtype=float), one.missing)
+    return result
 
 
 def _records(data: InputFile, table: TableObject) -> list[str]:
@@ -405,8 +405,8 @@ def _unmarked(values: Any, missing: tuple[float, ...]) -> Any:
 def _as_table(columns: dict[str, Any], table: TableObject) -> Any:
     from astropy.table import Table
 
-    found = Table(columns)
-    for name, one in zip(found.colnames, table.fields, strict=True):
-        if np.asarray(found[name]).dtype.kind == "f" and _unit(one).upper() not in _NO_UNIT:
-            found[name].unit = _unit(one)
-    return found
+    result = Table(columns)
+    for name, one in zip(result.colnames, table.fields, strict=True):
+        if np.asarray(result[name]).dtype.kind == "f" and _unit(one).upper() not in _NO_UNIT:
+            result[name].unit = _unit(one)
+    return result

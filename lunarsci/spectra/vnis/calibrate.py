@@ -316,8 +316,8 @@ def _measured(
         if outliers.any():
             count, name = int(outliers.sum()), detector.upper()
             notes.add(f"{count} {name} channels are no radiance of lit ground or far from their neighbours: masked")
-            kept = np.where(outliers, np.nan, radiance)
-            item = measure(detector, label, kept, mean_error, irradiance, correction)
+            retained = np.where(outliers, np.nan, radiance)
+            item = measure(detector, label, retained, mean_error, irradiance, correction)
     except ParameterError as error:
         raise DataError(f"{id}: {error}") from error
     check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)

@@ -149,8 +149,8 @@ def scale_step(detector: Detector, wavelength_nm: FloatArray, reflectance: Float
     sub-bands. Arrays have one shape (n,), NaN where a channel is not used. [nm]
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        known = np.flatnonzero(np.isfinite(np.log(reflectance)))
-    ln, nm = np.log(reflectance[known]), wavelength_nm[known]
+        finite = np.flatnonzero(np.isfinite(np.log(reflectance)))
+    ln, nm = np.log(reflectance[finite]), wavelength_nm[finite]
     worst = (0.0, 0.0)
     for edge in _EDGES[detector]:
         side = edge.channels
@@ -171,8 +171,8 @@ def _steps(ln: FloatArray, side: int) -> FloatArray:
     x = np.arange(2 * side) - side + 0.5
     design = np.stack([np.ones(2 * side), x, (x > 0).astype(float)], axis=1)
     weights = np.linalg.pinv(design)[2]
-    found: FloatArray = np.lib.stride_tricks.sliding_window_view(ln, 2 * side) @ weights
-    return found
+    result: FloatArray = np.lib.stride_tricks.sliding_window_view(ln, 2 * side) @ weights
+    return result
 
 
 def channel_doubts(

@@ -91,7 +91,7 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
     wavelength, factor, (low, high) = table.numbers("wavelength_nm"), table.numbers("factor"), _FACTOR_RANGE
     table.refuse(~np.isin(detector, ("vnir", "swir")), "detector", "the detector is vnir or swir")
     table.refuse(~((factor >= low) & (factor <= high)), "factor", f"factors are numbers from {low:g} to {high:g}")
-    found = []
+    result = []
     for name, channels in WAVELENGTHS.items():
         order = np.flatnonzero(detector == name)[np.argsort(wavelength[detector == name])]
         if not np.array_equal(wavelength[order], channels):
@@ -99,8 +99,8 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
             what = f"{lacking[0]:g} nm is missing" if lacking.size else "there are others, or some twice"
             count = f"{name} has {channels.size} channels, {order.size} are given and {what}"
             raise DataError(f"{source.name}: {count}; give each of them once")
-        found.append(factor[order])
-    return ChannelFactors(source.name, *found)
+        result.append(factor[order])
+    return ChannelFactors(source.name, *result)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -281,31 +281,31 @@ def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         absurd = np.isfinite(reflectance) & ~((reflectance >= _RANGE[0]) & (reflectance <= _RANGE[1]))
         ln = np.log(np.where(absurd | ~(reflectance > 0), np.nan, reflectance))
-    known = np.flatnonzero(np.isfinite(ln))
-    if known.size < 2 * _NEIGHBOURS:
+    finite = np.flatnonzero(np.isfinite(ln))
+    if finite.size < 2 * _NEIGHBOURS:
         return absurd
     around = np.lib.stride_tricks.sliding_window_view(
-        np.pad(ln[known], _NEIGHBOURS, mode="reflect", reflect_type="odd"), 2 * _NEIGHBOURS + 1
+        np.pad(ln[finite], _NEIGHBOURS, mode="reflect", reflect_type="odd"), 2 * _NEIGHBOURS + 1
     )
     middles = (around[:, :_NEIGHBOURS] + around[:, :_NEIGHBOURS:-1]) / 2
     far = np.zeros_like(absurd)
-    off = np.abs(ln[known] - np.median(middles, axis=1))
-    beside = min(_SCATTER, known.size - 1)
+    off = np.abs(ln[finite] - np.median(middles, axis=1))
+    beside = min(_SCATTER, finite.size - 1)
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(off, beside, mode="reflect"), 2 * beside + 1)
-    far[known] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
+    far[finite] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
     return np.asarray(absurd | far, dtype=np.bool_)
 
 
 def check_jumps(id: str, name: str, wavelength_nm: FloatArray, reflectance: FloatArray) -> None:
     """Raise DataError where five channels and the next five differ by more than a third: blocks of another scale."""
-    known = np.flatnonzero(np.isfinite(reflectance))
-    if known.size < 2 * _SIDE:
+    finite = np.flatnonzero(np.isfinite(reflectance))
+    if finite.size < 2 * _SIDE:
         return
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[known]), _SIDE), axis=1)
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[finite]), _SIDE), axis=1)
     jump = np.abs(middle[_SIDE:] - middle[:-_SIDE])
     worst = int(jump.argmax())
     if jump[worst] > _JUMP:
-        place = wavelength_nm[known[worst + _SIDE]]
+        place = wavelength_nm[finite[worst + _SIDE]]
         share = 100 * (np.exp(jump[worst]) - 1)
         raise DataError(
             f"{id}: {name} jumps by {share:.0f} % near {place:g} nm, which no rock does; fetch its data file again"

@@ -147,8 +147,8 @@ def read_label(source: InputFile) -> Label:
     """Read and check a label. Raises DataError, one line with its name, for anything it lacks or contradicts."""
     root = xml_root(source.name, source.data)
     if root.tag != "product_observational":
-        found = root.tag[:40]
-        raise DataError(f"{source.name}: is no PDS4 product label (root element '{found}'); name the .2BL file")
+        elements = root.tag[:40]
+        raise DataError(f"{source.name}: is no PDS4 product label (root element '{elements}'); name the .2BL file")
     start, stop = (_time(root, f".//time_coordinates/{key}_date_time", source.name) for key in ("start", "stop"))
     if not timedelta() <= stop - start <= _LONGEST:
         ends = f"from {start:%Y-%m-%dT%H:%M} to {stop:%Y-%m-%dT%H:%M}"
@@ -245,19 +245,19 @@ def _check_unscaled(area: Element, file: str) -> None:
 
 def _text(root: Element, path: str, file: str) -> str:
     """Text of the only element at a path, '' where there is none; one that comes twice decides nothing."""
-    found = root.findall(path)
-    if len(found) > 1 or (found and len(found[0])):
-        what = "holds other elements" if len(found) == 1 else f"appears {len(found)} times"
+    elements = root.findall(path)
+    if len(elements) > 1 or (elements and len(elements[0])):
+        what = "holds other elements" if len(elements) == 1 else f"appears {len(elements)} times"
         raise DataError(f"{file}: {path.lstrip('./')} {what}; fetch the label again")
-    return (found[0].text or "").strip() if found else ""
+    return (elements[0].text or "").strip() if elements else ""
 
 
 def _parsed(root: Element, path: str, file: str, parse: Callable[[str], Any], what: str) -> Any:
     """What the text at a path says. Raises DataError where `parse` gives None."""
     text = _text(root, path, file)
     if (value := parse(text)) is None:
-        found = f"is {text[:40]!r}, not {what}" if text else "is missing"
-        raise DataError(f"{file}: {path.lstrip('./')} {found}; correct the label or fetch it again")
+        elements = f"is {text[:40]!r}, not {what}" if text else "is missing"
+        raise DataError(f"{file}: {path.lstrip('./')} {elements}; correct the label or fetch it again")
     return value
 
 

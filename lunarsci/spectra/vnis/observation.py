@@ -55,13 +55,13 @@ def doubts_of(label: Label) -> list[str]:
 
 def _of_sun(label: Label) -> str:
     stated = label.geometry.incidence_deg
-    known = math.isfinite(label.longitude_deg) and math.isfinite(label.latitude_deg)
-    place = (label.longitude_deg, label.latitude_deg) if known else LANDING_SITE
-    found = sun_incidence_deg(label.start + (label.stop - label.start) / 2, *place)
-    if abs(stated - found) <= SUN_DEG:
+    stated_place = math.isfinite(label.longitude_deg) and math.isfinite(label.latitude_deg)
+    place = (label.longitude_deg, label.latitude_deg) if stated_place else LANDING_SITE
+    true = sun_incidence_deg(label.start + (label.stop - label.start) / 2, *place)
+    if abs(stated - true) <= SUN_DEG:
         return ""
-    says = f"{label.file}: states the Sun {stated:.2f} deg from the vertical; then and there it stood {found:.2f} deg"
-    if abs(stated - found) > WRONG_SUN_DEG:
+    says = f"{label.file}: states the Sun {stated:.2f} deg from the vertical; then and there it stood {true:.2f} deg"
+    if abs(stated - true) > WRONG_SUN_DEG:
         raise DataError(f"{says}: angle, time or place is wrong, fetch the label again")
     return f"{says} from it"
 
@@ -281,8 +281,8 @@ def find_parts(path: str) -> Parts:
         raise DataError(f"{path}: is no VNIS product name (such as CE4_GRAS_VNIS-SD_SCI_N_..._0136_B.2BL)")
     check_supported(name, path)
     folder = Path(path).parent
-    found = [(other, str(folder / other)) for other in _names(folder)]
-    same = [(other, p) for p, other in ((p, product_name(o)) for o, p in found) if other and _same(other, name)]
+    result = [(other, str(folder / other)) for other in _names(folder)]
+    same = [(other, p) for p, other in ((p, product_name(o)) for o, p in result) if other and _same(other, name)]
     cube_label, cube = (_one(same, "VD", is_label, name, folder) for is_label in (True, False))
     table_label, table = (_one(same, "SD", is_label, name, folder) for is_label in (True, False))
     wanted = ("AUX", "VD", name.version, False)
