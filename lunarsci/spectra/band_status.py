@@ -373,8 +373,8 @@ BAND_SHARE, BESIDE_SHARE = 0.5, 0.15
 """Shares of the depth of a band, in ln R, from which it makes the band, and from which it is said to be beside it.
 
 Half is where it is more of the band than anything else. Looked at on every second sample series of RELAB, counted on
-the others (`tests/spectra/test_band_status.py`): of 25 such bands of olivines and plagioclases without pyroxene it makes 15,
-of 80 bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
+the others (`tests/spectra/test_band_status.py`): of 25 such bands of olivines and plagioclases without pyroxene it
+makes 15, of 80 bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
 
 
 def narrow_absorptions(

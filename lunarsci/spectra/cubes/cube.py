@@ -18,7 +18,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning, warn
 from lunarsci.spectra.readers.likely import unnamed_markers
-from lunarsci.spectra.readers.table import Column, WavelengthUnit, wavelength_nm
+from lunarsci.spectra.readers.table import MAX_FRACTION, Column, WavelengthUnit, wavelength_nm
 
 FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "channels_not_positive")
 """Bits of a pixel's flags, the first is 1: no channel can be used; outside of the region or mask; good channels without
@@ -26,8 +26,6 @@ a value; saturated; at or below 0."""
 NO_DATA, LEFT_OUT, MISSING, SATURATED, NOT_POSITIVE = (1 << k for k in range(len(FLAGS)))
 SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
-MOST_REFLECTANCE = 2.0
-"""A median above this is no reflectance: percent, numbers of a detector, or radiance. Assumed."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
 MOST_ON_A_LINE = 50_000_000
@@ -388,7 +386,7 @@ def _check_level(cube: Cube, layout: Layout, stated: Stated) -> None:
         return
     median = float(np.median(seen))
     whole = layout.dtype.kind in "iu" and not (stated.scale or layout.scale or layout.gain is not None)
-    if median > MOST_REFLECTANCE or whole:
+    if median > MAX_FRACTION or whole:
         guess = "percent have `scale` 100; " if median < 100 and not whole else "10000 is common; "
         raise DataError(
             f"{cube.name}: has numbers of about {median:.4g}, no reflectances; radiance must be calibrated first, "

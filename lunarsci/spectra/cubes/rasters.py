@@ -66,15 +66,17 @@ def label_of_cube(path: str) -> str | None:
 
 def open_pds(path: str) -> Layout:
     """The image with most bands of a label. Raises DataError for radiance, and for what is no image of spectra."""
-    label = read_pds_label(read_input(path))
-    if not label.images:
+    label, why = read_pds_label(read_input(path)), ""
+    image = max(label.images, key=lambda one: (radiance(one.unit), one.bands), default=None)
+    if image is None:
         raise DataError(f"{path}: is the label of a table, no image; `lunarsci spectra bands` takes tables of spectra")
-    image = max(label.images, key=lambda one: (radiance(one.unit), one.bands))
-    what = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
     if radiance(image.unit):
-        raise DataError(f"{path}: {image.file} has {what} in {image.unit}: radiance; give the reflectances made of it")
-    if not image.dtype:
-        raise DataError(f"{path}: {image.file} has numbers of a type that is not read; convert it to ENVI")
+        why = f"in {image.unit}: radiance; give the reflectances made of it"
+    elif not image.dtype:
+        why = "of a type that is not read; convert it to ENVI"
+    if why:
+        what = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
+        raise DataError(f"{path}: {image.file} has {what} {why}")
     data = data_file(path, image.file)
     source = FlatFile(data, image.dtype, image.offset, image.lines, image.samples, image.bands, image.interleave)
     if (size := Path(data).stat().st_size) < source.bytes:
@@ -160,18 +162,20 @@ def has_header(path: str) -> bool:
 def flat_file(header: EnviHeader, data: str) -> FlatFile:
     """Where the numbers of a data file are. Raises DataError where header and size do not agree."""
     kind = " ".join(header.fields.get("file type", "").split()).lower()
-    if kind not in _IMAGES:
-        raise DataError(
-            f"{header.file}: is the header of an {quoted(kind)}, no image of spectra; give an ENVI Standard file"
-        )
     interleave = header.fields.get("interleave", "bsq").strip().lower()
-    if interleave not in ("bsq", "bil", "bip"):
-        raise DataError(f"{header.file}: 'interleave' is {quoted(interleave)}; it must be bsq, bil or bip")
-    if header.fields.get("file compression", "0").strip() not in ("0", ""):
-        raise DataError(f"{header.file}: the data file is compressed; write it without compression")
     lines, samples, bands = (header.whole(key) for key in ("lines", "samples", "bands"))
-    if not 0 < lines * samples * bands <= MOST_VALUES:
-        raise DataError(f"{header.file}: lines = {lines}, samples = {samples}, bands = {bands} are no image; check it")
+    packed = header.fields.get("file compression", "0").strip() not in ("0", "")
+    for wrong, what in (
+        (kind not in _IMAGES, f"is the header of an {quoted(kind)}, no image of spectra; give an ENVI Standard file"),
+        (interleave not in ("bsq", "bil", "bip"), f"'interleave' is {quoted(interleave)}; it must be bsq, bil or bip"),
+        (packed, "the data file is compressed; write it without compression"),
+        (
+            not 0 < lines * samples * bands <= MOST_VALUES,
+            f"lines = {lines}, samples = {samples}, bands = {bands} are no image; check it",
+        ),
+    ):
+        if wrong:
+            raise DataError(f"{header.file}: {what}")
     dtype = header.dtype().str
     flat = FlatFile(data, dtype, header.whole("header offset", "0"), lines, samples, bands, interleave)
     if (size := Path(data).stat().st_size) != flat.bytes:

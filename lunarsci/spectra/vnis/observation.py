@@ -39,10 +39,10 @@ SUN_DEG, WRONG_SUN_DEG = 0.3, 3.0
 """An incidence further than the first from the Sun's is in doubt, than the second is wrong: the two labels of
 observation 136 agree with the Sun to 0.01 deg, which moves by 0.5 deg in an hour. 0.3 deg change the reflectance by 1 %
 at 64 deg and by 2 % at 77 deg. Assumed. [deg]"""
-_SESSION_SLACK = timedelta(minutes=10)
+_SLACK = timedelta(minutes=10)
 _WRONG_SESSION = timedelta(days=1)
 """A product's name has the times of the session that it was measured in; the one public observation whose times are
-known lies within it. Slack and what is wrong are assumed."""
+known lies within it; the first row of a scan may precede its label. Slack and what is wrong are assumed."""
 
 
 def doubts_of(label: Label) -> list[str]:
@@ -74,7 +74,7 @@ def _of_session(label: Label) -> str:
     except ValueError:
         return f"{label.file}: its name has {label.name.start} to {label.name.stop}, which are no times"
     outside = max(first - label.start, label.stop - last)
-    if outside <= _SESSION_SLACK:
+    if outside <= _SLACK:
         return ""
     says = f"{label.file}: was measured at {label.start:%Y-%m-%dT%H:%M}, outside the {first:%Y-%m-%dT%H:%M} to "
     says += f"{last:%Y-%m-%dT%H:%M} of its name"
@@ -134,8 +134,6 @@ def _implausible(cube: npt.NDArray[np.floating]) -> bool:
 
 _SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radiance", "quality")
 _VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
-_CLOCK_SLACK = timedelta(minutes=10)
-"""The first row of a scan may precede the time its label states; assumed."""
 _CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
 
 
@@ -186,7 +184,7 @@ def _table(source: InputFile, label: Label, count: int, columns: Sequence[str]) 
     table = NamedTable(source.name, tuple(columns), rows, decimal_comma=False)
     band, moments = table.numbers("band"), np.array([_moment(cell) for cell in table.cells("time")])
     table.refuse(band != np.arange(count) + (band[0] == 1), "band", "channels count up from 0 or 1; fetch it again")
-    low, high = (label.start - _CLOCK_SLACK).timestamp(), (label.stop + _CLOCK_SLACK).timestamp()
+    low, high = (label.start - _SLACK).timestamp(), (label.stop + _SLACK).timestamp()
     span = f"a time of its label, {label.start:%Y-%m-%dT%H:%M} to {label.stop:%H:%M}"
     table.refuse(~((moments >= low) & (moments <= high)), "time", f"rows have {span}; fetch both again")
     table.refuse(np.diff(moments, prepend=low) < 0, "time", "times do not go back: rows are mixed, fetch it again")
@@ -211,8 +209,8 @@ def _flags(table: NamedTable) -> BoolArray:
 
 _APART = timedelta(hours=24)
 """The two scans follow each other within minutes; assumed wide."""
-_SAME_DEG, _SUN_DEG_PER_HOUR = 0.3, 0.6
-"""The Sun moves by 360 deg in 29.5 days, 0.51 deg an hour; the rest is assumed for rounding."""
+_SUN_DEG_PER_HOUR = 360.0 / (29.530589 * 24)
+"""By the mean synodic month, 29.530589 days: Chapront et al. (2002), 10.1051/0004-6361:20020420. [deg/h]"""
 _TABLE_BYTES = 1_000_000
 _AWAY_DEG = 0.001
 """30 m on the Moon; assumed."""
@@ -381,7 +379,7 @@ def _check_pair(cube: Label, table: Label) -> None:
 def _check_same_sun(cube: Label, table: Label) -> None:
     """Both look the same way; the Sun moves on by half a degree an hour."""
     hours = abs(cube.start - table.start).total_seconds() / 3600
-    for name, limit in (("incidence", _SAME_DEG + _SUN_DEG_PER_HOUR * hours), ("emission", _SAME_DEG)):
+    for name, limit in (("incidence", SUN_DEG + _SUN_DEG_PER_HOUR * hours), ("emission", SUN_DEG)):
         one, other = (getattr(label.geometry, f"{name}_deg") for label in (cube, table))
         if abs(one - other) > limit:
             raise DataError(

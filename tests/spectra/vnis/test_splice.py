@@ -17,7 +17,7 @@ from lunarsci.spectra.bands import measure_bands
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import constrained, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.photometry import Geometry, PhaseFunction, phase_function
+from lunarsci.spectra.photometry import PhaseFunction, phase_function
 from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
@@ -64,24 +64,6 @@ def test_step_and_gain_come_back_exactly(step: float, gain: float) -> None:
     assert found.gain == pytest.approx(gain, rel=1e-12)
     assert found.overlap_rms == pytest.approx(0, abs=1e-12)
     assert found.join(*measured(step, gain)) == pytest.approx(smooth(JOINED), rel=1e-12)
-
-
-def test_the_level_is_that_of_the_last_sub_band() -> None:
-    vnir, swir = measured(1.1, 0.9)
-    joined = find_splice(vnir, swir, vnir / 100, swir / 100).join(vnir, swir)
-    assert joined.shape == (390,)
-    assert np.array_equal(joined[JOINED >= 1380], swir[SWIR >= 1380])
-    assert joined[JOINED == 1375][0] == pytest.approx(1.1 * swir[SWIR == 1375][0])
-    assert joined[JOINED == 900][0] == pytest.approx(1.1 * swir[0])
-    assert joined[JOINED == 895][0] == pytest.approx(0.9 * vnir[VNIR == 895][0])
-
-
-def test_a_scaled_pair_is_joined_in_the_same_way() -> None:
-    vnir, swir = measured(1.04, 0.95)
-    found = find_splice(3 * vnir, 3 * swir, 0.03 * vnir, 0.03 * swir)
-    one = find_splice(vnir, swir, 0.01 * vnir, 0.01 * swir)
-    assert (found.gain, found.gain_sigma) == pytest.approx((one.gain, one.gain_sigma), rel=1e-12)
-    assert (found.step.factor, found.step.sigma) == pytest.approx((one.step.factor, one.step.sigma), rel=1e-12)
 
 
 def test_missing_channels_are_left_out() -> None:
@@ -133,13 +115,6 @@ def test_errors_are_those_of_repeated_noise() -> None:
         assert {one.at_nm for one in steps} == {at_nm}
         stated = np.sqrt(np.mean([one.sigma**2 for one in steps]) - model**2)
         assert np.std(np.log([one.factor for one in steps])) == pytest.approx(stated, rel=0.03)
-
-
-def test_the_error_of_the_gain_is_that_of_a_weighted_mean() -> None:
-    """Ten channels, 3 % in VNIR and 4 % in SWIR: hypot(3, 4) / sqrt(10) %, whatever the spectrum."""
-    vnir, swir = measured(1.0, 1.0)
-    found = find_splice(vnir, swir, 0.03 * vnir, 0.04 * swir)
-    assert found.gain_sigma == pytest.approx(0.05 / math.sqrt(10), rel=1e-9)
 
 
 def test_noisy_channels_have_little_weight() -> None:
@@ -458,18 +433,6 @@ def test_the_modes_of_photometry_are_the_spread_of_nine_calibrations(disk: str, 
     assert shifts.T[at] @ shifts[:, at] == pytest.approx(apart.T[at] @ apart[:, at] / 9, rel=0.1)
 
 
-def test_modes_of_the_splice_are_one_standard_error_of_its_factors(base: Calibration) -> None:
-    wanted = {
-        "splice_gain": (900, base.splice.gain_sigma),
-        "splice_overlap": (900, 0.01),
-        "splice_step": (1377.5, base.splice.step.sigma),
-        "vnir_step_632": (632.5, 0.065),
-        "vnir_step_758": (757.5, 0.05),
-    }
-    for name, (end, size) in wanted.items():
-        assert base.systematic[name] / base.reflectance == pytest.approx(np.where(end > SPLICED_NM, size, 0)), name
-
-
 def test_no_mode_where_a_channel_is_not_used() -> None:
     source = observation()
     radiance = source.table.radiance.copy()
@@ -478,19 +441,6 @@ def test_no_mode_where_a_channel_is_not_used() -> None:
     assert np.isnan(made.reflectance[240])
     assert all(mode[240] == 0 for mode in made.systematic.values())
     assert made.to_spectrum().mask.sum() == 1  # type: ignore[union-attr]
-
-
-def test_at_the_standard_geometry_all_models_agree() -> None:
-    scene = Scene(geometry=Geometry(30.0, 0.0, 30.0), swir_incidence_deg=30.0)
-    made = simulate(scene, seed=7)
-    files = product_files(made)
-    vd, sd = (
-        read_label(next(InputFile(n, c) for n, c in files.items() if f"-{kind}_SCI" in n and n.endswith("L")))
-        for kind in ("VD", "SD")
-    )
-    table = SwirTable(made.swir, np.zeros(300, bool))
-    result = calibrate(Observation("x", True, vd, sd, made.vnir, None, table, {}))
-    assert set(result.systematic) == WITHOUT_MODEL
 
 
 def spectrum(**changes: Any) -> Spectrum:

@@ -19,6 +19,7 @@ from lunarsci.provenance import to_json
 from lunarsci.spectra.photometry import Geometry
 from lunarsci.spectra.vnis.calibration import draw_footprint
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM, Detector
+from lunarsci.spectra.vnis.observation import LANDING_SITE
 from lunarsci.spectra.vnis.simulation.instrument import Simulation
 from lunarsci.spectra.vnis.simulation.scene import Scene, azimuth_difference_deg
 
@@ -26,8 +27,6 @@ Node = tuple[str, "str | list[Node]"]
 """Element name, with its attributes where it has some, and its text or children."""
 SUN_AZIMUTH_DEG = 60.0
 """Of a label that is made up; assumed."""
-LANDER = (177.5991, -45.4446)
-"""Longitude and latitude of Chang'E-4: Liu et al. (2019), 10.1038/s41467-019-12278-3. [deg]"""
 ROVER_XYZ_M = (-287.5, 127.3, -1.7)
 """From the lander; assumed."""
 ARM_M = (0.96, -0.90, 0.30)
@@ -168,7 +167,7 @@ def _circumstances(detector: Detector) -> list[Node]:
 
 def _mission_area(product: str, scene: Scene, detector: Detector) -> list[Node]:
     """The two labels differ in the order of the places, and in the name of the pointing's frame."""
-    lander = _place("Lander_Location", *LANDER)
+    lander = _place("Lander_Location", *LANDING_SITE)
     rover = _position("Rover_LocationXYZ", ROVER_XYZ_M)
     places = [lander, rover] if detector == "vnir" else [rover, lander]
     centre = tuple(r - a for r, a in zip(ROVER_XYZ_M, ARM_M, strict=True))
@@ -226,7 +225,7 @@ def _place(tag: str, longitude_deg: float, latitude_deg: float) -> Node:
 
 def _position(tag: str, xyz_m: Sequence[float]) -> Node:
     axes: list[Node] = [(f'{axis} unit="m"', f"{value:.6f}") for axis, value in zip("xyz", xyz_m, strict=True)]
-    return tag, [("reference_frame", "LANDER_COORDINATE_SYSTEM"), *axes]
+    return tag, [("reference_frame", "LANDING_SITE_COORDINATE_SYSTEM"), *axes]
 
 
 def _views(geometry: Geometry) -> dict[str, FloatArray]:
