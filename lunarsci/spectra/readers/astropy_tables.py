@@ -40,22 +40,12 @@ def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
         left_out=[k for k, name in enumerate(names) if not _is_number_column(table[name]) or _is_physical(units[k])],
     )
 
-    def values(k: int) -> FloatArray:
-        return _values(table[names[k]], source.name)
+    def column(k: int) -> Column:
+        numbers = Column(names[k], _values(table[names[k]], source.name), k + 1)
+        return _wavelength(numbers, units[k], source.name) if k == roles.wavelength else _reflectance(numbers, units[k])
 
-    def reflectance(k: int) -> Column:
-        return _reflectance(Column(names[k], values(k), k + 1), units[k])
-
-    wavelength = Column(names[roles.wavelength], values(roles.wavelength), roles.wavelength + 1)
-    return SpectrumTable(
-        source,
-        format,
-        _wavelength(wavelength, units[roles.wavelength], source.name),
-        tuple((reflectance(r), None if s is None else reflectance(s)) for r, s in roles.spectra),
-        tuple(f"row {k + 1}" for k in range(len(table))),
-        {"header": plain(dict(table.meta))} if table.meta else {},
-        roles.systematic_columns(reflectance),
-    )
+    about = {"header": plain(dict(table.meta))} if table.meta else {}
+    return roles.table(source, format, column, tuple(f"row {k + 1}" for k in range(len(table))), about)
 
 
 def plain(value: Any) -> Any:

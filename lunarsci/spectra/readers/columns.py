@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -200,13 +201,19 @@ class Roles:
     spectra: tuple[tuple[int, int | None], ...]
     systematic: Mapping[int, tuple[tuple[str, int], ...]] = field(default_factory=dict)
 
-    def systematic_columns(self, read: Callable[[int], Column]) -> dict[int, tuple[tuple[str, Column], ...]]:
-        """The columns of systematic shifts, read from their places, by the index of their spectrum."""
-        return {
+    def table(
+        self, source: InputFile, format: str, read: Callable[[int], Column], places: tuple[str, ...],
+        metadata: Mapping[str, Any], block: FloatArray | None = None,
+    ) -> SpectrumTable:  # fmt: skip
+        """The table of a file whose columns are read from their places."""
+        wavelength = read(self.wavelength)
+        systematic = {
             index: tuple((name, read(k)) for name, k in self.systematic[place])
             for index, (place, _) in enumerate(self.spectra)
             if place in self.systematic
         }
+        spectra = tuple((read(r), None if s is None else read(s)) for r, s in self.spectra)
+        return SpectrumTable(source, format, wavelength, spectra, places, metadata, systematic, block)
 
 
 def is_wavelength(name: str) -> bool:

@@ -324,8 +324,7 @@ def read_json(source: InputFile) -> SpectrumTable:
         return Column(name, np.array([np.nan if one is None else one for one in lists[name]], float), k + 1)
 
     places = tuple(f"value {k + 1}" for k in range(len(next(iter(lists.values())))))
-    spectra = tuple((column(r), None if s is None else column(s)) for r, s in roles.spectra)
-    return SpectrumTable(source, "json", column(roles.wavelength), spectra, places)
+    return roles.table(source, "json", column, places, {})
 
 
 def _is_number(cell: Any) -> bool:

@@ -137,16 +137,8 @@ def read_text(source: InputFile) -> SpectrumTable:
     texts = _texts(rows) if any(map(is_wavelength, names)) else []
     texts += [k for k, name in enumerate(names) if not name and np.isnan(column(k).values).all()]
     roles = assign_roles(names, source, left_out=texts)
-    return SpectrumTable(
-        source,
-        "text",
-        column(roles.wavelength),
-        tuple((column(r), None if s is None else column(s)) for r, s in roles.spectra),
-        places,
-        about,
-        roles.systematic_columns(column),
-        None if values is None else _block(values, [r for r, _ in roles.spectra]),
-    )
+    block = None if values is None else _block(values, [r for r, _ in roles.spectra])
+    return roles.table(source, "text", column, places, about, block)
 
 
 def _one_after_another(parts: Sequence[Lines], source: InputFile) -> SpectrumTable:

@@ -164,3 +164,11 @@ def test_wavelength_files_are_not_spectra_of_a_folder() -> None:
     names = ["f/splib07a_Bandpass_(FWHM)_BECK.txt", "f/splib07a_Wavelengths_BECK.txt", "f/splib07a_Augite_BECK.txt"]
     assert without_wavelength_files(names) == names[2:]
     assert without_wavelength_files(names[:1]) == names[:1]
+
+
+def test_lists_of_json_with_errors_that_channels_share(read: Read) -> None:
+    lists = '"reflectance": [0.1, null], "reflectance_sigma": [0.01, 0.02], "reflectance_systematic_gain": [0.03, 0.04]'
+    (spectrum,) = read(f'{{"wavelength_nm": [400, 500], {lists}}}', "rock.json")
+    np.testing.assert_array_equal(spectrum.usable, [True, False])
+    np.testing.assert_array_equal(spectrum.uncertainty, [0.01, 0.02])
+    assert spectrum.systematic["gain"][0] == 0.03
