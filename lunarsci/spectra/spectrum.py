@@ -86,8 +86,8 @@ class Spectrum:
         for name, values in self.systematic.items():
             shift = np.array(values, dtype=float)
             if shift.shape != unusable.shape or not np.isfinite(shift[~unusable]).all():
-                what = f"systematic '{name}' has shape {shift.shape}, or is not known in every usable channel"
-                raise DataError(f"{self.id}: {what} of {unusable.shape}; complete it")
+                what = f"systematic '{name}' is not known in every usable channel"
+                raise DataError(f"{self.id}: {what} ({shift.size} values for {unusable.size} channels); complete it")
             shift[unusable] = 0.0
             shift.setflags(write=False)
             checked[name] = shift

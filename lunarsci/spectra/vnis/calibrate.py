@@ -210,7 +210,7 @@ def _lit_footprint(observation: Observation, settings: Settings, limit: float, n
     inside, lit = int(footprint.inside.sum()), int(footprint.lit.sum())
     shadowed = int(footprint.shadowed.sum())
     share = f"{100 * shadowed / inside:.0f} % of the footprint is in shadow"
-    flat = np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean)
+    flat = lit > 0 and np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean)
     for wrong, what in (
         (
             lit < _LEAST_LIT * inside,
