@@ -16,7 +16,7 @@ import pandas as pd
 from lunarsci.arrays import FloatArray
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.bands import measure_batch
-from lunarsci.spectra.chemistry.chondrite import BANDS, COMPOSITION, bands_of_chondrites, learn_law
+from lunarsci.spectra.chemistry.bands import BANDS, COMPOSITION, bands_of_chondrites, learn_law
 from lunarsci.spectra.chemistry.plane import regressions
 from lunarsci.spectra.readers import read_spectra
 

@@ -1,7 +1,7 @@
 """What is true whatever the program: published numbers, each with its source, that no other test holds.
 
 Others are where their subject is: K_s and N of the paper in `regolith/test_identify.py`, reflectance factors and
-photometry in `spectra/vnis` and `spectra/photometry`, distances of the Sun in `spectra/test_sun.py`.
+photometry in `spectra/vnis` and `spectra/test_photometry.py`, distances of the Sun in `spectra/test_solar.py`.
 """
 
 import math

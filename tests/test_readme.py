@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 PAGES = sorted({ROOT / "README.md", *(ROOT / "docs").rglob("*.md")} - {*(ROOT / "docs/_build").rglob("*.md")})
 ELSEWHERE = {
-    "docs/howto/cubes.md": "tests/spectra/cubes/test_map_command.py",
+    "docs/howto/cubes.md": "tests/spectra/cubes/test_map.py",
     "docs/howto/pictures.md": "tests/test_pictures_page.py",
     "docs/howto/cluster.md": "tests/test_cluster.py",
     "docs/howto/public-drives.md": "tests/cli/test_twin_trials.py",

@@ -33,7 +33,7 @@ SETTINGS = {
         "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
         "spectra/mgm/fit_file.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
-        "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry/phase.py: _LIMITS_DEG",
+        "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry.py: _LIMITS_DEG",
         "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
         "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: SCALES",
         "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _UNSCALED", "sun.py: _J2000_JD",
@@ -47,7 +47,7 @@ SETTINGS = {
         "twin/telemetry/columns.py: DEG", "twin/telemetry/columns.py: UNITS"),
     "the source stands in each of the entries": ("constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
     "places in rows, not numbers of the world": (
-        "spectra/band_status.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
+        "spectra/bands.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
     "where something is drawn or told, or how finely": (
         "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/jobs/render.py: TRUTH_STEP_M",
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
@@ -67,7 +67,7 @@ SETTINGS = {
         "regolith/physics_discrepancy.py: GRID, REACH", "spectra/abundance/mixing.py: LEAST, MOST",
         "spectra/abundance/learned.py: GRID_NM", "spectra/abundance/shares.py: FINE",
         "spectra/abundance/estimate.py: GAUGE", "spectra/abundance/estimate.py: LIFTED",
-        "spectra/abundance/estimate.py: ORIGIN_UM", "spectra/band_polynomial.py: SEARCH",
+        "spectra/abundance/estimate.py: ORIGIN_UM", "spectra/band_shape.py: SEARCH",
         "spectra/mgm/fit.py: CONTINUUM_QUANTILE", "spectra/mgm/fit.py: FIRST_STRENGTH",
         "spectra/mgm/fit.py: HOP_SIGMAS", "spectra/mgm/fit.py: START_SIGMAS", "spectra/mgm/laplace.py: TAIL",
         "spectra/mgm/levenberg_marquardt.py: BELIEF", "spectra/mgm/forward.py: ORIGIN",

@@ -23,7 +23,7 @@ from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import known_rovers, read_rover
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
+from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 
 if TYPE_CHECKING:
     from lunarsci.rovers import RoverDescription
@@ -155,7 +155,7 @@ def _spectra(file: InputFile) -> Mapping[str, Any]:
 
 def _cube(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.spectra.cubes.rasters import M3_NAME, open_pds
-    from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
+    from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 
     if not is_pds_label(file):
         m3 = M3_NAME.search(file.name)

@@ -7,7 +7,7 @@ from lunarsci.names import some_of
 from lunarsci.pages.words import Result, ResultAnswer, counted, each, measured, number, percent, sentence
 from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS
-from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
+from lunarsci.spectra.jobs.verdicts import bands_meaning, centre_texts, fit_verdict, shares_verdict
 
 ERRORS = ("sigma", "systematic", "gaussian", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
@@ -67,7 +67,7 @@ def _depending(spectra: Sequence[Result]) -> str:
 def _one_bands(one: Result) -> str:
     found = [
         f"at {centre}, {measured(_times(one.get(f'bd{key}'), 100), _times(one.get(f'bd{key}_sigma'), 100), '%')} deep"
-        for key, centre in centres_said(one).items()
+        for key, centre in centre_texts(one).items()
     ]
     if not found:
         return f"{one['id']} has no absorption band near 1 or 2 µm that could be measured."

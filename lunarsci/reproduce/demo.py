@@ -35,8 +35,8 @@ from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table

@@ -11,68 +11,457 @@ independent between channels.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import IntArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import choose, highest, load, logarithm, lowest, root, spread, store
-from lunarsci.spectra.band_polynomial import (
-    AREA,
-    ASYMMETRY,
-    CURVE,
-    FIRST,
-    FOUND,
-    HALF,
-    HALF_NM,
-    HEFT,
-    INNER,
-    LAST,
-    LEAST_DEPTH,
-    LOWEST,
-    MIDDLE_NM,
-    NARROW,
-    NARROW_NM,
-    NOISE,
-    OF_CURVE,
-    OF_RATIO,
-    OF_SHAPE,
-    OF_TERM,
-    OWN,
-    RATIO,
-    RIGHT,
-    RIVALLED,
-    SECOND,
-    SIZE,
-    SPARE,
-    WIDE,
-    WIDE_DEPTH,
-    WIDE_NM,
-    BandGrid,
-    BandWork,
-    X,
-    curvature_at,
-    fit,
-    has_any,
-    minima,
-    per_channel,
-    slopes,
-    value_at,
-    window_of,
-)
-from lunarsci.spectra.lane_rows import uncounted
+from lunarsci.spectra.continuum import CONTINUA, TERMS, TIE_ROWS, Indices, Ties
+from lunarsci.spectra.noise import uncounted
+
+ORDER = 4
+SIZE = ORDER + 1
+SEARCH = np.linspace(-1.0, 1.0, 161)
+STEP = float(SEARCH[1] - SEARCH[0])
+NEWTON_STEPS = 6
+LEAST_PIVOT = 1e-15
+"""Share of its moment that a pivot must keep, or the channels do not determine the polynomial."""
+(
+    VALUES, NOISE, IN, X, SHARE, HEFT, HEFT_SLOPE, RESIDUAL, OF_RATIO, OF_CURVE, ONTO, WIDE_NM, WIDE_DEPTH,
+    NARROW_NM, NARROW_DEPTH, SPARE, AREA, ASYMMETRY, CHOSEN_NODE, CHOSEN_WEIGHT
+) = range(TIE_ROWS, TIE_ROWS + 20)  # fmt: skip
+RATIO = CHOSEN_WEIGHT + TERMS
+CHOSEN = len(CONTINUA)
+"""Place behind the continua: of the one that each spectrum is measured under."""
+CURVE, PER_LEVEL, ROWS = (RATIO + k * (CHOSEN + 1) for k in (1, 2, 3))
+"""Rows, n of each, of the table (ROWS n, 8) that eight spectra of n channels are worked on in, behind those of their
+continua.
+
+Reflectance, one standard deviation; of a window's channels whether they are in it, x, depth over the deepest, weight
+and its derivative to that, residual of the polynomial; derivatives to both ratios and to the
+smoothed reflectance; derivatives to each reflectance of what their names say; nodes and weights of the spectrum's own
+continuum; by continuum and for the own one reflectance and smoothed reflectance over the level, and one over it (or 1
+where it is not above 0).
+"""
+MOMENTS, RIGHT, COEFFICIENTS, SOLVED, FACTOR = 0, 2 * SIZE, 3 * SIZE, 4 * SIZE, 5 * SIZE
+(
+    DETERMINED, LOWEST, SECOND, HAS_MINIMUM, RIVALLED, DEPTH_HERE, PLACE, FIRST, LAST, MIDDLE_NM, HALF_NM, INNER
+) = range(FACTOR + SIZE * SIZE, FACTOR + SIZE * SIZE + 12)  # fmt: skip
+OF_TERM = INNER + 1
+OF_SHAPE = OF_TERM + TERMS
+"""Rows of a second table (rows, 8): sums, right side, coefficients, solution and factor of the normal equations, and
+whether they determine a polynomial; x of its lowest and second lowest minimum, and whether there are such; of a window
+its greatest depth, and at which channel; its ends, its middle and half its width [nm]; whether the deepest channel lies
+within the range it is looked for in, and not at its edge, and there are enough of them; sums over terms."""
+
+
+class BandWork(NamedTuple):
+    """What eight spectra are worked on in: both tables, the channels of terms, and room for one spectrum."""
+
+    t: FloatArray
+    k: FloatArray
+    tie: Indices
+    nodes: Indices
+    room: FloatArray
+
+
+@formula
+def polynomial(x: Any, c0: Any, c1: Any, c2: Any, c3: Any, c4: Any) -> Any:
+    return c0 + x * (c1 + x * (c2 + x * (c3 + x * c4)))
+
+
+@uncounted
+def fit(t: Any, k: Any, ratio: int, first: int, behind: int, count: int) -> None:
+    """Weighted least-squares polynomial of a ratio: factor of its normal matrix, coefficients, residuals."""
+    m0, m1, m2, m3, m4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    m5, m6, m7, m8 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    r0, r1, r2, r3, r4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(first, behind):
+        x, power, value = load(t, X * count + j), load(t, HEFT * count + j), load(t, ratio * count + j)
+        m0, r0 = m0 + power, r0 + power * value
+        power = power * x
+        m1, r1 = m1 + power, r1 + power * value
+        power = power * x
+        m2, r2 = m2 + power, r2 + power * value
+        power = power * x
+        m3, r3 = m3 + power, r3 + power * value
+        power = power * x
+        m4, r4 = m4 + power, r4 + power * value
+        power = power * x
+        m5 += power
+        power = power * x
+        m6 += power
+        power = power * x
+        m7 += power
+        m8 += power * x
+    _factored(k, m0, m1, m2, m3, m4, m5, m6, m7, m8)
+    c0, c1, c2, c3, c4 = solved(k, r0, r1, r2, r3, r4)
+    store(k, COEFFICIENTS, c0)
+    store(k, COEFFICIENTS + 1, c1)
+    store(k, COEFFICIENTS + 2, c2)
+    store(k, COEFFICIENTS + 3, c3)
+    store(k, COEFFICIENTS + 4, c4)
+    for j in range(first, behind):
+        fitted = polynomial(load(t, X * count + j), c0, c1, c2, c3, c4)
+        store(t, RESIDUAL * count + j, load(t, ratio * count + j) - fitted)
+
+
+@formula
+def _factored(k: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, m5: Any, m6: Any, m7: Any, m8: Any) -> None:
+    """The normal matrix as L D L^T into FACTOR, 1/D on its diagonal, and whether it is regular."""
+    moments = (m0, m1, m2, m3, m4, m5, m6, m7, m8)
+    pivots: list[Any] = []
+    below: dict[tuple[int, int], Any] = {}
+    regular = m0 > 0.0
+    for i in range(SIZE):
+        for j in range(i + 1):
+            total = moments[i + j]
+            for m in range(j):
+                total = total - below[i, m] * below[j, m] * pivots[m]
+            if i == j:
+                pivots.append(total)
+                regular = regular & (total > moments[2 * i] * LEAST_PIVOT)
+                store(k, FACTOR + i * SIZE + i, 1.0 / total)
+            else:
+                below[i, j] = total * load(k, FACTOR + j * SIZE + j)
+                store(k, FACTOR + i * SIZE + j, below[i, j])
+    store(k, DETERMINED, choose(regular, 1.0, 0.0))
+
+
+@formula
+def solved(k: Any, r0: Any, r1: Any, r2: Any, r3: Any, r4: Any) -> Any:
+    """What the normal matrix makes a right side of."""
+    out = [r0, r1, r2, r3, r4]
+    for i in range(SIZE):
+        for j in range(i):
+            out[i] = out[i] - load(k, FACTOR + i * SIZE + j) * out[j]
+    for i in range(ORDER, -1, -1):
+        out[i] = out[i] * load(k, FACTOR + i * SIZE + i)
+        for j in range(i + 1, SIZE):
+            out[i] = out[i] - load(k, FACTOR + j * SIZE + i) * out[j]
+    return tuple(out)
+
+
+@formula
+def value_at(k: Any, x: Any) -> Any:
+    """The fitted polynomial at x."""
+    return polynomial(x, *(load(k, COEFFICIENTS + power) for power in range(SIZE)))
+
+
+@formula
+def curvature_at(k: Any, x: Any) -> Any:
+    c2, c3, c4 = (load(k, COEFFICIENTS + power) for power in (2, 3, 4))
+    return c2 * 2.0 + x * (c3 * 6.0 + x * c4 * 12.0)
+
+
+@formula
+def _sorted_in(
+    before: Any, here: Any, behind: Any, x: Any, first: Any, second: Any, least: Any, next_least: Any
+) -> Any:
+    """Take a point of the search among the lowest and the second lowest minimum if it is one."""
+    there = (here < before) & (here <= behind)
+    leads, follows = there & (here < least), there & (here < next_least)
+    second = choose(leads, first, choose(follows, x, second))
+    next_least = choose(leads, least, choose(follows, here, next_least))
+    return choose(leads, x, first), second, choose(leads, here, least), next_least
+
+
+@uncounted
+def minima(k: Any) -> None:
+    """x of the lowest and the second lowest minimum within the window, -1 to 1, and whether there are such."""
+    first, second, least, next_least = spread(0.0), spread(0.0), spread(np.inf), spread(np.inf)
+    before, here = value_at(k, spread(SEARCH[0])), value_at(k, spread(SEARCH[1]))
+    for place in range(1, SEARCH.size - 1):
+        behind = value_at(k, spread(SEARCH[place + 1]))
+        first, second, least, next_least = _sorted_in(
+            before, here, behind, SEARCH[place], first, second, least, next_least
+        )
+        before, here = here, behind
+    store(k, LOWEST, _polished(k, first))
+    store(k, SECOND, _polished(k, second))
+    store(k, HAS_MINIMUM, choose(np.inf - least, load(k, DETERMINED), spread(0.0)))
+    store(k, RIVALLED, choose(np.inf - next_least, load(k, HAS_MINIMUM), spread(0.0)))
+
+
+@formula
+def _polished(k: Any, start: Any) -> Any:
+    """Newton's steps to the zero of the derivative, no farther than the next point of the search."""
+    c1, c2, c3, c4 = (load(k, COEFFICIENTS + power) for power in (1, 2, 3, 4))
+    x = start
+    for _ in range(NEWTON_STEPS):
+        curvature = curvature_at(k, x)
+        slope = c1 + x * (c2 * 2.0 + x * (c3 * 3.0 + x * c4 * 4.0))
+        moved = lowest(highest(x - slope / curvature, start - STEP), start + STEP)
+        x = choose(curvature, moved, x)
+    return x
+
+
+class Smoother(NamedTuple):
+    """A linear operator of spectra on the same n channels, each of which takes few others.
+
+    Attributes
+    ----------
+    first, weights : the first channel that it takes at each channel, and the weights from there, (n,), (n, w).
+    """
+
+    first: Indices
+    weights: FloatArray
+
+
+class BandGrid(NamedTuple):
+    """What spectra on the same n channels share.
+
+    Attributes
+    ----------
+    wavelength_nm, steps_nm : channels and their gradient, (n,). [nm]
+    smoother, adjoint : the smoothing, and its transpose.
+    ties : of the continua.
+    """
+
+    wavelength_nm: FloatArray
+    steps_nm: FloatArray
+    smoother: Smoother
+    adjoint: Smoother
+    ties: Ties
+
+
+@uncounted
+def smooth(g: Smoother, t: Any, source: int, out: int) -> None:
+    """Rows from `out` on take what the operator makes of those from `source` on."""
+    firsts, weights = g
+    for j in range(firsts.size):
+        first, total = source + firsts[j], spread(0.0)
+        for m in range(weights.shape[1]):
+            total += load(t, first + m) * weights[j, m]
+        store(t, out + j, total)
+
+
+@formula
+def _along(along: Any, residual: Any, slope: Any, heft: Any, share: Any, per_depth: Any, total: Any) -> Any:
+    of_share = along * residual * slope * per_depth
+    return along * heft, -of_share, total + of_share * share
+
+
+@uncounted
+def slopes(g: BandGrid, work: BandWork, first: int, behind: int, out: int) -> Any:
+    """Derivatives to each reflectance, into rows, of a quantity whose derivatives to the coefficients are in RIGHT; its
+    variance."""
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    s0, s1, s2, s3, s4 = solved(
+        k, load(k, RIGHT), load(k, RIGHT + 1), load(k, RIGHT + 2), load(k, RIGHT + 3), load(k, RIGHT + 4)
+    )
+    per_depth, total = 1.0 / load(k, DEPTH_HERE), spread(0.0)
+    for j in range(first, behind):
+        of_ratio, of_curve, total = _along(
+            polynomial(load(t, X * count + j), s0, s1, s2, s3, s4), load(t, RESIDUAL * count + j),
+            load(t, HEFT_SLOPE * count + j), load(t, HEFT * count + j), load(t, SHARE * count + j), per_depth, total,
+        )  # fmt: skip
+        store(t, OF_RATIO * count + j, of_ratio)
+        store(t, OF_CURVE * count + j, of_curve)
+    return per_channel(g, work, first, behind, out, total)
+
+
+@uncounted
+def per_channel(g: BandGrid, work: BandWork, first: int, behind: int, out: int, of_deepest: Any) -> Any:
+    """Derivatives to both ratios, OF_RATIO and OF_CURVE, into derivatives to the reflectance; the variance.
+
+    `of_deepest` is a derivative to the smoothed ratio at the deepest channel, besides.
+    """
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    place, one, two, three = load(k, PLACE), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(first, behind):
+        onto, of_level, direct = _parts(
+            load(t, OF_RATIO * count + j), load(t, OF_CURVE * count + j), load(t, (RATIO + CHOSEN) * count + j),
+            load(t, (CURVE + CHOSEN) * count + j), load(t, (PER_LEVEL + CHOSEN) * count + j), of_deepest, place,
+            float(j),
+        )  # fmt: skip
+        node = load(t, CHOSEN_NODE * count + j)
+        two += of_level * load(t, (CHOSEN_WEIGHT + 1) * count + j)
+        three += of_level * load(t, (CHOSEN_WEIGHT + 2) * count + j)
+        store(t, out * count + j, direct)
+        store(t, OF_RATIO * count + j, of_level)
+        store(t, ONTO * count + j, onto + node * two)
+        two = choose(node, spread(0.0), two)
+    for j in range(behind, count):
+        node = load(t, CHOSEN_NODE * count + j)
+        store(t, out * count + j, spread(0.0))
+        store(t, ONTO * count + j, node * two)
+        two = choose(node, spread(0.0), two)
+    for j in range(behind - 1, first - 1, -1):
+        node = load(t, CHOSEN_NODE * count + j)
+        one += load(t, OF_RATIO * count + j) * load(t, CHOSEN_WEIGHT * count + j)
+        store(t, ONTO * count + j, load(t, ONTO * count + j) + node * one)
+        one = choose(node, spread(0.0), one)
+    for j in range(first - 1, -1, -1):
+        node = load(t, CHOSEN_NODE * count + j)
+        store(t, out * count + j, spread(0.0))
+        store(t, ONTO * count + j, node * one)
+        one = choose(node, spread(0.0), one)
+    _to_ties(work, one, two, three, count)
+    return _smoothed_back(g.adjoint, t, out)
+
+
+@formula
+def _parts(
+    of_ratio: Any, of_curve: Any, ratio: Any, curve: Any, per_level: Any, of_deepest: Any, place: Any, j: Any
+) -> Any:
+    of_curve = of_curve + choose(abs(place - j) < 0.5, of_deepest, 0.0)
+    return of_curve * per_level, -(of_ratio * ratio + of_curve * curve) * per_level, of_ratio * per_level
+
+
+@uncounted
+def _to_ties(work: BandWork, one: Any, two: Any, three: Any, count: int) -> None:
+    """What derivatives to the level give to the channels of the continuum's terms; the hull's nodes have theirs."""
+    t, k, tie = work.t, work.k, work.tie[CHOSEN]
+    store(k, OF_TERM, one)
+    store(k, OF_TERM + 1, two)
+    store(k, OF_TERM + 2, three)
+    for term in range(TERMS):
+        for lane in range(LANES):
+            t[ONTO * count + tie[term, lane], lane] += k[OF_TERM + term, lane]
+
+
+@uncounted
+def _smoothed_back(g: Smoother, t: Any, out: int) -> Any:
+    """Add what the smoothed reflectance of other channels takes from each; the variance."""
+    firsts, weights = g
+    count, variance = firsts.size, spread(0.0)
+    for j in range(count):
+        first, total = ONTO * count + firsts[j], load(t, out * count + j)
+        for m in range(weights.shape[1]):
+            total += load(t, first + m) * weights[j, m]
+        store(t, out * count + j, total)
+        off = total * load(t, NOISE * count + j)
+        variance += off * off
+    return variance
+
+
+WIDE, NARROW = (0.6, 0.9), (0.85, 1.0)
+"""Channels less deep than the first share of the band do not count, those deeper than the second count fully; assumed.
+Polynomials through about the deepest third are usual for asteroids: Moskovitz et al. (2010), Icarus 208, 773,
+10.1016/j.icarus.2010.03.002."""
+HALF = 0.5
+"""Share of the depth from which a Gaussian is fitted; assumed."""
+FEWEST_CHANNELS = 8.0
+"""Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels.
+Assumed."""
+LEAST_DEPTH = 1e-6
+
+
+@formula
+def _deeper(value: Any, j: Any, least: Any, place: Any) -> Any:
+    below = value < least
+    return choose(below, value, least), choose(below, j, place)
+
+
+@uncounted
+def deepest_of(t: Any, curve: int, low: int, high: int, count: int) -> Any:
+    """The lowest value of a curve, and its channel, the first where there are several."""
+    least, place = load(t, curve * count + low), spread(float(low))
+    for j in range(low + 1, high):
+        least, place = _deeper(load(t, curve * count + j), float(j), least, place)
+    return least, place
+
+
+@formula
+def _goes_on(value: Any, j: Any, place: Any, below: Any, alive: Any) -> Any:
+    """1 at the deepest channel and at those that are connected with it, from the one before on."""
+    here = (value < below) & (alive > 0.0)
+    return choose(abs(place - j) < 0.5, 1.0, choose(here, 1.0, 0.0))
+
+
+@uncounted
+def _connected(t: Any, k: Any, curve: int, band: IntArray, below: Any, count: int) -> Any:
+    """Which channels are connected with the deepest one, below a level; how many they are."""
+    place = load(k, PLACE)
+    alive, number, end = spread(0.0), spread(0.0), spread(0.0)
+    for j in range(band[0], band[1]):
+        alive = _goes_on(load(t, curve * count + j), float(j), place, below, alive)
+        end = choose(alive, spread(float(j)), end)
+        store(t, IN * count + j, alive)
+    store(k, LAST, end)
+    alive = spread(0.0)
+    for j in range(band[1] - 1, band[0] - 1, -1):
+        alive = _goes_on(load(t, curve * count + j), float(j), place, below, alive)
+        end = choose(alive, spread(float(j)), end)
+        inside = highest(alive, load(t, IN * count + j))
+        number += inside
+        store(t, IN * count + j, inside)
+    store(k, FIRST, end)
+    return number
+
+
+@uncounted
+def has_any(k: Any, row: int) -> bool:
+    there = False
+    for lane in range(LANES):
+        there = there or k[row, lane] > 0.0
+    return there
+
+
+@uncounted
+def window_of(g: BandGrid, work: BandWork, which: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
+    """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
+
+    SHARE takes the depth over the deepest, X the scaled wavelength, HEFT_SLOPE the derivative of the weight
+    to the share. Returns the first channel that any of the eight has, and the one behind the last.
+    """
+    t, k, wavelength_nm, count = work.t, work.k, g.wavelength_nm, g.wavelength_nm.size
+    curve = CURVE + which
+    least, place = deepest_of(t, curve, band[2], band[3], count)
+    most = highest(1.0 - least, spread(LEAST_DEPTH))
+    store(k, PLACE, place)
+    store(k, DEPTH_HERE, most)
+    part = spread(1.0)
+    number = _connected(t, k, curve, band, 1.0 - most * (part * low), count)
+    if wide:
+        part = choose(FEWEST_CHANNELS - number, spread(0.5), part)
+        store(k, INNER, 0.75 - part)
+        if has_any(k, INNER):
+            number = _connected(t, k, curve, band, 1.0 - most * (part * low), count)
+    within = choose(place - float(band[2]), choose(float(band[3] - 1) - place, spread(1.0), spread(0.0)), spread(0.0))
+    store(k, INNER, choose(number - (FEWEST_CHANNELS - 0.5), within, spread(0.0)))
+    first, behind = count, 0
+    for lane in range(LANES):
+        one, other = int(k[FIRST, lane]), int(k[LAST, lane])
+        first, behind = min(first, one), max(behind, other + 1)
+        k[MIDDLE_NM, lane] = (wavelength_nm[one] + wavelength_nm[other]) / 2
+        k[HALF_NM, lane] = max((wavelength_nm[other] - wavelength_nm[one]) / 2, 1.0)
+    _weigh(wavelength_nm, t, k, curve, low * part, 1.0 / ((high - low) * part), first, behind)
+    return first, behind
+
+
+@formula
+def _weights(value: Any, inside: Any, per_depth: Any, low: Any, per_share: Any) -> Any:
+    share = (1.0 - value) * per_depth
+    s = lowest(highest((share - low) * per_share, 0.0), 1.0)
+    return share, inside * (s * s * (3.0 - s * 2.0)), inside * (s * (1.0 - s) * per_share * 6.0)
+
+
+@uncounted
+def _weigh(
+    wavelength_nm: FloatArray, t: Any, k: Any, curve: int, low: Any, per_share: Any, first: int, behind: int
+) -> None:
+    count = wavelength_nm.size
+    per_depth, middle, per_half = 1.0 / load(k, DEPTH_HERE), load(k, MIDDLE_NM), 1.0 / load(k, HALF_NM)
+    for j in range(first, behind):
+        share, heft, slope = _weights(load(t, curve * count + j), load(t, IN * count + j), per_depth, low, per_share)
+        store(t, SHARE * count + j, share)
+        store(t, HEFT * count + j, heft)
+        store(t, HEFT_SLOPE * count + j, slope)
+        store(t, X * count + j, (wavelength_nm[j] - middle) * per_half)
+
 
 TINY = float(np.finfo(float).tiny)
-
-
 (
     MINIMUM_NM, MINIMUM_DEPTH, MINIMUM_VARIANCE, MINIMUM_RIVAL, HAS_SHAPE, WIDE_CENTER_NM, UNSAID, SHAPE_NM,
     CENTER_VARIANCE, SHAPE_DEPTH, DEPTH_VARIANCE, SHAPE_AREA, AREA_VARIANCE, SHAPE_ASYMMETRY, ASYMMETRY_VARIANCE,
     GAUSSIAN_NM
 ) = range(OF_SHAPE, OF_SHAPE + 16)  # fmt: skip
 OF_CHOICE = GAUSSIAN_NM + 1
-"""Rows, behind those of `band_polynomial`: of a minimum in a window its wavelength [nm] and depth, the variance of the
+"""Rows behind those: of a minimum in a window its wavelength [nm] and depth, the variance of the
 wavelength, and what is not of first order in that (that a second minimum may be the lower one, and that the curvature
 is uncertain: three times the square of its relative error); whether there is a band, its centre in the wide window
 [nm], variance of the centre that is not of first order; centre, depth, area [nm], asymmetry, each with its variance;
@@ -83,8 +472,8 @@ def _right_side(k: Any, x: Any, derivative: int, factor: Any) -> None:
     """Derivative of 1, x, …, x^4 at x, times a factor, into RIGHT."""
     power = x * 0.0 + factor
     for n in range(SIZE):
-        own = n * (n - 1) if derivative == 2 else n if derivative == 1 else 1
-        store(k, RIGHT + n, power * float(own) if n >= derivative else x * 0.0)
+        times = n * (n - 1) if derivative == 2 else n if derivative == 1 else 1
+        store(k, RIGHT + n, power * float(times) if n >= derivative else x * 0.0)
         power = power * x if n >= derivative else power
 
 
@@ -116,7 +505,7 @@ def _difference(k: Any, x: Any, other: Any) -> None:
 def _minimum(g: BandGrid, work: BandWork, first: int, behind: int, row: int) -> None:
     """The minimum in a window; derivatives of wavelength and depth into rows from `row` on."""
     t, k = work.t, work.k
-    fit(t, k, RATIO + OWN, first, behind, g.wavelength_nm.size)
+    fit(t, k, RATIO + CHOSEN, first, behind, g.wavelength_nm.size)
     minima(k)
     x, curvature, per_x = load(k, LOWEST), curvature_at(k, load(k, LOWEST)), load(k, HALF_NM)
     _ask_curvature(k, x)
@@ -157,12 +546,12 @@ def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float, least: float
     The derivatives of centre, depth, area and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
     """
     t, k, count = work.t, work.k, g.wavelength_nm.size
-    first, behind = window_of(g, work, OWN, band, WIDE[0], WIDE[1], True)
+    first, behind = window_of(g, work, CHOSEN, band, WIDE[0], WIDE[1], True)
     _minimum(g, work, first, behind, WIDE_NM)
-    store(k, HAS_SHAPE, load(k, FOUND))
+    store(k, HAS_SHAPE, load(k, HAS_MINIMUM))
     half = load(k, HALF_NM) * bias
     _remember_wide(k, half * half)
-    first, behind = window_of(g, work, OWN, band, NARROW[0], NARROW[1], False)
+    first, behind = window_of(g, work, CHOSEN, band, NARROW[0], NARROW[1], False)
     _minimum(g, work, first, behind, NARROW_NM)
     _join(t, k, count)
     hidden = _areas(g, work, band)
@@ -208,7 +597,7 @@ def _part_of_wide(k: Any, common: Any) -> Any:
     of_wide = load(k, CENTER_VARIANCE) + load(k, UNSAID)
     of_narrow = load(k, MINIMUM_VARIANCE) + load(k, MINIMUM_RIVAL)
     share = (of_narrow - common) / highest(of_wide + of_narrow - common * 2.0, TINY)
-    there = (load(k, INNER) > 0.0) & (load(k, FOUND) > 0.0)
+    there = (load(k, INNER) > 0.0) & (load(k, HAS_MINIMUM) > 0.0)
     return choose(there, lowest(highest(share, 0.0), 1.0), 1.0)
 
 
@@ -253,7 +642,7 @@ def _areas(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     wavelength_nm, steps_nm = g.wavelength_nm, g.steps_nm
     center, across, area, excess = load(k, SHAPE_NM), load(k, SHAPE_DEPTH) * 2.0, spread(0.0), spread(0.0)
     for j in range(band[0], band[1]):
-        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(t, (RATIO + OWN) * count + j))
+        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(t, (RATIO + CHOSEN) * count + j))
         area += deep
         excess += deep * side
         store(t, OF_RATIO * count + j, side * -steps_nm[j])
@@ -266,8 +655,8 @@ def _areas(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     asymmetry, variance = excess * per_area, spread(0.0)
     for j in range(count):
         of_excess = load(t, ASYMMETRY * count + j) - across * load(t, WIDE_NM * count + j)
-        own = (of_excess - asymmetry * load(t, AREA * count + j)) * per_area
-        off = own * load(t, NOISE * count + j)
+        slope = (of_excess - asymmetry * load(t, AREA * count + j)) * per_area
+        off = slope * load(t, NOISE * count + j)
         variance += off * off
     store(k, SHAPE_AREA, area)
     store(k, SHAPE_ASYMMETRY, asymmetry)
@@ -289,12 +678,12 @@ def _gaussian_centre(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     A parabola through ln depth, weighted with the depth squared: Guo (2011), 10.1109/MSP.2011.941846.
     """
     t, k, count = work.t, work.k, g.wavelength_nm.size
-    first, behind = window_of(g, work, OWN, band, HALF, HALF + 1e-9, False)
+    first, behind = window_of(g, work, CHOSEN, band, HALF, HALF + 1e-9, False)
     m0, m1, m2, m3, m4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     r0, r1, r2 = spread(0.0), spread(0.0), spread(0.0)
     for j in range(first, behind):
         x = load(t, X * count + j)
-        heft, power, right = _gaussian_terms(load(t, (CURVE + OWN) * count + j), load(t, HEFT * count + j), x)
+        heft, power, right = _gaussian_terms(load(t, (CURVE + CHOSEN) * count + j), load(t, HEFT * count + j), x)
         m0, m1, r0, r1 = m0 + heft, m1 + power, r0 + right, r1 + right * x
         power = power * x
         m2, r2 = m2 + power, r2 + right * x * x

@@ -5,38 +5,11 @@ Under which continuum each of eight spectra shows a band, if any: what is agains
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.compiled.formulas import LANES, formula
-from lunarsci.compiled.lanes import choose, highest, load, lowest, spread, store
-from lunarsci.spectra.band_polynomial import (
-    CURVE,
-    FOUND,
-    HALF_NM,
-    INNER,
-    LEAST_DEPTH,
-    LOWEST,
-    MIDDLE_NM,
-    OWN,
-    OWN_NODE,
-    OWN_WEIGHT,
-    PER_LEVEL,
-    RATIO,
-    WIDE,
-    BandGrid,
-    BandWork,
-    deepest_of,
-    fit,
-    minima,
-    window_of,
-)
-from lunarsci.spectra.band_shape import CENTER_VARIANCE, DEPTH_VARIANCE, HAS_SHAPE, OF_CHOICE, SHAPE_DEPTH, SHAPE_NM
-from lunarsci.spectra.continuum import CONIC, HULL, LEVEL, NODE, TERMS, WEIGHT
-from lunarsci.spectra.lane_rows import uncounted
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.spectra.spectrum import wide_gap
 
 
@@ -95,7 +68,6 @@ DEPENDS_NM, DEPENDS_SIGMA = 20.0, 3.0
 assumed."""
 CROSSING_SHARE = 0.25
 """A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
-
 WIDTHS_NM = ((1900.0, 570.0), (2200.0, 690.0))
 """Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`; that they go over
 into each other linearly is assumed. [nm]"""
@@ -143,13 +115,11 @@ STATUSES = (
     OK, FALLS, BELOW, AWAY, FEW, ELSEWHERE, NO_MINIMUM, SHALLOW, UNCERTAIN, SPARSE, NOT_COVERED, NO_TIES, UNUSABLE,
     TOO_NARROW,
 ) = range(len(STATUSES))  # fmt: skip
-
 NO_BAND = (FEW, ELSEWHERE, NO_MINIMUM, SHALLOW)
 """Codes that say that there is none."""
 ABSENT_NM = 2300.0
 """A spectrum that ends before this does not show that there is no band at 2 um: assumed, as clinopyroxenes have minima
 up to 2380 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512) and bands far wider than what would be missing. [nm]"""
-
 QUANTITIES = (
     "center_nm", "center_sigma_nm", "center_systematic_nm", "center_gaussian_nm", "center_method_nm", "depth",
     "depth_sigma", "area_nm", "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm",
@@ -163,8 +133,6 @@ QUANTITIES = (
 Codes = npt.NDArray[np.int8]
 CODES = ("continuum", "status", "note")
 CONTINUUM, STATUS, NOTE = range(len(CODES))
-
-
 JSON_KEYS = {
     "center_nm": "bc{}_nm",
     "center_sigma_nm": "bc{}_sigma_nm",
@@ -216,17 +184,17 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     )
 
 
-NARROW_SAID = "a narrow absorption at"
+NARROW_TEXT = "a narrow absorption at"
 
 
-def narrow_said(center_nm: float, width_nm: float) -> str:
+def narrow_text(center_nm: float, width_nm: float) -> str:
     """A narrow absorption, and what makes such ones.
 
-    >>> narrow_said(1920.0, 105.0)
+    >>> narrow_text(1920.0, 105.0)
     'a narrow absorption at 1920 nm, 105 nm wide: water or hydroxyl'
     """
     cause = "water or hydroxyl" if center_nm < WATER_MOST_NM else "hydroxyl or a carbonate"
-    return f"{NARROW_SAID} {center_nm:.0f} nm, {width_nm:.0f} nm wide: {cause}"
+    return f"{NARROW_TEXT} {center_nm:.0f} nm, {width_nm:.0f} nm wide: {cause}"
 
 
 def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]:
@@ -241,15 +209,15 @@ def with_errors(value: float, *errors: float | None, most: int = 9) -> list[str]
     def shown(one: float, to: int) -> str:
         return f"{round(one, to):.{max(to, 0)}f}"
 
-    known = [error for error in errors if error is not None]
-    own = [max(places, min(-math.floor(math.log10(float(f"{one:.0e}"))), most)) if one else places for one in known]
-    return [shown(value, places), *(shown(max(one, 10.0**-to), to) for one, to in zip(known, own, strict=True))]
+    stated = [error for error in errors if error is not None]
+    digits = [max(places, min(-math.floor(math.log10(float(f"{one:.0e}"))), most)) if one else places for one in stated]
+    return [shown(value, places), *(shown(max(one, 10.0**-to), to) for one, to in zip(stated, digits, strict=True))]
 
 
-def centre_said(center_nm: float, sigma_nm: float, spread_nm: float | None, *, named: bool = True) -> str:
+def centre_text(center_nm: float, sigma_nm: float, spread_nm: float | None, *, named: bool = True) -> str:
     """A centre with both of its errors, that of the noise and what methods differ by.
 
-    >>> centre_said(1976.2, 6.8, 69.0), centre_said(973.031, 0.068, 5.7, named=False)
+    >>> centre_text(1976.2, 6.8, 69.0), centre_text(973.031, 0.068, 5.7, named=False)
     ('1976 ± 7 (noise) ± 69 (method) nm', '973.0 ± 0.07 ± 5.7 nm')
     """
     value, *errors = with_errors(center_nm, sigma_nm, spread_nm)
@@ -305,149 +273,171 @@ class BandResult:
     note: str = ""
 
     @property
-    def centre_said(self) -> str:
+    def centre_text(self) -> str:
         """The centre with both of its errors; '' where there is none."""
         if self.center_nm is None or self.center_sigma_nm is None:
             return ""
-        return centre_said(self.center_nm, self.center_sigma_nm, self.center_method_nm, named=False)
+        return centre_text(self.center_nm, self.center_sigma_nm, self.center_method_nm, named=False)
 
 
-(TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES) = (OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12))
-"""Rows, behind those of `band_shape`: place in the order of the continuum that is tried, below 0 for none; which one
-that is; by continuum what is against it, where the band is deepest and its centre in the wide window. [nm]"""
+def nothing_of(count: int) -> tuple[FloatArray, Codes]:
+    """What `measure_rows` gives of so many spectra that cannot be measured."""
+    codes = np.zeros((count, len(BANDS), len(CODES)), np.int8)
+    codes[..., CONTINUUM], codes[..., STATUS] = -1, UNUSABLE
+    return np.full((count, len(BANDS), len(QUANTITIES)), np.nan), codes
 
 
-class Places(NamedTuple):
-    """Where the bands lie among the channels.
+MEASURED = QUANTITIES[:DEEPEST]
+"""What is measured of a band: the numbers of a `BandResult`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandColumns:
+    """One band of m spectra; each array is (m,), a number NaN where there is none.
 
     Attributes
     ----------
-    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
-    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
-    wanted : place of the wanted continuum in `CONTINUA`.
-    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
-    order : continua in the order in which they are tried, (3,), -1 for none.
-    low, high : first channel of all bands, and the one behind the last.
+    center_nm, … : as in `BandResult`.
+    deepest_nm, note_deepest_nm : where the band of the reported continuum, and of the wanted one, is deepest. [nm]
+    narrow_nm, narrow_width_nm : centre and width of a narrow absorption in it, or that makes it. [nm]
+    continuum : place in `CONTINUA` of the one used, -1 for none.
+    status, note : places in `STATUSES`: whether there is a band, and why the wanted continuum was not used.
     """
 
-    bands: IntArray
-    limits_nm: FloatArray
-    bias: FloatArray
-    least: FloatArray
-    wanted: int
-    missing: IntArray
-    order: IntArray
-    low: int
-    high: int
+    center_nm: FloatArray
+    center_sigma_nm: FloatArray
+    center_systematic_nm: FloatArray
+    center_gaussian_nm: FloatArray
+    center_method_nm: FloatArray
+    depth: FloatArray
+    depth_sigma: FloatArray
+    area_nm: FloatArray
+    area_sigma_nm: FloatArray
+    asymmetry: FloatArray
+    asymmetry_sigma: FloatArray
+    center_calibration_nm: FloatArray
+    depth_calibration: FloatArray
+    area_calibration_nm: FloatArray
+    deepest_nm: FloatArray
+    note_deepest_nm: FloatArray
+    narrow_nm: FloatArray
+    narrow_width_nm: FloatArray
+    continuum: Codes
+    status: Codes
+    note: Codes
 
 
-@formula
-def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: Any, low_nm: Any, high_nm: Any) -> Any:
-    """Why a continuum is not fit for use over a band, or why there is no band under it; 0 for neither.
+@dataclass(frozen=True, slots=True, eq=False)
+class BandArrays:
+    """Both bands of m spectra: numbers (m, 2, 18) and codes (m, 2, 3), which `bands` has by name."""
 
-    Where the spectrum lies nowhere below the continuum it is deepest where both touch, which rounding decides.
+    numbers: FloatArray
+    codes: Codes
+
+    @property
+    def depends(self) -> BoolArray:
+        """(m, 2) whether methods differ by much more than the noise does."""
+        return depends_on_method(self.numbers[..., CENTER_SIGMA], self.numbers[..., METHOD])
+
+    @property
+    def bands(self) -> dict[str, BandColumns]:
+        """By key of the band, its numbers and codes."""
+        return {
+            band.key: BandColumns(*self.numbers[:, place].T, *self.codes[:, place].T)
+            for place, band in enumerate(BANDS)
+        }
+
+
+NARROW_CENTRES_NM, NARROW_WIDTHS_NM = (
+    np.concatenate([np.arange(1850.0, 1995.0, 10.0), np.arange(2140.0, 2405.0, 10.0)]),
+    np.array([40.0, 60.0, 80.0, 105.0, 135.0, 170.0, 205.0]),
+)
+"""Where they are sought, and full widths at half maximum that are tried. Water absorbs at 1900-1950 nm, hydroxyl and
+carbonates at 2200-2350 nm (Hunt 1977, 10.1190/1.1440721); bands of pyroxenes at 2 um are 570 nm wide and more
+(`mgm_bands.csv`). [nm]"""
+NARROW_WINDOW_NM, NARROW_REACH_NM, NARROW_DEGREE, NARROW_CHANNELS = 220.0, 70.0, 3, 10
+"""A Gaussian on a cubic in ln R so far to both sides, or so far at least, and channels that it takes; assumed. A cubic
+follows the floor of a band 500 nm wide to 2 % of its depth. [nm]"""
+NARROW_WIDEST_NM = 135.0
+"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more;
+assumed, on spectra of pyroxenes (RELAB). [nm]"""
+EXPLAINED = 0.5
+"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away; assumed. It takes 0.3 at
+most in 57 Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
+SIGNIFICANT = 6.0
+"""Least strength of the Gaussian over its standard error, which decides where channels are few; assumed, as the most of
+several hundred that are tried counts."""
+NEAR_NM = 80.0
+"""How far from the centre of a band it may lie; assumed: smoothing over 205 nm moves the centre of a sharp one."""
+BAND_SHARE, BESIDE_SHARE = 0.5, 0.15
+"""Shares of the depth of a band, in ln R, from which it makes the band, and from which it is said to be beside it.
+
+Half is where it is more of the band than anything else. Looked at on every second sample series of RELAB, counted on
+the others (`tests/spectra/test_band_status.py`): of 25 such bands of olivines and plagioclases without pyroxene it
+makes 15, of 80 bands with 10 vol % of pyroxene or more 1. 0.15 is assumed."""
+
+
+def narrow_absorptions(
+    wavelength_nm: FloatArray, reflectance: FloatArray, center_nm: FloatArray, depth: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The narrow absorption nearest in shape to a Gaussian in ln R beside the centre of each 2 um band.
+
+    Parameters
+    ----------
+    wavelength_nm, reflectance : (n,) ascending, and (m, n) above 0. [nm, -]
+    center_nm, depth : of the 2 um bands, (m,). [nm, -]
+
+    Returns
+    -------
+    Its centre and full width at half maximum, NaN where there is none, and its share of the depth of the band, (m,).
+    [nm, nm, -]
     """
-    nowhere = choose(highest - 1.0 > LEAST_DEPTH, BELOW, SHALLOW)
-    above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
-    crossing = choose(highest - 1.0 > depth * CROSSING_SHARE, BELOW, choose(end > depth * RUNAWAY_SHARE, AWAY, OK))
-    found = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
-    return choose(above, choose(depth < LEAST_DEPTH, nowhere, found), FALLS)
+    ln, whole = np.log(reflectance), -np.log1p(-np.clip(depth, 0.0, 0.999))
+    place, width, share, best = (np.full(len(ln), value) for value in (np.nan, np.nan, 0.0, EXPLAINED))
+    widths = NARROW_WIDTHS_NM[2.0 * np.median(np.diff(wavelength_nm)) <= NARROW_WIDTHS_NM]
+    for centre in NARROW_CENTRES_NM:
+        rows = np.flatnonzero(np.abs(center_nm - centre) <= NEAR_NM)
+        inside = np.abs(wavelength_nm - centre) <= NARROW_WINDOW_NM
+        x = wavelength_nm[inside] - centre
+        if (
+            not rows.size
+            or not widths.size
+            or x.size < NARROW_CHANNELS
+            or x[0] > -NARROW_REACH_NM
+            or x[-1] < NARROW_REACH_NM
+        ):
+            continue
+        cubic, _ = np.linalg.qr(np.vander(x / NARROW_WINDOW_NM, NARROW_DEGREE + 1))
+        left = ln[np.ix_(rows, inside)]
+        left -= (left @ cubic) @ cubic.T
+        shapes = np.exp(-4.0 * math.log(2.0) * (x / widths[:, None]) ** 2)
+        shapes -= (shapes @ cubic) @ cubic.T
+        size = (shapes**2).sum(axis=1)
+        strength = -(left @ shapes.T) / size
+        explained = np.where(strength > 0, strength**2 * size, 0.0) / np.maximum((left**2).sum(axis=1), 1e-300)[:, None]
+        k = explained.argmax(axis=1)
+        most = explained[np.arange(rows.size), k]
+        free = x.size - NARROW_DEGREE - 2
+        better = most > np.maximum(best[rows], SIGNIFICANT**2 / (SIGNIFICANT**2 + free))
+        to, k, at = rows[better], k[better], np.flatnonzero(better)
+        best[to], place[to], width[to], share[to] = most[at], centre, widths[k], strength[at, k] / whole[to]
+    narrow = (width <= NARROW_WIDEST_NM) & (share >= BESIDE_SHARE)
+    return np.where(narrow, place, np.nan), np.where(narrow, width, np.nan), np.where(narrow, share, 0.0)
 
 
-@uncounted
-def judge(g: BandGrid, places: Places, work: BandWork, b: int, c: int) -> None:
-    """What is against a continuum over a band, where the band is deepest under it, and its centre."""
-    t, k, count, band = work.t, work.k, g.wavelength_nm.size, places.bands[b]
-    least_level, above = load(t, (LEVEL + c) * count + band[0]), load(t, (CURVE + c) * count + band[0])
-    for j in range(band[0] + 1, band[1]):
-        least_level = lowest(least_level, load(t, (LEVEL + c) * count + j))
-        above = highest(above, load(t, (CURVE + c) * count + j))
-    least, place = deepest_of(t, CURVE + c, band[0], band[1], count)
-    end = spread(-np.inf)
-    if c == CONIC and band[1] == count:
-        end = spread(0.0)
-        for j in range(count - END_CHANNELS, count):
-            end += (1.0 - load(t, (CURVE + c) * count + j)) * (1.0 / END_CHANNELS)
-    store(k, DEEPEST_NM + c, place)
-    for lane in range(LANES):
-        k[DEEPEST_NM + c, lane] = g.wavelength_nm[int(k[DEEPEST_NM + c, lane])]
-    first, behind = window_of(g, work, c, band, WIDE[0], WIDE[1], True)
-    low, high = places.limits_nm[b]
-    code = _code(least_level, above, 1.0 - least, end, load(k, INNER), load(k, DEEPEST_NM + c), low, high)
-    store(k, CODE + c, code)
-    store(k, OTHER_NM + c, centre(work, c, first, behind, count))
+def judge_width(wavelength_nm: FloatArray, reflectance: FloatArray, numbers: FloatArray, codes: Codes) -> None:
+    """Take away each 2 um band that a narrow absorption makes, and note the narrow ones within others.
 
-
-@uncounted
-def centre(work: BandWork, own: int, first: int, behind: int, count: int) -> Any:
-    """Centre in a window, NaN where there is none. [nm]"""
-    k = work.k
-    fit(work.t, k, RATIO + own, first, behind, count)
-    minima(k)
-    there = choose(load(k, INNER), load(k, FOUND), spread(0.0))
-    return choose(there, load(k, MIDDLE_NM) + load(k, HALF_NM) * load(k, LOWEST), spread(np.nan))
-
-
-@uncounted
-def go_on(places: Places, k: Any, lane: int, found: FloatArray, codes: Codes) -> bool:
-    """Turn to the next continuum that nothing is against, and say of the others what is; whether there is one."""
-    for tried in range(int(k[TRIED, lane]) + 1, places.order.size):
-        c = places.order[tried]
-        if c < 0:
-            break
-        code = int(k[CODE + c, lane])
-        if code == OK:
-            k[TRIED, lane] = float(tried)
-            return True
-        record(places, k, lane, c, code, found, codes)
-    k[TRIED, lane] = -2.0
-    return False
-
-
-@uncounted
-def record(places: Places, k: Any, lane: int, c: int, code: int, found: FloatArray, codes: Codes) -> None:
-    deepest = k[DEEPEST_NM + c, lane]
-    if code == OK or c == HULL:
-        codes[CONTINUUM], codes[STATUS], found[DEEPEST] = c, code, deepest
-    if code != OK and c == places.wanted:
-        codes[NOTE], found[NOTE_DEEPEST] = code, deepest
-
-
-@formula
-def _picked(conic: Any, hull: Any, first: Any, second: Any, third: Any) -> Any:
-    return choose(conic, first, choose(hull, second, third))
-
-
-@uncounted
-def own_continuum(g: BandGrid, places: Places, work: BandWork) -> None:
-    """Put what belongs to the continuum that each spectrum is tried under where `shape` looks for it."""
-    t, k, count = work.t, work.k, g.wavelength_nm.size
-    for lane in range(LANES):
-        tried = int(k[TRIED, lane])
-        c = places.order[tried] if tried >= 0 else HULL
-        for term in range(TERMS):
-            work.tie[OWN, term, lane] = work.tie[c, term, lane]
-        k[IS_CONIC, lane], k[IS_HULL, lane] = 1.0 if c == CONIC else 0.0, 1.0 if c == HULL else 0.0
-    conic, hull = load(k, IS_CONIC), load(k, IS_HULL)
-    for j in range(count):
-        store(t, OWN_NODE * count + j, load(t, NODE * count + j) * hull)
-    for j in range(places.low, places.high):
-        for row in (RATIO, CURVE, PER_LEVEL):
-            at = row * count + j
-            own = _picked(conic, hull, load(t, at), load(t, at + count), load(t, at + 2 * count))
-            store(t, at + OWN * count, own)
-        for term in range(TERMS):
-            at = (WEIGHT + term) * count + j
-            own = _picked(conic, hull, load(t, at), load(t, at + TERMS * count), load(t, at + 2 * TERMS * count))
-            store(t, (OWN_WEIGHT + term) * count + j, own)
-
-
-@uncounted
-def verdict(limits_nm: FloatArray, k: Any, lane: int) -> int:
-    """A code of the band that was measured."""
-    center_nm, depth = k[SHAPE_NM, lane], k[SHAPE_DEPTH, lane]
-    if not (k[HAS_SHAPE, lane] > 0.0 and limits_nm[0] <= center_nm <= limits_nm[1]):
-        return NO_MINIMUM
-    if depth < max(MIN_SIGNIFICANCE * math.sqrt(k[DEPTH_VARIANCE, lane]), LEAST_DEPTH):
-        return SHALLOW
-    return UNCERTAIN if math.sqrt(k[CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else OK
+    Parameters
+    ----------
+    wavelength_nm, reflectance : (n,) and (m, n). [nm, -]
+    numbers, codes : of the 2 um bands, `QUANTITIES` (m, 18) and `CODES` (m, 3), which change.
+    """
+    seen = np.flatnonzero(codes[:, CONTINUUM] >= 0)
+    if not seen.size:
+        return
+    values = np.asarray(reflectance[seen], float)
+    at, width, share = narrow_absorptions(wavelength_nm, values, numbers[seen, CENTER], numbers[seen, DEPTH])
+    numbers[seen, NARROW_NM], numbers[seen, NARROW_WIDTH] = at, width
+    gone = seen[share >= BAND_SHARE]
+    numbers[gone, :DEEPEST], codes[gone, CONTINUUM], codes[gone, STATUS] = np.nan, -1, TOO_NARROW

@@ -13,57 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
-from lunarsci.compiled.formulas import LANES
-from lunarsci.compiled.lanes import aligned, choose, highest, load, root, spread, store
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
 from lunarsci.errors import DataError
 from lunarsci.io import records
 from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
-from lunarsci.spectra.band_polynomial import (
-    AREA,
-    COEFFICIENTS,
-    CURVE,
-    FOUND,
-    HALF_NM,
-    HEFT,
-    INNER,
-    LOWEST,
-    MIDDLE_NM,
-    NARROW,
-    NOISE,
-    ONTO,
-    PER_LEVEL,
-    RATIO,
-    ROWS,
-    SIZE,
-    SPARE,
-    VALUES,
-    WIDE,
-    WIDE_DEPTH,
-    WIDE_NM,
-    BandGrid,
-    BandWork,
-    Smoother,
-    X,
-    fit,
-    minima,
-    smooth,
-    window_of,
-)
-from lunarsci.spectra.band_shape import (
-    AREA_VARIANCE,
-    ASYMMETRY_VARIANCE,
-    CENTER_VARIANCE,
-    DEPTH_VARIANCE,
-    GAUSSIAN_NM,
-    SHAPE_AREA,
-    SHAPE_ASYMMETRY,
-    SHAPE_DEPTH,
-    SHAPE_NM,
-    WIDE_CENTER_NM,
-    shape,
-)
+from lunarsci.spectra import band_shape as model
+from lunarsci.spectra.band_shape import BandGrid, BandWork, Smoother, deepest_of, fit, minima, shape, smooth, window_of
 from lunarsci.spectra.band_status import (
     ABSENT_NM,
     AREA_CALIBRATION,
@@ -71,85 +29,83 @@ from lunarsci.spectra.band_status import (
     AREA_SIGMA,
     ASYMMETRY_SHARE,
     ASYMMETRY_SIGMA,
+    AWAY,
     BANDS,
+    BELOW,
     CENTER,
     CENTER_CALIBRATION,
     CENTER_SIGMA,
-    CHOICES,
-    CODES,
     CONTINUUM,
+    CROSSING_SHARE,
     DEEPEST,
     DEPENDS,
     DEPTH,
     DEPTH_CALIBRATION,
     DEPTH_SIGMA,
     ELSEWHERE,
+    END_CHANNELS,
+    FALLS,
+    FEW,
     GAUSSIAN,
     JSON_KEYS,
+    MAX_CENTER_SIGMA_NM,
+    MEASURED,
     METHOD,
+    MIN_SIGNIFICANCE,
     NARROW_NM,
     NARROW_WIDTH,
     NO_BAND,
+    NO_MINIMUM,
     NO_TIES,
     NOT_COVERED,
     NOTE,
     NOTE_DEEPEST,
     OK,
-    OTHER_NM,
-    QUANTITIES,
+    RUNAWAY_SHARE,
+    SHALLOW,
     SPARSE,
     STATUS,
     SYSTEMATIC,
     TOO_NARROW,
-    TRIED,
-    UNUSABLE,
+    UNCERTAIN,
     Band,
+    BandArrays,
+    BandColumns,
     BandResult,
     Codes,
-    Places,
-    depends_on_method,
-    go_on,
-    judge,
-    narrow_said,
-    own_continuum,
-    record,
+    judge_width,
+    narrow_text,
+    nothing_of,
     sentence,
     short_by,
-    verdict,
 )
 from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection, alike_channels
 from lunarsci.spectra.continuum import (
+    CONIC,
     CONTINUA,
     HULL,
     LEVEL,
     LINEAR,
+    NODE,
     SMOOTHED,
+    TERMS,
+    WEIGHT,
     ContinuumName,
     continuum,
     tables_of,
     tie_down,
     ties_of,
 )
-from lunarsci.spectra.lane_rows import take_eight, uncounted
-from lunarsci.spectra.narrow import judge_width
-from lunarsci.spectra.noise import WINDOW, running_medians
+from lunarsci.spectra.noise import WINDOW, running_medians, take_eight, uncounted
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, reaches_over, smoothing_operator
 
 FEWEST_IN_WINDOW = 14
-
-
 CHUNK = 512
 """Spectra that a thread takes at a time; a multiple of `LANES`."""
-
-
 SAME_NM = 1e-6
 """Centres closer than this are those of the same tie points."""
-
-
 DRAWN = 161
 """Points of a curve that is drawn."""
-
-
 LEAST_SIGNAL = 0.01
 """Share of the brightest channel that stands for a darker one where noise is that of photons; assumed."""
 
@@ -168,6 +124,30 @@ def _banded(operator: FloatArray) -> Smoother:
     first = np.minimum(first, size - width)
     weights = np.take_along_axis(operator, first[:, None] + np.arange(width), axis=1)
     return Smoother(first, np.ascontiguousarray(weights))
+
+
+class Places(NamedTuple):
+    """Where the bands lie among the channels.
+
+    Attributes
+    ----------
+    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
+    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
+    wanted : place of the wanted continuum in `CONTINUA`.
+    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
+    order : continua in the order in which they are tried, (3,), -1 for none.
+    low, high : first channel of all bands, and the one behind the last.
+    """
+
+    bands: IntArray
+    limits_nm: FloatArray
+    bias: FloatArray
+    least: FloatArray
+    wanted: int
+    missing: IntArray
+    order: IntArray
+    low: int
+    high: int
 
 
 def places_of(grid: BandGrid, wanted: int) -> Places:
@@ -193,6 +173,123 @@ def _missing(inside_nm: FloatArray, band: Band) -> int:
     if inside_nm.size < FEWEST_IN_WINDOW:
         return SPARSE
     return OK if reaches_over(inside_nm, *band.reach_nm) else NOT_COVERED
+
+
+(TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES) = (model.OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12))
+"""Rows, behind those of `band_shape`: place in the order of the continuum that is tried, below 0 for none; which one
+that is; by continuum what is against it, where the band is deepest and its centre in the wide window. [nm]"""
+
+
+@formula
+def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: Any, low_nm: Any, high_nm: Any) -> Any:
+    """Why a continuum is not fit for use over a band, or why there is no band under it; 0 for neither.
+
+    Where the spectrum lies nowhere below the continuum it is deepest where both touch, which rounding decides.
+    """
+    nowhere = choose(highest - 1.0 > model.LEAST_DEPTH, BELOW, SHALLOW)
+    above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
+    crossing = choose(highest - 1.0 > depth * CROSSING_SHARE, BELOW, choose(end > depth * RUNAWAY_SHARE, AWAY, OK))
+    result = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
+    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, result), FALLS)
+
+
+@uncounted
+def judge(g: BandGrid, places: Places, work: BandWork, b: int, c: int) -> None:
+    """What is against a continuum over a band, where the band is deepest under it, and its centre."""
+    t, k, count, band = work.t, work.k, g.wavelength_nm.size, places.bands[b]
+    least_level, above = load(t, (LEVEL + c) * count + band[0]), load(t, (model.CURVE + c) * count + band[0])
+    for j in range(band[0] + 1, band[1]):
+        least_level = lowest(least_level, load(t, (LEVEL + c) * count + j))
+        above = highest(above, load(t, (model.CURVE + c) * count + j))
+    least, place = deepest_of(t, model.CURVE + c, band[0], band[1], count)
+    end = spread(-np.inf)
+    if c == CONIC and band[1] == count:
+        end = spread(0.0)
+        for j in range(count - END_CHANNELS, count):
+            end += (1.0 - load(t, (model.CURVE + c) * count + j)) * (1.0 / END_CHANNELS)
+    store(k, DEEPEST_NM + c, place)
+    for lane in range(LANES):
+        k[DEEPEST_NM + c, lane] = g.wavelength_nm[int(k[DEEPEST_NM + c, lane])]
+    first, behind = window_of(g, work, c, band, model.WIDE[0], model.WIDE[1], True)
+    low, high = places.limits_nm[b]
+    code = _code(least_level, above, 1.0 - least, end, load(k, model.INNER), load(k, DEEPEST_NM + c), low, high)
+    store(k, CODE + c, code)
+    store(k, OTHER_NM + c, centre(work, c, first, behind, count))
+
+
+@uncounted
+def centre(work: BandWork, which: int, first: int, behind: int, count: int) -> Any:
+    """Centre in a window, NaN where there is none. [nm]"""
+    k = work.k
+    fit(work.t, k, model.RATIO + which, first, behind, count)
+    minima(k)
+    there = choose(load(k, model.INNER), load(k, model.HAS_MINIMUM), spread(0.0))
+    return choose(there, load(k, model.MIDDLE_NM) + load(k, model.HALF_NM) * load(k, model.LOWEST), spread(np.nan))
+
+
+@uncounted
+def go_on(places: Places, k: Any, lane: int, numbers: FloatArray, codes: Codes) -> bool:
+    """Turn to the next continuum that nothing is against, and say of the others what is; whether there is one."""
+    for tried in range(int(k[TRIED, lane]) + 1, places.order.size):
+        c = places.order[tried]
+        if c < 0:
+            break
+        code = int(k[CODE + c, lane])
+        if code == OK:
+            k[TRIED, lane] = float(tried)
+            return True
+        record(places, k, lane, c, code, numbers, codes)
+    k[TRIED, lane] = -2.0
+    return False
+
+
+@uncounted
+def record(places: Places, k: Any, lane: int, c: int, code: int, numbers: FloatArray, codes: Codes) -> None:
+    deepest = k[DEEPEST_NM + c, lane]
+    if code == OK or c == HULL:
+        codes[CONTINUUM], codes[STATUS], numbers[DEEPEST] = c, code, deepest
+    if code != OK and c == places.wanted:
+        codes[NOTE], numbers[NOTE_DEEPEST] = code, deepest
+
+
+@formula
+def _picked(conic: Any, hull: Any, first: Any, second: Any, third: Any) -> Any:
+    return choose(conic, first, choose(hull, second, third))
+
+
+@uncounted
+def chosen_continuum(g: BandGrid, places: Places, work: BandWork) -> None:
+    """Put what belongs to the continuum that each spectrum is tried under where `shape` looks for it."""
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    for lane in range(LANES):
+        tried = int(k[TRIED, lane])
+        c = places.order[tried] if tried >= 0 else HULL
+        for term in range(TERMS):
+            work.tie[model.CHOSEN, term, lane] = work.tie[c, term, lane]
+        k[IS_CONIC, lane], k[IS_HULL, lane] = 1.0 if c == CONIC else 0.0, 1.0 if c == HULL else 0.0
+    conic, hull = load(k, IS_CONIC), load(k, IS_HULL)
+    for j in range(count):
+        store(t, model.CHOSEN_NODE * count + j, load(t, NODE * count + j) * hull)
+    for j in range(places.low, places.high):
+        for row in (model.RATIO, model.CURVE, model.PER_LEVEL):
+            at = row * count + j
+            value = _picked(conic, hull, load(t, at), load(t, at + count), load(t, at + 2 * count))
+            store(t, at + model.CHOSEN * count, value)
+        for term in range(TERMS):
+            at = (WEIGHT + term) * count + j
+            value = _picked(conic, hull, load(t, at), load(t, at + TERMS * count), load(t, at + 2 * TERMS * count))
+            store(t, (model.CHOSEN_WEIGHT + term) * count + j, value)
+
+
+@uncounted
+def verdict(limits_nm: FloatArray, k: Any, lane: int) -> int:
+    """A code of the band that was measured."""
+    center_nm, depth = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
+    if not (k[model.HAS_SHAPE, lane] > 0.0 and limits_nm[0] <= center_nm <= limits_nm[1]):
+        return NO_MINIMUM
+    if depth < max(MIN_SIGNIFICANCE * math.sqrt(k[model.DEPTH_VARIANCE, lane]), model.LEAST_DEPTH):
+        return SHALLOW
+    return UNCERTAIN if math.sqrt(k[model.CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else OK
 
 
 def measure_rows(
@@ -221,23 +318,23 @@ def measure_rows(
 
     def work(chunk: int) -> None:
         rows = slice(chunk * CHUNK, min((chunk + 1) * CHUNK, count))
-        own = np.ascontiguousarray(reflectance[rows], float)
-        given = np.empty((0, own.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
-        noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, own.shape), float)
-        _measure(grid, places, own, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
+        part = np.ascontiguousarray(reflectance[rows], float)
+        given = np.empty((0, part.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
+        noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, part.shape), float)
+        _measure(grid, places, part, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
         if grid.wavelength_nm[-1] < ABSENT_NM:
             two = codes[rows, -1, STATUS]
             two[np.isin(two, NO_BAND)] = NOT_COVERED
-        found = numbers[rows, -1]
-        found[:, METHOD] = np.fmax(found[:, METHOD], short_by(found[:, CENTER], float(grid.wavelength_nm[-1])))
+        second = numbers[rows, -1]
+        second[:, METHOD] = np.fmax(second[:, METHOD], short_by(second[:, CENTER], float(grid.wavelength_nm[-1])))
 
     each_in_threads(work, -(-count // CHUNK), progress)
     return numbers, codes
 
 
 def _work(grid: BandGrid) -> BandWork:
-    t, tie, nodes, own = tables_of(grid.ties, ROWS)
-    return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, own)
+    t, tie, nodes, room = tables_of(grid.ties, model.ROWS)
+    return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, room)
 
 
 def curve_of_centre(
@@ -250,93 +347,75 @@ def curve_of_centre(
     Wavelengths of the narrow window, or the wide one where that alone counts, and reflectance over continuum. [nm, -]
     """
     work, c, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
-    t, own = (
-        work.t,
-        np.array([*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]),
-    )
-    take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, VALUES * count)
-    smooth(grid.smoother, t, VALUES * count, SMOOTHED * count)
-    tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.own)
-    _remove(t, c, own[0], own[1], count)
-    wide, narrow = (_polynomial(grid, work, c, own, shares) for shares in (WIDE, NARROW))
-    if not narrow.found or abs(wide.center_nm - narrow.center_nm) < SAME_NM:
-        return wide.nm, wide.value(wide.nm)
-    part = float(np.clip((center_nm - narrow.center_nm) / (wide.center_nm - narrow.center_nm), 0.0, 1.0))
-    nm = wide.nm if part == 1.0 else narrow.nm
-    return nm, part * wide.value(nm) + (1 - part) * narrow.value(nm)
+    t, inside = work.t, [*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]
+    take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, model.VALUES * count)
+    smooth(grid.smoother, t, model.VALUES * count, SMOOTHED * count)
+    tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.room)
+    _remove(t, c, inside[0], inside[1], count)
+    wide_nm, wide_center, _, wide = _polynomial(grid, work, c, np.array(inside), model.WIDE)
+    nm, narrow_center, there, narrow = _polynomial(grid, work, c, np.array(inside), model.NARROW)
+    if not there or abs(wide_center - narrow_center) < SAME_NM:
+        return wide_nm, wide(wide_nm)
+    part = float(np.clip((center_nm - narrow_center) / (wide_center - narrow_center), 0.0, 1.0))
+    nm = wide_nm if part == 1.0 else nm
+    return nm, part * wide(nm) + (1 - part) * narrow(nm)
 
 
-class _Polynomial(NamedTuple):
-    """A polynomial in a window: where its channels count half or more, its minimum, whether there is one. [nm]"""
-
-    nm: FloatArray
-    center_nm: float
-    found: bool
-    middle_nm: float
-    half_nm: float
-    coefficients: FloatArray
-
-    def value(self, nm: FloatArray) -> FloatArray:
-        return np.asarray(np.polynomial.polynomial.polyval((nm - self.middle_nm) / self.half_nm, self.coefficients))
-
-
-def _polynomial(grid: BandGrid, work: BandWork, c: int, own: Any, shares: tuple[float, float]) -> _Polynomial:
+def _polynomial(
+    grid: BandGrid, work: BandWork, c: int, inside: IntArray, shares: tuple[float, float]
+) -> tuple[FloatArray, float, bool, Any]:
+    """Of a window where its channels count half or more, its minimum, whether there is one, and its polynomial. [nm]"""
     t, k, count = work.t, work.k, grid.wavelength_nm.size
-    first, behind = window_of(grid, work, c, own, *shares, shares == WIDE)
-    fit(t, k, RATIO + c, first, behind, count)
+    first, behind = window_of(grid, work, c, inside, *shares, shares == model.WIDE)
+    fit(t, k, model.RATIO + c, first, behind, count)
     minima(k)
-    middle, half = float(k[MIDDLE_NM, 0]), float(k[HALF_NM, 0])
-    counting = grid.wavelength_nm[first:behind][t[HEFT * count + first : HEFT * count + behind, 0] >= 0.5]
-    found = bool(k[INNER, 0] > 0 and k[FOUND, 0] > 0)
-    coefficients = k[COEFFICIENTS : COEFFICIENTS + SIZE, 0].copy()
-    nm = np.linspace(counting[0], counting[-1], DRAWN)
-    return _Polynomial(nm, middle + half * float(k[LOWEST, 0]), found, middle, half, coefficients)
-
-
-def nothing_of(count: int) -> tuple[FloatArray, Codes]:
-    """What `measure_rows` gives of so many spectra that cannot be measured."""
-    codes = np.zeros((count, len(BANDS), len(CODES)), np.int8)
-    codes[..., CONTINUUM], codes[..., STATUS] = -1, UNUSABLE
-    return np.full((count, len(BANDS), len(QUANTITIES)), np.nan), codes
+    middle, half = float(k[model.MIDDLE_NM, 0]), float(k[model.HALF_NM, 0])
+    counting = grid.wavelength_nm[first:behind][t[model.HEFT * count + first : model.HEFT * count + behind, 0] >= 0.5]
+    coefficients = k[model.COEFFICIENTS : model.COEFFICIENTS + model.SIZE, 0].copy()
+    curve = np.polynomial.Polynomial(coefficients, (middle - half, middle + half), (-1.0, 1.0))
+    there = bool(k[model.INNER, 0] > 0 and k[model.HAS_MINIMUM, 0] > 0)
+    return np.linspace(counting[0], counting[-1], DRAWN), middle + half * float(k[model.LOWEST, 0]), there, curve
 
 
 @uncounted
 def _measure(
     g: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork,
-    found: FloatArray, codes: Codes,
+    numbers: FloatArray, codes: Codes,
 ) -> None:  # fmt: skip
     """`measure_rows` of some rows, into `found` and `codes`; noise of no rows is found from the scatter."""
     t, count, low, high = work.t, g.wavelength_nm.size, places.low, places.high
     for begin in range(0, len(values), LANES):
-        take_eight(values, begin, t, VALUES * count)
-        smooth(g.smoother, t, VALUES * count, SMOOTHED * count)
+        take_eight(values, begin, t, model.VALUES * count)
+        smooth(g.smoother, t, model.VALUES * count, SMOOTHED * count)
         if len(noise) > 0:
-            take_eight(noise, begin, t, NOISE * count)
+            take_eight(noise, begin, t, model.NOISE * count)
         else:
             _noise(t, count)
         for c in range(len(CONTINUA)):
             if g.ties.available[c]:
-                tie_down(c, g.ties, t, work.tie[c], work.nodes, work.own)
+                tie_down(c, g.ties, t, work.tie[c], work.nodes, work.room)
                 _remove(t, c, low, high, count)
         for b in range(len(places.bands)):
             _measure_band(
-                g, places, work, b, shifts[begin:], found[begin : begin + LANES], codes[begin : begin + LANES]
+                g, places, work, b, shifts[begin:], numbers[begin : begin + LANES], codes[begin : begin + LANES]
             )
 
 
 @uncounted
 def _noise(t: Any, count: int) -> None:
     """Scatter of the channels, taken to follow the root of the signal as that of photons does."""
-    brightest = load(t, VALUES * count)
+    brightest = load(t, model.VALUES * count)
     for j in range(1, count):
-        brightest = highest(brightest, load(t, VALUES * count + j))
+        brightest = highest(brightest, load(t, model.VALUES * count + j))
     for j in range(count):
         signal = root(highest(load(t, SMOOTHED * count + j), brightest * LEAST_SIGNAL))
-        store(t, SPARE * count + j, signal)
-        store(t, X * count + j, load(t, VALUES * count + j) / signal)
-    running_medians(t, X * count, NOISE * count, count, WINDOW, t[ONTO * count :], t[WIDE_NM * count :])
+        store(t, model.SPARE * count + j, signal)
+        store(t, model.X * count + j, load(t, model.VALUES * count + j) / signal)
+    running_medians(
+        t, model.X * count, model.NOISE * count, count, WINDOW, t[model.ONTO * count :], t[model.WIDE_NM * count :]
+    )
     for j in range(count):
-        store(t, NOISE * count + j, load(t, NOISE * count + j) * load(t, SPARE * count + j))
+        store(t, model.NOISE * count + j, load(t, model.NOISE * count + j) * load(t, model.SPARE * count + j))
 
 
 @uncounted
@@ -345,14 +424,14 @@ def _remove(t: Any, c: int, low: int, high: int, count: int) -> None:
     for j in range(low, high):
         level = load(t, (LEVEL + c) * count + j)
         per_level = choose(level, 1.0 / level, spread(1.0))
-        store(t, (PER_LEVEL + c) * count + j, per_level)
-        store(t, (RATIO + c) * count + j, load(t, VALUES * count + j) * per_level)
-        store(t, (CURVE + c) * count + j, load(t, SMOOTHED * count + j) * per_level)
+        store(t, (model.PER_LEVEL + c) * count + j, per_level)
+        store(t, (model.RATIO + c) * count + j, load(t, model.VALUES * count + j) * per_level)
+        store(t, (model.CURVE + c) * count + j, load(t, SMOOTHED * count + j) * per_level)
 
 
 @uncounted
 def _measure_band(
-    g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, found: FloatArray, codes: Codes
+    g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, numbers: FloatArray, codes: Codes
 ) -> None:
     """One band of eight spectra, each under the wanted continuum or the first that is fit for use."""
     k, open_ = work.k, places.missing[b] == OK
@@ -362,52 +441,51 @@ def _measure_band(
     waiting = False
     for lane in range(LANES):
         k[TRIED, lane] = -1.0
-        if lane < len(found):
-            own = codes[lane, b]
-            own[CONTINUUM], own[STATUS], own[NOTE] = -1, places.missing[b], OK
+        if lane < len(numbers):
+            code_row = codes[lane, b]
+            code_row[CONTINUUM], code_row[STATUS], code_row[NOTE] = -1, places.missing[b], OK
             if open_:
-                own[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
-                waiting = go_on(places, k, lane, found[lane, b], own) or waiting
+                code_row[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
+                waiting = go_on(places, k, lane, numbers[lane, b], code_row) or waiting
     while waiting:
         waiting = False
-        own_continuum(g, places, work)
+        chosen_continuum(g, places, work)
         shape(g, work, places.bands[b], places.bias[b], places.least[b])
-        for lane in range(len(found)):
+        for lane in range(len(numbers)):
             tried = int(k[TRIED, lane])
             if tried >= 0:
                 c, code = places.order[tried], verdict(places.limits_nm[b], k, lane)
-                record(places, k, lane, c, code, found[lane, b], codes[lane, b])
+                record(places, k, lane, c, code, numbers[lane, b], codes[lane, b])
                 if code == OK:
-                    _fill(g, work, lane, c, shifts[lane], found[lane, b])
+                    _fill(g, work, lane, c, shifts[lane], numbers[lane, b])
                     k[TRIED, lane] = -2.0
                 else:
-                    waiting = go_on(places, k, lane, found[lane, b], codes[lane, b]) or waiting
+                    waiting = go_on(places, k, lane, numbers[lane, b], codes[lane, b]) or waiting
 
 
 @uncounted
-def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, found: FloatArray) -> None:
+def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, numbers: FloatArray) -> None:
     """The numbers of a band that is there, with what other continua and another definition of the centre differ by."""
     k = work.k
-    found[CENTER], found[DEPTH] = k[SHAPE_NM, lane], k[SHAPE_DEPTH, lane]
-    found[AREA_NM], found[ASYMMETRY_SHARE] = k[SHAPE_AREA, lane], k[SHAPE_ASYMMETRY, lane]
-    found[CENTER_SIGMA], found[DEPTH_SIGMA] = math.sqrt(k[CENTER_VARIANCE, lane]), math.sqrt(k[DEPTH_VARIANCE, lane])
-    found[AREA_SIGMA], found[ASYMMETRY_SIGMA] = (
-        math.sqrt(k[AREA_VARIANCE, lane]),
-        math.sqrt(k[ASYMMETRY_VARIANCE, lane]),
-    )
+    numbers[CENTER], numbers[DEPTH] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
+    numbers[AREA_NM], numbers[ASYMMETRY_SHARE] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
+    numbers[CENTER_SIGMA] = math.sqrt(k[model.CENTER_VARIANCE, lane])
+    numbers[DEPTH_SIGMA] = math.sqrt(k[model.DEPTH_VARIANCE, lane])
+    numbers[AREA_SIGMA] = math.sqrt(k[model.AREA_VARIANCE, lane])
+    numbers[ASYMMETRY_SIGMA] = math.sqrt(k[model.ASYMMETRY_VARIANCE, lane])
     if shifts.shape[0] > 0:
-        found[CENTER_CALIBRATION] = _shared(work.t, WIDE_NM, lane, shifts)
-        found[DEPTH_CALIBRATION] = _shared(work.t, WIDE_DEPTH, lane, shifts)
-        found[AREA_CALIBRATION] = _shared(work.t, AREA, lane, shifts)
-    least = most = k[WIDE_CENTER_NM, lane]
+        numbers[CENTER_CALIBRATION] = _shared(work.t, model.WIDE_NM, lane, shifts)
+        numbers[DEPTH_CALIBRATION] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
+        numbers[AREA_CALIBRATION] = _shared(work.t, model.AREA, lane, shifts)
+    least = most = k[model.WIDE_CENTER_NM, lane]
     for other in range(len(CONTINUA)):
         there = k[OTHER_NM + other, lane]
         if other != c and g.ties.available[other] and not math.isnan(there):
             least, most = min(least, there), max(most, there)
     if most - least > SAME_NM:
-        found[SYSTEMATIC] = (most - least) / 2.0
-    found[GAUSSIAN] = abs(k[GAUSSIAN_NM, lane] - k[SHAPE_NM, lane]) / 2.0
-    found[METHOD] = np.fmax(found[SYSTEMATIC], found[GAUSSIAN])
+        numbers[SYSTEMATIC] = (most - least) / 2.0
+    numbers[GAUSSIAN] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
+    numbers[METHOD] = np.fmax(numbers[SYSTEMATIC], numbers[GAUSSIAN])
 
 
 @uncounted
@@ -425,8 +503,6 @@ def _shared(t: Any, row: int, lane: int, shifts: FloatArray) -> float:
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
 BLOCK_ROWS = 2048
 """Spectra of a block, a tenth of a second of one core."""
-MEASURED = QUANTITIES[:DEEPEST]
-"""What is measured of a band: the numbers of a `BandResult`."""
 _NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")
 
 
@@ -459,8 +535,8 @@ class SpectrumBands:
     def curves(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """By key of each band that is there: wavelengths about its centre, and the curve with this minimum."""
         grid = grid_of(self.wavelength_nm, self.smooth_nm, self.smooth_order)
-        seen = [(band, own, at) for band in BANDS if (at := (own := self.bands[band.key]).center_nm) is not None]
-        return {b.key: curve_of_centre(grid, self.reflectance, own.continuum, b, at) for b, own, at in seen}
+        seen = [(band, one, at) for band in BANDS if (at := (one := self.bands[band.key]).center_nm) is not None]
+        return {b.key: curve_of_centre(grid, self.reflectance, one.continuum, b, at) for b, one, at in seen}
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""
@@ -482,63 +558,6 @@ class BandFailure:
         """The same keys as a measured spectrum, without values."""
         nothing = BandResult(continuum="none", status=self.status)
         return SpectrumBands(self.id, {band.key: nothing for band in BANDS}).to_dict()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandColumns:
-    """One band of m spectra; each array is (m,), a number NaN where there is none.
-
-    Attributes
-    ----------
-    center_nm, … : as in `BandResult`.
-    deepest_nm, note_deepest_nm : where the band of the reported continuum, and of the wanted one, is deepest. [nm]
-    narrow_nm, narrow_width_nm : centre and width of a narrow absorption in it, or that makes it. [nm]
-    continuum : place in `CONTINUA` of the one used, -1 for none.
-    status, note : places in `STATUSES`: whether there is a band, and why the wanted continuum was not used.
-    """
-
-    center_nm: FloatArray
-    center_sigma_nm: FloatArray
-    center_systematic_nm: FloatArray
-    center_gaussian_nm: FloatArray
-    center_method_nm: FloatArray
-    depth: FloatArray
-    depth_sigma: FloatArray
-    area_nm: FloatArray
-    area_sigma_nm: FloatArray
-    asymmetry: FloatArray
-    asymmetry_sigma: FloatArray
-    center_calibration_nm: FloatArray
-    depth_calibration: FloatArray
-    area_calibration_nm: FloatArray
-    deepest_nm: FloatArray
-    note_deepest_nm: FloatArray
-    narrow_nm: FloatArray
-    narrow_width_nm: FloatArray
-    continuum: Codes
-    status: Codes
-    note: Codes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandArrays:
-    """Both bands of m spectra: numbers (m, 2, 18) and codes (m, 2, 3), which `bands` has by name."""
-
-    numbers: FloatArray
-    codes: Codes
-
-    @property
-    def depends(self) -> BoolArray:
-        """(m, 2) whether methods differ by much more than the noise does."""
-        return depends_on_method(self.numbers[..., CENTER_SIGMA], self.numbers[..., METHOD])
-
-    @property
-    def bands(self) -> dict[str, BandColumns]:
-        """By key of the band, its numbers and codes."""
-        return {
-            band.key: BandColumns(*self.numbers[:, place].T, *self.codes[:, place].T)
-            for place, band in enumerate(BANDS)
-        }
 
 
 def columns_of(measured: Sequence[SpectrumBands]) -> dict[str, BandColumns]:
@@ -579,15 +598,15 @@ def band_arrays(
     wavelength = np.asarray(wavelength_nm, float)
     if wavelength.size > MOST_CHANNELS:
         raise DataError(f"{wavelength.size} channels are more than {MOST_CHANNELS}; average some of them")
-    found = BandArrays(*nothing_of(len(values)))
+    result = BandArrays(*nothing_of(len(values)))
     for mask, rows in alike_channels(np.isfinite(values) & (values > 0)):
         if mask.sum() >= FEWEST_CHANNELS:
             part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
             errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
             given = AlikeSpectra(wavelength[mask], part, errors, np.zeros((rows.size, 0, part.shape[1])))
-            own = _measured(given, wanted=continuum_name, smoothing=used)
-            found.numbers[rows], found.codes[rows] = own["numbers"], own["codes"]
-    return found
+            measured = _measured(given, wanted=continuum_name, smoothing=used, narrow=False)
+            result.numbers[rows], result.codes[rows] = measured["numbers"], measured["codes"]
+    return result
 
 
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
@@ -603,11 +622,11 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
 
     def part(self, block: range) -> "BandsOfSpectra":
         """Of some of the spectra, next to each other."""
-        own = slice(block.start, block.stop)
-        found = BandsOfSpectra(self.spectra[own], self.wanted, self.smoothing)
-        found.arrays = BandArrays(self.arrays.numbers[own], self.arrays.codes[own])
-        found.reasons = {place - block.start: why for place, why in self.reasons.items() if place in block}
-        return found
+        rows = slice(block.start, block.stop)
+        result = BandsOfSpectra(self.spectra[rows], self.wanted, self.smoothing)
+        result.arrays = BandArrays(self.arrays.numbers[rows], self.arrays.codes[rows])
+        result.reasons = {place - block.start: why for place, why in self.reasons.items() if place in block}
+        return result
 
     def __getitem__(self, place: Any) -> Any:
         if isinstance(place, slice):
@@ -628,19 +647,19 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
 
     def _band(self, number: int, place: int, wavelength_nm: FloatArray) -> BandResult:
         numbers, code = self.arrays.numbers[place, number].tolist(), int(self.arrays.codes[place, number, CONTINUUM])
-        known = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
-        status, why = (self._said(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
+        values = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
+        status, why = (self._sentence(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
         status = self._remark(number, place) or status if code >= 0 else status
-        return BandResult(**known, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
+        return BandResult(**values, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
 
-    def _said(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
+    def _sentence(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
         """The sentence of a status or a note."""
         code, deepest = self.arrays.codes[place, number, which], DEEPEST if which == STATUS else NOTE_DEEPEST
         if which == NOTE and code == OK:
             return ""
         if code == TOO_NARROW:
             at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
-            return f"no band: {narrow_said(at, width)}, no pyroxene's"
+            return f"no band: {narrow_text(at, width)}, no pyroxene's"
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
         return text if which == STATUS else f"{self.wanted} not used: {text}"
 
@@ -648,30 +667,30 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         """What is said of a band that is there: that its centre depends on the method, and what else lies in it."""
         at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
         parts = [DEPENDS] if self.arrays.depends[place, number] else []
-        return "; ".join([*parts, *([f"in it {narrow_said(at, width)}"] if at == at else [])])
+        return "; ".join([*parts, *([f"in it {narrow_text(at, width)}"] if at == at else [])])
 
     def texts(self, number: int, which: int) -> list[str]:
         """The status or the note of a band of all spectra."""
         codes = self.arrays.codes[:, number, which]
-        found = ["" if which == NOTE else "ok"] * len(self)
+        texts = ["" if which == NOTE else "ok"] * len(self)
         deepest = self.arrays.numbers[:, number, DEEPEST if which == STATUS else NOTE_DEEPEST].tolist()
-        known: dict[tuple[int, float], str] = {}
+        sentences: dict[tuple[int, float], str] = {}
         for place in np.flatnonzero(codes != OK).tolist():
             if codes[place] in (NOT_COVERED, TOO_NARROW):
                 spectrum = self.spectra[place]
-                found[place] = self._said(number, place, which, spectrum.wavelength_nm[spectrum.usable])
+                texts[place] = self._sentence(number, place, which, spectrum.wavelength_nm[spectrum.usable])
                 continue
             key = int(codes[place]), deepest[place] if codes[place] == ELSEWHERE else 0.0
-            if key not in known:
-                known[key] = self._said(number, place, which, _NOTHING)
-            found[place] = known[key]
+            if key not in sentences:
+                sentences[key] = self._sentence(number, place, which, _NOTHING)
+            texts[place] = sentences[key]
         seen = self.arrays.codes[:, number, CONTINUUM] >= 0
         odd = self.arrays.depends[:, number] | seen & np.isfinite(self.arrays.numbers[:, number, NARROW_NM])
         for place in np.flatnonzero(odd).tolist() if which == STATUS else ():
-            found[place] = self._remark(number, place)
+            texts[place] = self._remark(number, place)
         for place, reason in self.reasons.items() if which == STATUS else ():
-            found[place] = f"no result: {reason}"
-        return found
+            texts[place] = f"no result: {reason}"
+        return texts
 
     @property
     def uncovered(self) -> dict[int, str]:
@@ -709,11 +728,11 @@ def measure_bands(
     ------
     DataError when too few or too many channels can be used, or where smoothing flattens a band.
     """
-    found: SpectrumBands | BandFailure
-    (found,) = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)
-    if isinstance(found, BandFailure):
-        raise DataError(f"{found.id}: {found.status.removeprefix('no result: ')}")
-    return found
+    result: SpectrumBands | BandFailure
+    (result,) = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)
+    if isinstance(result, BandFailure):
+        raise DataError(f"{result.id}: {result.status.removeprefix('no result: ')}")
+    return result
 
 
 def measure_batch(
@@ -728,21 +747,25 @@ def measure_batch(
     batch = BandsOfSpectra(SpectrumCollection.of(spectra), continuum_name, used)
     done = 0
     for positions in batch.spectra.alike():
-        own = batch.spectra.taken(positions)
-        channels = own[0].wavelength_nm[own[0].usable]
+        alike = batch.spectra.taken(positions)
+        channels = alike[0].wavelength_nm[alike[0].usable]
         if reason := _unusable(channels, used):
             batch.reasons |= dict.fromkeys(positions.tolist(), reason)
         else:
-            found = arrays_in_blocks(
-                partial(_judged, wanted=continuum_name, smoothing=used),
-                len(own),
-                rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
+            result = arrays_in_blocks(
+                partial(_measured, wanted=continuum_name, smoothing=used, narrow=True),
+                len(alike),
+                rows_in_memory(64.0 * channels.size, most=kept_rows(len(alike), BLOCK_ROWS)),
                 stage="bands",
-                about=lambda own=own: {"spectra": own.digest(), "continuum": continuum_name, "smoothing": repr(used)},
-                fetch=lambda block, own=own: own[block.start : block.stop].arrays(),
+                about=lambda alike=alike: {
+                    "spectra": alike.digest(),
+                    "continuum": continuum_name,
+                    "smoothing": repr(used),
+                },
+                fetch=lambda block, alike=alike: alike[block.start : block.stop].arrays(),
                 progress=None if progress is None else lambda now, _, done=done: progress(done + now, len(spectra)),
             )
-            batch.arrays.numbers[positions], batch.arrays.codes[positions] = found["numbers"], found["codes"]
+            batch.arrays.numbers[positions], batch.arrays.codes[positions] = result["numbers"], result["codes"]
         done += len(positions)
     return batch
 
@@ -761,13 +784,10 @@ def _unusable(wavelength_nm: FloatArray, smoothing: Smoothing) -> str:
     return ""
 
 
-def _judged(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
-    found = _measured(given, wanted=wanted, smoothing=smoothing)
-    judge_width(given.wavelength_nm, given.reflectance, found["numbers"][:, -1], found["codes"][:, -1])
-    return found
-
-
-def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
+def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing, narrow: bool) -> dict[str, Any]:
+    """Numbers and codes of spectra, less 2 um bands that a `narrow` absorption makes."""
     grid = grid_of(given.wavelength_nm, smoothing.width_nm(given.wavelength_nm), smoothing.order)
     numbers, codes = measure_rows(grid, CONTINUA.index(wanted), given.reflectance, given.sigma, given.shifts)
+    if narrow:
+        judge_width(given.wavelength_nm, given.reflectance, numbers[:, -1], codes[:, -1])
     return {"numbers": numbers, "codes": codes}

@@ -54,7 +54,7 @@ class SpectrumRows(Sequence[Spectrum]):
     reflectance, mask : (n, c), a channel that cannot be used is masked. [-]
     about : makes the metadata of a row.
     uncertainty : (n, c), or None where that of no row is known. [-]
-    known : (n,) whether the uncertainty of a row is known.
+    has_sigma : (n,) whether the uncertainty of a row is known.
     systematic : of the rows that have some.
     """
 
@@ -64,18 +64,17 @@ class SpectrumRows(Sequence[Spectrum]):
     mask: BoolArray
     about: Callable[[int], Mapping[str, Any]]
     uncertainty: FloatArray | None
-    known: BoolArray
+    has_sigma: BoolArray
     systematic: Mapping[int, Mapping[str, FloatArray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, one: Spectrum) -> "SpectrumRows":
         """One row."""
         sigma = None if one.uncertainty is None else one.uncertainty[None]
-        known, shifts = np.array([sigma is not None]), {0: one.systematic} if one.systematic else {}
+        has_sigma, shifts = np.array([sigma is not None]), {0: one.systematic} if one.systematic else {}
         mask = np.asarray(one.mask)[None]
-        return cls(
-            [one.id], one.wavelength_nm, one.reflectance[None], mask, [one.metadata].__getitem__, sigma, known, shifts
-        )
+        values, about = one.reflectance[None], [one.metadata].__getitem__
+        return cls([one.id], one.wavelength_nm, values, mask, about, sigma, has_sigma, shifts)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -88,7 +87,7 @@ class SpectrumRows(Sequence[Spectrum]):
         row = range(len(self))[index]
         if isinstance(row, range):
             return [self[k] for k in row]
-        sigma = self.uncertainty[row] if self.uncertainty is not None and self.known[row] else None
+        sigma = self.uncertainty[row] if self.uncertainty is not None and self.has_sigma[row] else None
         return Spectrum(
             self.ids[row], self.wavelength_nm, self.reflectance[row], sigma, self.mask[row], self.about(row),
             self.systematic.get(row, {}),
@@ -97,21 +96,21 @@ class SpectrumRows(Sequence[Spectrum]):
     def kinds(self, rows: IndexArray) -> Iterator[tuple[Any, IndexArray]]:
         """What spectra that are alike have in common, and places in `rows` of those that are, by their first one."""
         shifts = np.zeros(len(self), np.uint8)
-        for row, found in self.systematic.items():
-            shifts[row] = len(found)
-        flags = np.column_stack([np.packbits(~self.mask[rows], axis=1), self.known[rows], shifts[rows]])
+        for row, result in self.systematic.items():
+            shifts[row] = len(result)
+        flags = np.column_stack([np.packbits(~self.mask[rows], axis=1), self.has_sigma[rows], shifts[rows]])
         keys = np.ascontiguousarray(flags).view(f"V{flags.shape[1]}").ravel()
         _, first, which = np.unique(keys, return_index=True, return_inverse=True)
         for kind in np.argsort(first):
             row = rows[first[kind]]
             usable = self.wavelength_nm[~self.mask[row]].tobytes()
-            yield (usable, bool(self.known[row]), int(shifts[row])), np.flatnonzero(which.ravel() == kind)
+            yield (usable, bool(self.has_sigma[row]), int(shifts[row])), np.flatnonzero(which.ravel() == kind)
 
     def arrays(self, rows: IndexArray) -> AlikeSpectra:
         """Of rows that are alike."""
         inside = np.ix_(rows, np.flatnonzero(~self.mask[rows[0]]))
         channels = self.wavelength_nm[inside[1][0]]
-        sigma = self.uncertainty[inside] if self.uncertainty is not None and self.known[rows[0]] else None
+        sigma = self.uncertainty[inside] if self.uncertainty is not None and self.has_sigma[rows[0]] else None
         shifts = [[shift[inside[1][0]] for shift in self.systematic.get(row, {}).values()] for row in rows.tolist()]
         shape = len(rows), len(shifts[0]), channels.size
         return AlikeSpectra(channels, self.reflectance[inside], sigma, np.array(shifts).reshape(shape))
@@ -120,11 +119,11 @@ class SpectrumRows(Sequence[Spectrum]):
         """All numbers of some rows, for a digest."""
         yield self.wavelength_nm
         for block in spans(len(rows), _DIGESTED):
-            own = rows[block.start : block.stop]
-            yield from (self.reflectance[own], self.mask[own], self.known[own])
+            block_rows = rows[block.start : block.stop]
+            yield from (self.reflectance[block_rows], self.mask[block_rows], self.has_sigma[block_rows])
             if self.uncertainty is not None:
-                yield self.uncertainty[own]
-            for row in set(own.tolist()) & set(self.systematic):
+                yield self.uncertainty[block_rows]
+            for row in set(block_rows.tolist()) & set(self.systematic):
                 yield from self.systematic[row].values()
 
 
@@ -168,19 +167,19 @@ class SpectrumCollection(Sequence[Spectrum]):
         groups: dict[Any, list[IndexArray]] = {}
         before = 0
         for part, rows in self._runs(self._places):
-            for kind, own in part.kinds(rows):
-                groups.setdefault(kind, []).append(before + own)
+            for kind, block_rows in part.kinds(rows):
+                groups.setdefault(kind, []).append(before + block_rows)
             before += len(rows)
-        return [np.concatenate(found) for found in groups.values()]
+        return [np.concatenate(result) for result in groups.values()]
 
     def arrays(self) -> AlikeSpectra:
         """Of all, which must be alike."""
-        found = [part.arrays(rows) for part, rows in self._runs(self._places)]
-        if len(found) == 1:
-            return found[0]
-        sigma = None if found[0].sigma is None else np.concatenate([one.sigma for one in found])
-        values, shifts = (np.concatenate([getattr(one, name) for one in found]) for name in ("reflectance", "shifts"))
-        return AlikeSpectra(found[0].wavelength_nm, values, sigma, shifts)
+        result = [part.arrays(rows) for part, rows in self._runs(self._places)]
+        if len(result) == 1:
+            return result[0]
+        sigma = None if result[0].sigma is None else np.concatenate([one.sigma for one in result])
+        values, shifts = (np.concatenate([getattr(one, name) for one in result]) for name in ("reflectance", "shifts"))
+        return AlikeSpectra(result[0].wavelength_nm, values, sigma, shifts)
 
     def digest(self) -> str:
         """SHA-256 of their numbers, without their names."""
@@ -197,9 +196,9 @@ class SpectrumCollection(Sequence[Spectrum]):
     def _runs(self, places: IndexArray) -> Iterator[tuple[SpectrumRows, IndexArray]]:
         """Places next to each other in the same part: that part, and its rows."""
         number = np.searchsorted(self._ends, places, side="right")
-        for own in np.split(np.arange(len(places)), np.flatnonzero(np.diff(number)) + 1) if len(places) else ():
-            part = self._parts[number[own[0]]]
-            yield part, places[own] - (self._ends[number[own[0]]] - len(part))
+        for block_rows in np.split(np.arange(len(places)), np.flatnonzero(np.diff(number)) + 1) if len(places) else ():
+            part = self._parts[number[block_rows[0]]]
+            yield part, places[block_rows] - (self._ends[number[block_rows[0]]] - len(part))
 
 
 MOST_CHANNELS = 5000
@@ -224,16 +223,16 @@ def averaged(rows: SpectrumRows) -> tuple[SpectrumRows, int]:
         squares = np.where(usable & np.isfinite(rows.uncertainty), rows.uncertainty, 0.0) ** 2
         sigma = np.where((count > 0) & (_sum(squares, starts) > 0), np.sqrt(_sum(squares, starts)) / over, np.nan)
     systematic = {
-        row: {name: _sum(shift[None] * usable[row], starts)[0] / over[row] for name, shift in own.items()}
-        for row, own in rows.systematic.items()
+        row: {name: _sum(shift[None] * usable[row], starts)[0] / over[row] for name, shift in block_rows.items()}
+        for row, block_rows in rows.systematic.items()
     }
     mean = _sum(np.where(usable, rows.reflectance, 0.0), starts) / over
     wavelength = _sum(rows.wavelength_nm[None], starts)[0] / np.diff(np.append(starts, size))
-    found = replace(
+    result = replace(
         rows, wavelength_nm=wavelength, reflectance=np.where(count > 0, mean, np.nan), mask=count == 0,
         uncertainty=sigma, systematic=systematic,
     )  # fmt: skip
-    return found, each
+    return result, each
 
 
 def _sum(values: FloatArray | BoolArray, starts: IntArray) -> FloatArray:

@@ -18,7 +18,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import aligned, choose, load, spread, store
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.lane_rows import take_eight, uncounted
+from lunarsci.spectra.noise import take_eight, uncounted
 
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)
@@ -98,8 +98,8 @@ def continuum(name: ContinuumName, wavelength_nm: FloatArray, smoothed: FloatArr
             else "fewer than two band shoulders within the spectrum; give `continuum` hull"
         )
     values, levels = np.ascontiguousarray(smoothed, float), np.empty(smoothed.shape)
-    t, tie, nodes, own = tables_of(ties, TIE_ROWS)
-    _levels(CONTINUA.index(name), ties, values, t, tie[CONTINUA.index(name)], nodes, own, levels)
+    t, tie, nodes, room = tables_of(ties, TIE_ROWS)
+    _levels(CONTINUA.index(name), ties, values, t, tie[CONTINUA.index(name)], nodes, room, levels)
     return levels
 
 
@@ -115,17 +115,17 @@ def tables_of(ties: Ties, rows: int) -> tuple[FloatArray, Indices, Indices, Floa
 
 def upper_hull(x: FloatArray, y: FloatArray) -> list[int]:
     """Indices of the upper convex hull of points with ascending x."""
-    found = np.empty(x.size, np.int64)
-    return [int(i) for i in found[: hull_chain(np.ascontiguousarray(x), np.ascontiguousarray(y), found)]]
+    hull = np.empty(x.size, np.int64)
+    return [int(i) for i in hull[: hull_chain(np.ascontiguousarray(x), np.ascontiguousarray(y), hull)]]
 
 
 @uncounted
-def hull_chain(x: FloatArray, y: FloatArray, found: Indices) -> int:
+def hull_chain(x: FloatArray, y: FloatArray, hull: Indices) -> int:
     """Put the upper convex hull of points (n,) with ascending x into `found` (n,); how many they are.
 
     Andrew (1979), 10.1016/0020-0190(79)90072-3. A point on a chord is not on the hull.
     """
-    found[0] = 0
+    hull[0] = 0
     count, xa, ya, xb, yb = 0, 0.0, 0.0, x[0], y[0]
     for i in range(1, x.size):
         xi, yi = x[i], y[i]
@@ -133,28 +133,35 @@ def hull_chain(x: FloatArray, y: FloatArray, found: Indices) -> int:
             count -= 1
             xb, yb = xa, ya
             if count > 0:
-                xa, ya = x[found[count - 1]], y[found[count - 1]]
+                xa, ya = x[hull[count - 1]], y[hull[count - 1]]
         count += 1
-        found[count] = i
+        hull[count] = i
         xa, ya, xb, yb = xb, yb, xi, yi
     return count + 1
 
 
 @uncounted
 def _levels(
-    which: int, ties: Ties, smoothed: FloatArray, t: Any, tie: Indices, nodes: Indices, own: FloatArray, out: FloatArray
+    which: int,
+    ties: Ties,
+    smoothed: FloatArray,
+    t: Any,
+    tie: Indices,
+    nodes: Indices,
+    room: FloatArray,
+    out: FloatArray,
 ) -> None:
     count = ties.wavelength_nm.size
     for begin in range(0, len(smoothed), LANES):
         take_eight(smoothed, begin, t, SMOOTHED * count)
-        tie_down(which, ties, t, tie, nodes, own)
+        tie_down(which, ties, t, tie, nodes, room)
         for lane in range(min(LANES, len(smoothed) - begin)):
             for j in range(count):
                 out[begin + lane, j] = t[(LEVEL + which) * count + j, lane]
 
 
 @uncounted
-def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, own: FloatArray) -> None:
+def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, room: FloatArray) -> None:
     """A continuum, its place in `CONTINUA`, of eight smoothed spectra: its LEVEL, and what that is made of.
 
     That is NODE, 1 where the hull touches and 0 elsewhere, and the channels of the other continua's terms, in `tie`;
@@ -164,9 +171,9 @@ def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, own: 
     if which == HULL:
         for lane in range(LANES):
             for j in range(count):
-                own[j] = t[SMOOTHED * count + j, lane]
+                room[j] = t[SMOOTHED * count + j, lane]
                 t[NODE * count + j, lane] = 0.0
-            for k in range(hull_chain(wavelength_nm, own, nodes)):
+            for k in range(hull_chain(wavelength_nm, room, nodes)):
                 t[NODE * count + nodes[k], lane] = 1.0
         _hull_lines(wavelength_nm, t)
     elif which == LINEAR:
@@ -210,7 +217,7 @@ def _highest_of(value: Any, j: Any, at_nm: Any, highest: Any, place: Any, place_
 @uncounted
 def _straight_lines(ties: Ties, t: Any, tie: Indices) -> None:
     """Between the highest points of the shoulders, two or three, extended beyond the first and the last."""
-    wavelength_nm, shoulders, count, found = ties.wavelength_nm, ties.shoulders, ties.wavelength_nm.size, 0
+    wavelength_nm, shoulders, count, number = ties.wavelength_nm, ties.shoulders, ties.wavelength_nm.size, 0
     room = (WEIGHT + TERMS * LINEAR) * count
     for k in range(TERMS):
         low, high = shoulders[k, 0], shoulders[k, 1]
@@ -220,22 +227,22 @@ def _straight_lines(ties: Ties, t: Any, tie: Indices) -> None:
                 highest, place, place_nm = _highest_of(
                     load(t, SMOOTHED * count + j), float(j), wavelength_nm[j], highest, place, place_nm
                 )
-            store(t, room + 3 * found, highest)
-            store(t, room + 3 * found + 1, place)
-            store(t, room + 3 * found + 2, place_nm)
+            store(t, room + 3 * number, highest)
+            store(t, room + 3 * number + 1, place)
+            store(t, room + 3 * number + 2, place_nm)
             for lane in range(LANES):
-                tie[found, lane] = int(t[room + 3 * found + 1, lane])
-            found += 1
-    _between(wavelength_nm, t, room, found)
+                tie[number, lane] = int(t[room + 3 * number + 1, lane])
+            number += 1
+    _between(wavelength_nm, t, room, number)
 
 
 @uncounted
-def _between(wavelength_nm: FloatArray, t: Any, room: int, found: int) -> None:
+def _between(wavelength_nm: FloatArray, t: Any, room: int, number: int) -> None:
     """Weights and level of lines through two or three nodes: their values, channels and wavelengths, from `room` on."""
     count = wavelength_nm.size
     first, first_nm, second, place = load(t, room), load(t, room + 2), load(t, room + 3), load(t, room + 4)
     second_nm, third, third_nm = load(t, room + 5), load(t, room + 6), load(t, room + 8)
-    if found < TERMS:
+    if number < TERMS:
         place, third, third_nm = spread(float(count)), second, second_nm + 1.0
     per_nm, per_next = 1.0 / (second_nm - first_nm), 1.0 / (third_nm - second_nm)
     for j in range(count):

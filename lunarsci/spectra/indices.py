@@ -13,6 +13,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.collection import alike_channels
 from lunarsci.spectra.noise import scatter_noise_rows
 from lunarsci.spectra.spectrum import LARGEST_SMOOTH_NM, smoothing_operator
 
@@ -266,7 +267,7 @@ class IndexColumn:
         value, sigma, between, calibration = (np.full(size, np.nan) for _ in range(4))
         return cls(value, sigma, between, calibration, np.full(size, NO_CHANNELS, np.int8))
 
-    def take(self, other: "IndexColumn", rows: Sequence[int]) -> None:
+    def take(self, other: "IndexColumn", rows: Sequence[int] | IntArray) -> None:
         """Put another column's spectra into these rows."""
         for name in ("value", "sigma", "interpolation", "calibration", "status"):
             getattr(self, name)[rows] = getattr(other, name)
@@ -301,28 +302,21 @@ def index_arrays(
     values = np.asarray(reflectance, float)
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(values) & (values > 0)
-    found = {name: IndexColumn.empty(len(values)) for name in names}
-    for rows, channels in _alike(usable):
+    columns = {name: IndexColumn.empty(len(values)) for name in names}
+    for channels, rows in alike_channels(usable):
         if channels.sum() < 2:
             continue
-        own = values[np.ix_(rows, channels)]
+        measured = values[np.ix_(rows, channels)]
         noise = (
-            scatter_noise_rows(own) if sigma is None else np.broadcast_to(sigma, values.shape)[np.ix_(rows, channels)]
+            scatter_noise_rows(measured)
+            if sigma is None
+            else np.broadcast_to(sigma, values.shape)[np.ix_(rows, channels)]
         )
         shared = [np.asarray(shift)[np.ix_(rows, channels)] for shift in (shifts or {}).values()]
-        group = _Group(wavelength_nm[channels], own, noise, shared, smooth_nm)
+        group = _Group(wavelength_nm[channels], measured, noise, shared, smooth_nm)
         for name in names:
-            group.into(found[name], rows, INDICES[name])
-    return found
-
-
-def _alike(usable: BoolArray) -> list[tuple[IntArray, BoolArray]]:
-    """Numbers of the rows that have the same usable channels, and these."""
-    if usable.all():
-        return [(np.arange(len(usable)), usable[0])] if len(usable) else []
-    kinds, kind = np.unique(np.packbits(usable, axis=1), axis=0, return_inverse=True)
-    rows = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
-    return [(own, usable[own[0]]) for own in rows]
+            group.into(columns[name], rows, INDICES[name])
+    return columns
 
 
 @dataclass(slots=True, eq=False)
@@ -353,15 +347,15 @@ class _Group:
             other, _ = index.formula(self.reflectance @ curved.T)
         carried = derivatives @ straight[:, used]
         column.value[rows] = np.where(np.isfinite(value), value, np.nan)
-        known = np.isfinite(value)
+        finite = np.isfinite(value)
         shared = np.array([(carried * shift[:, used]).sum(axis=1) for shift in self.shifts]).reshape(-1, len(value))
-        column.sigma[rows] = np.where(known, np.sqrt(((carried * self.sigma[:, used]) ** 2).sum(axis=1)), np.nan)
-        column.interpolation[rows] = np.where(known, np.abs(other - value), np.nan)
-        column.calibration[rows] = np.where(known, np.sqrt((shared**2).sum(axis=0)), np.nan)
+        column.sigma[rows] = np.where(finite, np.sqrt(((carried * self.sigma[:, used]) ** 2).sum(axis=1)), np.nan)
+        column.interpolation[rows] = np.where(finite, np.abs(other - value), np.nan)
+        column.calibration[rows] = np.where(finite, np.sqrt((shared**2).sum(axis=0)), np.nan)
         beyond = (value < index.low) | (value > index.high)
         if index.of_soils:
             beyond |= (reflectance[:, 0] < SOILS[0]) | (reflectance[:, 0] > SOILS[1])
-        column.status[rows] = np.where(known, np.where(beyond, BEYOND, OK), UNDEFINED)
+        column.status[rows] = np.where(finite, np.where(beyond, BEYOND, OK), UNDEFINED)
 
 
 def reached(wavelength_nm: FloatArray, wanted_nm: FloatArray) -> BoolArray:

@@ -1,14 +1,29 @@
 """What the channels of many spectra say of their noise, and how deep they absorb, compiled."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, in_lanes
 from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, spread, store
-from lunarsci.spectra.lane_rows import take_eight, uncounted
+
+
+def uncounted(function: Callable[..., Any]) -> Any:
+    """`in_lanes` without counts of who uses an array, which cost more than a short loop; such code can make none."""
+    return in_lanes(function, _nrt=False)
+
+
+@uncounted
+def take_eight(rows: FloatArray, begin: int, t: Any, first: int) -> None:
+    """Rows of (m, n) into the lanes of a table, from its row `first` on; the last one again where there are no more."""
+    for lane in range(LANES):
+        row = min(begin + lane, len(rows) - 1)
+        for j in range(rows.shape[1]):
+            t[first + j, lane] = rows[row, j]
+
 
 SECOND_DIFFERENCE = float(np.sqrt(6.0))
 """Standard deviation of x[i-1] - 2 x[i] + x[i+1] over that of x."""
@@ -50,16 +65,16 @@ def running_medians(t: Any, source: int, out: int, channels: int, window: int, s
     for j in range(channels):
         largest = highest(largest, _size(load(t, source + j)))
     for j in range(channels - 2):
-        own = load(t, source + j + 1)
-        store(second, j, _size((load(t, source + j + 2) - own) - (own - load(t, source + j))))
+        middle = load(t, source + j + 1)
+        store(second, j, _size((load(t, source + j + 2) - middle) - (middle - load(t, source + j))))
     for j in range(size):
         _insert(ordered, j, load(second, j))
     first, last = half + 1, channels - 2 - half
     for j in range(channels):
         if first < j <= last:
             _replace(ordered, size, load(second, j - half - 2), load(second, j + half - 1))
-        found = load(ordered, half) * NORMAL_MAD / SECOND_DIFFERENCE
-        store(t, out + j, highest(found, largest * EPSILON))
+        scatter = load(ordered, half) * NORMAL_MAD / SECOND_DIFFERENCE
+        store(t, out + j, highest(scatter, largest * EPSILON))
 
 
 @formula

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
-from lunarsci.io.inputs import csv_rows
+from lunarsci.io import inputs
+from lunarsci.io.inputs import InputFile, csv_rows
 
 MOST_LETTERS = 3
 """Letters of a number that is misspelt, at most; a first cell with more is a name."""
@@ -139,13 +140,13 @@ def numbers_at_once(lines: Sequence[tuple[int, str]], separator: str) -> FloatAr
     width, size = lines[0][1].count(separator) + 1, sum(len(line) for _, line in lines)
     if separator == " " or size < _MANY or any(line.count(separator) != width - 1 for _, line in lines):
         return None
-    found, step = np.empty((width, len(lines))), max(1, _READ_AT_ONCE * len(lines) // size)
+    result, step = np.empty((width, len(lines))), max(1, _READ_AT_ONCE * len(lines) // size)
     for first in range(0, len(lines), step):
         some = _plain_numbers([line for _, line in lines[first : first + step]], separator)
         if some is None:
             return None
-        found[:, first : first + step] = some.reshape(-1, width).T
-    return found
+        result[:, first : first + step] = some.reshape(-1, width).T
+    return result
 
 
 def _plain_numbers(lines: Sequence[str], separator: str) -> FloatArray | None:
@@ -182,3 +183,46 @@ def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool)
 def quoted(text: str) -> str:
     """Text of a file as a message shows it: on one line, and not too long."""
     return repr(text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "...")
+
+
+@dataclass(frozen=True, slots=True)
+class NamedTable:
+    """A table of text below the names of its columns, which are in lower case."""
+
+    file: str
+    names: tuple[str, ...]
+    rows: tuple[Row, ...]
+    decimal_comma: bool
+
+    def cells(self, name: str) -> list[str]:
+        """The texts of a column."""
+        return [row.fields[self.names.index(name)] for row in self.rows]
+
+    def numbers(self, name: str) -> FloatArray:
+        """A column as floats, (rows,), NaN where it is blank. Raises DataError for a cell that is none."""
+        return numbers(self.rows, self.names.index(name), quoted(name), self.file, self.decimal_comma)
+
+    def refuse(self, wrong: BoolArray, name: str, rule: str) -> None:
+        """Raise DataError where a cell of a column is wrong, (rows,): with its line, its text, and the rule."""
+        if (places := np.flatnonzero(wrong)).size:
+            row = self.rows[places[0]]
+            cell = row.fields[self.names.index(name)]
+            raise DataError(f"{self.file}: line {row.line}, column {quoted(name)}: {quoted(cell)}; {rule}")
+
+
+def named_table(source: InputFile, *needed: str, least: int = 1) -> NamedTable:
+    """Read a table. Raises DataError for one without a needed column, with two of one name, or with too few rows."""
+    lines, _ = split_lines(inputs.text(source))
+    if not lines:
+        raise DataError(f"{source.name}: holds only comments; check how it was made or downloaded")
+    separator = separator_of(lines)
+    header, *rows = (Row(n, split_fields(line, separator, f"{source.name}: line {n}")) for n, line in lines)
+    names = tuple(name.casefold() for name in header.fields)
+    missing = next((name for name in needed if name not in names), None)
+    if missing or len(rows) < least or len({*names}) < len(names):
+        why = f"no column {quoted(missing)}" if missing else f"{len(rows)} rows below the header"
+        why = why if missing or len(rows) < least else "two columns of one name"
+        listed = ", ".join(map(quoted, header.fields[:5]))
+        raise DataError(f"{source.name}: {why} ({listed}); a table has one of each name and {least} rows or more")
+    check_widths(rows, source.name, len(names))
+    return NamedTable(source.name, names, tuple(rows), separator in DECIMAL_COMMA)

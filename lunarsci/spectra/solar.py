@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.tables import table_rows
+from lunarsci.spectra.spectrum import channel_arrays
 from lunarsci.sun import sun_from_moon_au
 
 _LIGHT_TIME_S = 499.0
@@ -82,18 +83,11 @@ class SolarSpectrum:
     source: str
 
     def __post_init__(self) -> None:
-        wavelength = np.array(self.wavelength_nm, dtype=float)
-        irradiance = np.array(self.irradiance, dtype=float)
-        if wavelength.ndim != 1 or wavelength.size < 2 or irradiance.shape != wavelength.shape:
-            raise DataError(f"{self.name}: a solar spectrum needs two or more wavelengths with one irradiance each")
-        for what, values in (("a wavelength", wavelength), ("an irradiance", irradiance)):
-            if not (np.isfinite(values).all() and (values > 0).all()):
-                raise DataError(f"{self.name}: {what} is missing or not above 0; correct or delete that row")
-        if not (np.diff(wavelength) > 0).all():
-            raise DataError(f"{self.name}: wavelengths are not strictly ascending; sort them and keep one row each")
-        for attribute, values in (("wavelength_nm", wavelength), ("irradiance", irradiance)):
-            values.setflags(write=False)
-            object.__setattr__(self, attribute, values)
+        wavelength, irradiance = channel_arrays(self.name, self.wavelength_nm, self.irradiance)
+        if wavelength.size < 2 or not (np.isfinite(irradiance).all() and (irradiance > 0).all()):
+            raise DataError(f"{self.name}: fewer than two wavelengths, or an irradiance is missing or not above 0")
+        object.__setattr__(self, "wavelength_nm", wavelength)
+        object.__setattr__(self, "irradiance", irradiance)
 
 
 @cache
@@ -141,11 +135,11 @@ def in_band_irradiance(solar: SolarSpectrum, center_nm: npt.ArrayLike, fwhm_nm: 
     if not all(np.isfinite(values).all() and (values > 0).all() for values in (centers, widths)):
         raise ParameterError("center_nm and fwhm_nm must be finite and above 0 nm; correct the channel table")
     _check_coverage(solar, centers, widths)
-    found = np.empty(centers.shape)
+    result = np.empty(centers.shape)
     coarsest = (1.0, 0.0, 0.0)
     for at in np.ndindex(centers.shape):
         center, fwhm = float(centers[at]), float(widths[at])
-        found[at], step = _gaussian_mean(solar, center, fwhm)
+        result[at], step = _gaussian_mean(solar, center, fwhm)
         coarsest = max(coarsest, (step / fwhm, center, step))
     if coarsest[0] > 1:
         message = (
@@ -153,7 +147,7 @@ def in_band_irradiance(solar: SolarSpectrum, center_nm: npt.ArrayLike, fwhm_nm: 
             f"{coarsest[2] / coarsest[0]:.3g} nm: solar lines are lost; use a spectrum with finer steps"
         )
         warnings.warn(message, LunarSciWarning, stacklevel=2)
-    return found
+    return result
 
 
 def _check_coverage(solar: SolarSpectrum, centers: FloatArray, widths: FloatArray) -> None:

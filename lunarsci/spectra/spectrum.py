@@ -17,6 +17,23 @@ WIDEST_GAP_NM = 100.0
 176 nm wide at half depth (OL M2 of `mgm_bands.csv`); assumed. [nm]"""
 
 
+def channel_arrays(id: str, wavelength_nm: npt.ArrayLike, *values: npt.ArrayLike) -> list[FloatArray]:
+    """Read-only copies of wavelengths (n,) and of values in these channels.
+
+    Raises DataError unless wavelengths are finite, above 0 nm and strictly ascending, and all have their shape.
+    """
+    arrays = [np.array(one, dtype=float) for one in (wavelength_nm, *values)]
+    wavelength = arrays[0]
+    if wavelength.ndim != 1 or wavelength.size == 0 or any(one.shape != wavelength.shape for one in arrays):
+        shapes = " and ".join(str(one.shape) for one in arrays)
+        raise DataError(f"{id}: no channels, or numbers of shapes {shapes}; give one of each per channel")
+    if not (np.isfinite(wavelength).all() and wavelength[0] > 0 and (np.diff(wavelength) > 0).all()):
+        raise DataError(f"{id}: wavelengths are not finite, above 0 nm and strictly ascending; correct or sort them")
+    for one in arrays:
+        one.setflags(write=False)
+    return arrays
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
     """A reflectance spectrum on ascending wavelengths.
@@ -47,56 +64,34 @@ class Spectrum:
     systematic: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        wavelength = np.array(self.wavelength_nm, dtype=float)
-        self._check_wavelength(wavelength)
-        reflectance = np.array(self.reflectance, dtype=float)
-        self._check_shape("reflectance", reflectance, wavelength)
-        with np.errstate(invalid="ignore"):
-            unusable = ~np.isfinite(reflectance) | ~(reflectance > 0)
+        given = (self.reflectance, *(() if self.uncertainty is None else (self.uncertainty,)))
+        wavelength, reflectance, *sigma = channel_arrays(self.id, self.wavelength_nm, *given)
+        unusable = ~np.isfinite(reflectance) | ~(reflectance > 0)
         if self.mask is not None:
-            mask = np.array(self.mask, dtype=bool)
-            self._check_shape("mask", mask, wavelength)
-            unusable = unusable | mask
-        uncertainty = None
-        if self.uncertainty is not None:
-            uncertainty = np.array(self.uncertainty, dtype=float)
-            self._check_shape("uncertainty", uncertainty, wavelength)
-            if not (uncertainty[~unusable] > 0).all():
-                raise DataError(f"{self.id}: an uncertainty is not above 0; leave the column out if errors are unknown")
+            unusable |= np.array(self.mask, bool)
+        if sigma and not (sigma[0][~unusable] > 0).all():
+            raise DataError(f"{self.id}: an uncertainty is not above 0; leave the column out if errors are unknown")
+        unusable.setflags(write=False)
         for name, value in (
             ("wavelength_nm", wavelength),
             ("reflectance", reflectance),
-            ("uncertainty", uncertainty),
+            ("uncertainty", sigma[0] if sigma else None),
             ("mask", unusable),
+            ("systematic", self._checked_systematic(unusable)),
         ):
-            if value is not None:
-                value.setflags(write=False)
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "systematic", self._checked_systematic(unusable))
 
     def _checked_systematic(self, unusable: BoolArray) -> dict[str, FloatArray]:
         checked = {}
         for name, values in self.systematic.items():
             shift = np.array(values, dtype=float)
-            self._check_shape(f"systematic '{name}'", shift, unusable)
-            if not np.isfinite(shift[~unusable]).all():
-                raise DataError(f"{self.id}: systematic '{name}' is not known in every usable channel; complete it")
+            if shift.shape != unusable.shape or not np.isfinite(shift[~unusable]).all():
+                what = f"systematic '{name}' is not known in every usable channel"
+                raise DataError(f"{self.id}: {what} ({shift.size} values for {unusable.size} channels); complete it")
             shift[unusable] = 0.0
             shift.setflags(write=False)
             checked[name] = shift
         return checked
-
-    def _check_wavelength(self, wavelength: FloatArray) -> None:
-        if wavelength.ndim != 1 or wavelength.size == 0:
-            raise DataError(f"{self.id}: no channels; a spectrum needs a wavelength and a reflectance column")
-        if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-            raise DataError(f"{self.id}: a wavelength is missing or not above 0 nm; correct or delete that row")
-        if not (np.diff(wavelength) > 0).all():
-            raise DataError(f"{self.id}: wavelengths are not strictly ascending; sort them and keep one row each")
-
-    def _check_shape(self, name: str, values: npt.NDArray[Any], channels: npt.NDArray[Any]) -> None:
-        if values.shape != channels.shape:
-            raise DataError(f"{self.id}: {name} has shape {values.shape}, the wavelengths have {channels.shape}")
 
     @property
     def usable(self) -> BoolArray:

@@ -19,7 +19,7 @@ import numpy as np
 from strips import EIGHTY_FIVE_NM, mixtures
 
 from lunarsci.parallel.checkpoint import KeptBlocks
-from lunarsci.spectra.cubes.blocks import fetched, measured
+from lunarsci.spectra.cubes.output import fetched, measured
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
 from lunarsci.spectra.jobs.map_products import products_of

@@ -163,7 +163,7 @@ def envi_header(kind: str = "ENVI Standard", samples: int = 4, lines: int = 3, b
 
 
 def library() -> bytes:
-    from lunarsci.spectra.library.end_member import EndMember, to_ecsv
+    from lunarsci.spectra.readers.library import EndMember, to_ecsv
 
     nm, reflectance = curve()
     return to_ecsv([EndMember("Fo 90", "olivine", nm, reflectance, fo=0.9, max_um=45.0, source="SYNTHETIC")])
@@ -190,12 +190,12 @@ def spectra_readers() -> dict[str, Reader]:
                                [sli + BETWEEN + np.tile(reflectance, 2).astype("<f4").tobytes()]),
         "spectra PDS3": Reader(of_spectra, ["spoilt.lbl", "a.tab"], [_pds_table()]),
         "spectra PDS4": Reader(of_spectra, ["spoilt.xml", "a.dat"], [_pds_binary()]),
-        "library": Reader(of_file("spectra.library.end_member:read_library"), ["spoilt.ecsv"], [library()]),
-        "samples": Reader(of_file("spectra.library.check:read_metadata"), ["spoilt.csv"],
+        "library": Reader(of_file("spectra.readers.library:read_library"), ["spoilt.ecsv"], [library()]),
+        "samples": Reader(of_file("spectra.readers.library:read_metadata"), ["spoilt.csv"],
                           [b"id,mineral,fo,max_um,source\nA,ol,0.9,45,SYNTHETIC\nB,Ilmenite,,,\n"]),
         "start of a fit": Reader(of_file("spectra.mgm.fit_file:read_start"), ["spoilt.fit"], [START]),
         "sunlight": Reader(of_file("spectra.readers.solar_table:read_solar_spectrum"), ["spoilt.csv"], [sun]),
-        "phase function": Reader(of_file("spectra.photometry.phase:read_phase_function"), ["spoilt.csv"],
+        "phase function": Reader(of_file("spectra.photometry:read_phase_function"), ["spoilt.csv"],
                                  [b"phase_deg,750,1500\n0,2,2\n30,1,1\n60,0.6,0.7\n"]),
         "channel factors": Reader(of_file("spectra.vnis.detector:read_channel_factors"), ["spoilt.csv"],
                                   [_factors()]),
@@ -258,8 +258,8 @@ def _factors() -> bytes:
 def product() -> Mapping[str, bytes]:
     """One made-up observation: image cube, short-wave table, auxiliary table, labels."""
     from lunarsci.spectra.vnis.simulation.instrument import simulate
-    from lunarsci.spectra.vnis.simulation.products import product_files
     from lunarsci.spectra.vnis.simulation.scene import Scene
+    from lunarsci.spectra.vnis.simulation.template import product_files
 
     return {name: data for name, data in product_files(simulate(Scene(), seed=3)).items() if "truth" not in name}
 

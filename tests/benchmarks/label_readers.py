@@ -168,13 +168,13 @@ def _own(path: str) -> Any:
     from lunarsci.io.inputs import read_input
     from lunarsci.spectra.cubes.rasters import open_cube
     from lunarsci.spectra.readers.dispatch import read_spectra
-    from lunarsci.spectra.readers.pds_label import is_pds_label, read_pds_label
+    from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 
     source = read_input(path)
     if "Array" in (text := source.data.decode("latin-1")) or "LINE_SAMPLES" in text or "ENVI Standard" in text:
         if is_pds_label(source) and any("W/" in one.unit for one in read_pds_label(source).images):
             from lunarsci.spectra.cubes.cube import FlatFile
-            from lunarsci.spectra.readers.pds_label import data_file
+            from lunarsci.spectra.readers.pds import data_file
 
             return None, [
                 FlatFile(data_file(path, i.file), i.dtype, i.offset, i.lines, i.samples, i.bands, i.interleave)

@@ -353,7 +353,7 @@ def unmixed() -> Any:
 
 def library(count: int = 3) -> "Figure":
     """End members of two minerals, some of unknown chemistry."""
-    from lunarsci.spectra.library.end_member import EndMember, library_pages
+    from lunarsci.spectra.readers.library import EndMember, library_pages
 
     members = []
     for k in range(2 * count):

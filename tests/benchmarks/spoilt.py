@@ -23,8 +23,8 @@ from lunarsci.spectra.jobs.calibrate import calibrate
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum, sun_moon_distance_au
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM, footprint_mask, fwhm_nm
 from lunarsci.spectra.vnis.simulation.instrument import simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 Files = dict[str, bytes]
 Spoiler = Callable[[Files], None]

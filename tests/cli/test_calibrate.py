@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Scene, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 Run = Callable[..., Any]
 Files = dict[str, bytes]

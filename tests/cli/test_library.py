@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.io.inputs import read_input
-from lunarsci.spectra.library.end_member import read_library
+from lunarsci.spectra.readers.library import read_library
 
 Run = Callable[..., "object"]
 LIBRARY = ("spectra", "library")

@@ -18,7 +18,7 @@ from lunarsci.pages.parts import apart, assumed, budget, quantities, tables, unk
 from lunarsci.pages.words import DOUBT, GO, STOP, counted, measured, number, percent, words
 from lunarsci.regolith.belief import first_belief
 from lunarsci.spectra.band_status import DEPENDS
-from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verdict, shares_verdict
+from lunarsci.spectra.jobs.verdicts import bands_meaning, centre_texts, fit_verdict, shares_verdict
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, soil_map_bytes
 
 KNOWN: dict[str, dict[str, Any]] = {}
@@ -89,7 +89,7 @@ def test_verdicts_are_told_in_the_words_of_the_command() -> None:
         assert "most likely came from" not in answer(of(name)).text
     own = KNOWN["bands"]["result"]["spectra"][0]
     assert bands_meaning(own)[1:] in answer(of("bands")).text
-    assert all(f"at {centre}" in answer(of("bands")).text for centre in centres_said(own).values())
+    assert all(f"at {centre}" in answer(of("bands")).text for centre in centre_texts(own).values())
     open_one = own | {"band2000_status": DEPENDS}
     said = answer(replace(of("bands"), result={"spectra": [open_one]})).trust
     assert said == f"Centre depends on the method more than on the noise: {own['id']} at 2 µm."

@@ -12,10 +12,10 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.learned import GRID_NM, STEP_NM
-from lunarsci.spectra.library.end_member import EndMember, mineral_named
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
 from lunarsci.spectra.readers.columns import rows_by_id
+from lunarsci.spectra.readers.library import EndMember, mineral_named
 from lunarsci.spectra.rows import number, quoted
 from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 

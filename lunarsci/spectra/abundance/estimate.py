@@ -31,7 +31,7 @@ from lunarsci.spectra.abundance.mixing import (
     population,
 )
 from lunarsci.spectra.abundance.shares import Mixed
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 NEUTRAL = np.array([0.1, 0.05, 0.02])

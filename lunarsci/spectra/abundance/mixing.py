@@ -25,7 +25,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember
 
 IRON_TABLE = "iron_optical_constants.csv"
 GRAIN_INDEX = 1.7

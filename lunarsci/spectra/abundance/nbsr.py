@@ -22,11 +22,11 @@ from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import kinds_of_rows
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.shares import GOOD, LIKELY
-from lunarsci.spectra.library.end_member import CHEMISTRY
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
 from lunarsci.spectra.mgm.fit import SpectraFits
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.readers.library import CHEMISTRY
 
 PYROXENES = ("orthopyroxene", "clinopyroxene")
 TABLE = "nbsr_calibrations.csv"

@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import as_label, headline, page
-from lunarsci.spectra.library.end_member import CHEMISTRY
 from lunarsci.spectra.mgm.figure import COLORS, OTHER
+from lunarsci.spectra.readers.library import CHEMISTRY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -84,12 +84,12 @@ class Regression:
     def objections(self, value: FloatArray) -> Texts:
         """Why values, (m,), are outside the range of the regression; empty where they are inside."""
         beyond = ~((self.low <= value) & (value <= self.high))
-        found = np.where(beyond, f"beyond the {self.low:g}-{self.high:g} it was made for", "").astype(object)
+        texts = np.where(beyond, f"beyond the {self.low:g}-{self.high:g} it was made for", "").astype(object)
         if self.excluded is not None:
             low, high = self.excluded
             within = ~beyond & (low < value) & (value < high)
-            found[within] = f"between {low:g} and {high:g}, which its authors exclude"
-        return found
+            texts[within] = f"between {low:g} and {high:g}, which its authors exclude"
+        return texts
 
 
 @cache
@@ -167,39 +167,39 @@ def objections(place: str, bc1000_nm: FloatArray, bc2000_nm: FloatArray, depth_r
     Parameters
     ----------
     place : `pyroxene`, `orthopyroxene`, `hed`, `olivine`, `mixture`, or `any`; of a `chondrite` the law of
-        `lunarsci.spectra.chemistry.chondrite` judges.
+        `lunarsci.spectra.chemistry.bands` judges.
     bc1000_nm, bc2000_nm : band centres, (m,); NaN where there is no such band. [nm]
     depth_ratio : depth of the 2 um band over that of the 1 um band, 0 where there is none, (m,). [-]
     """
-    found = np.full(bc1000_nm.shape, "", object)
+    texts = np.full(bc1000_nm.shape, "", object)
     if place in ("any", "chondrite"):
-        return found
+        return texts
     if place == "olivine":
         low, high = OLIVINE_NM
-        found[~((low <= bc1000_nm) & (bc1000_nm <= high))] = f"the 1 µm centre is not between {low:g} and {high:g} nm"
-        found[depth_ratio > WEAK_SHARE] = "there is a 2 µm band: pyroxene"
-        return found
+        texts[~((low <= bc1000_nm) & (bc1000_nm <= high))] = f"the 1 µm centre is not between {low:g} and {high:g} nm"
+        texts[depth_ratio > WEAK_SHARE] = "there is a 2 µm band: pyroxene"
+        return texts
     there = ~np.isnan(bc2000_nm)
-    found[~there] = "there is no 2 µm band"
-    found[there] = _JUDGES[place](bc1000_nm[there], bc2000_nm[there])
-    return found
+    texts[~there] = "there is no 2 µm band"
+    texts[there] = _JUDGES[place](bc1000_nm[there], bc2000_nm[there])
+    return texts
 
 
 def _no_pyroxene(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     off = _off_trend(bc1000_nm, bc2000_nm)
     iron = regressions()["fs_trend_bc2000"].value(bc2000_nm)
-    found = np.full(off.shape, "", object)
+    texts = np.full(off.shape, "", object)
     rich = (_no_orthopyroxene(bc1000_nm, bc2000_nm) == "") & (iron > OPX_MOST_FS)
     end = "and the lines end at 50"
-    found[rich] = [f"the centres are those of an orthopyroxene with Fs {share:.0f}, {end}" for share in iron[rich]]
+    texts[rich] = [f"the centres are those of an orthopyroxene with Fs {share:.0f}, {end}" for share in iron[rich]]
     far = np.abs(off) > PYROXENE_TOLERANCE_NM
-    found[far] = [_where(one) for one in off[far]]
-    return found
+    texts[far] = [_where(one) for one in off[far]]
+    return texts
 
 
 def _no_orthopyroxene(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     off = bc2000_nm - OPX_LINE[0] * bc1000_nm - OPX_LINE[1]
-    return _said(np.abs(off) > OPX_TOLERANCE_NM, "the two centres are not those of an orthopyroxene")
+    return _text_where(np.abs(off) > OPX_TOLERANCE_NM, "the two centres are not those of an orthopyroxene")
 
 
 def _no_hed(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
@@ -208,18 +208,18 @@ def _no_hed(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     for quantity in ("fs", "wo"):
         one, two = (regressions()[f"{quantity}_burbine_{key}"] for key in ("bc1000", "bc2000"))
         apart |= np.abs(one.value(bc1000_nm) - two.value(bc2000_nm)) > 3 * math.hypot(one.error, two.error)
-    return _said(apart, "the two centres are not those of a howardite, eucrite or diogenite")
+    return _text_where(apart, "the two centres are not those of a howardite, eucrite or diogenite")
 
 
 def _no_mixture(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     """What is no mixture of olivine and low-calcium pyroxene."""
-    found = _said(bc2000_nm > OPX_MOST_NM, "the 2 µm band is that of clinopyroxene")
-    found[bc1000_nm > OLIVINE_NM[0]] = "the 1 µm band is that of olivine or augite"
-    found[_off_trend(bc1000_nm, bc2000_nm) < OLIVINE_SHIFT_NM] = "the two centres are those of pyroxene without olivine"
-    return found
+    texts = _text_where(bc2000_nm > OPX_MOST_NM, "the 2 µm band is that of clinopyroxene")
+    texts[bc1000_nm > OLIVINE_NM[0]] = "the 1 µm band is that of olivine or augite"
+    texts[_off_trend(bc1000_nm, bc2000_nm) < OLIVINE_SHIFT_NM] = "the two centres are those of pyroxene without olivine"
+    return texts
 
 
-def _said(where: BoolArray, text: str) -> Texts:
+def _text_where(where: BoolArray, text: str) -> Texts:
     return np.where(where, text, "").astype(object)
 
 
@@ -323,8 +323,8 @@ class Estimates:
         """The attributes of `CompositionEstimate` by name, as columns of records."""
 
         texts = {name: coded(getattr(self, name)) for name in ("reason", "domain", "caveat", "source")}
-        own = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}
-        return own | {"in_range": self.in_range} | texts
+        numbers = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}
+        return numbers | {"in_range": self.in_range} | texts
 
     def of(self, row: int) -> CompositionEstimate:
         """That of one spectrum."""

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning, warn
-from lunarsci.spectra.readers.markers import unnamed_markers
-from lunarsci.spectra.readers.table import Column, WavelengthUnit, wavelength_nm
+from lunarsci.spectra.readers.likely import unnamed_markers
+from lunarsci.spectra.readers.table import MAX_FRACTION, Column, WavelengthUnit, wavelength_nm
 
 FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "channels_not_positive")
 """Bits of a pixel's flags, the first is 1: no channel can be used; outside of the region or mask; good channels without
@@ -26,8 +26,6 @@ a value; saturated; at or below 0."""
 NO_DATA, LEFT_OUT, MISSING, SATURATED, NOT_POSITIVE = (1 << k for k in range(len(FLAGS)))
 SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
-MOST_REFLECTANCE = 2.0
-"""A median above this is no reflectance: percent, numbers of a detector, or radiance. Assumed."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
 MOST_ON_A_LINE = 50_000_000
@@ -257,12 +255,12 @@ def cube_of(layout: Layout, stated: Stated) -> Cube:
     """
     _check_numbers(layout, stated)
     wavelength, remarks = _wavelengths(layout, stated)
-    known = np.isfinite(wavelength)
-    order = np.argsort(np.where(known, wavelength, np.inf), kind="stable")[: int(known.sum())]
-    gain = np.ones(known.size) if layout.gain is None else layout.gain
-    offset = np.zeros(known.size) if layout.offset is None else layout.offset
-    bad = np.zeros(known.size, bool) if layout.bad is None else layout.bad
-    in_nm = np.ones(known.size) if layout.wavelength is None else wavelength / layout.wavelength
+    finite = np.isfinite(wavelength)
+    order = np.argsort(np.where(finite, wavelength, np.inf), kind="stable")[: int(finite.sum())]
+    gain = np.ones(finite.size) if layout.gain is None else layout.gain
+    offset = np.zeros(finite.size) if layout.offset is None else layout.offset
+    bad = np.zeros(finite.size, bool) if layout.bad is None else layout.bad
+    in_nm = np.ones(finite.size) if layout.wavelength is None else wavelength / layout.wavelength
     divisor = stated.scale or layout.scale or 1.0
     marks = _as_stored([*layout.ignored, *([] if stated.ignored is None else [stated.ignored])], layout.dtype)
     parts = [layout.source.read(*where) for where in _looked_at(layout.shape)] if layout.dtype.kind == "f" else []
@@ -309,22 +307,22 @@ def _check_numbers(layout: Layout, stated: Stated) -> None:
 
 def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]:
     """In the order of the file; NaN for channels without one. [nm]"""
-    found = layout.wavelength
-    if found is None:
+    result = layout.wavelength
+    if result is None:
         raise DataError(f"{layout.name}: has no wavelengths; name a file with one for each band as `wavelengths`")
-    known = np.isfinite(found) & (found > 0)
-    if known.sum() < FEWEST_CHANNELS:
-        raise DataError(f"{layout.name}: {known.sum()} channels with a wavelength; a spectrum needs {FEWEST_CHANNELS}")
-    low, high = found[known].min(), found[known].max()
+    finite = np.isfinite(result) & (result > 0)
+    if finite.sum() < FEWEST_CHANNELS:
+        raise DataError(f"{layout.name}: {finite.sum()} channels with a wavelength; a spectrum needs {FEWEST_CHANNELS}")
+    low, high = result[finite].min(), result[finite].max()
     if low < 100 < high and low * 50 < high:
         raise DataError(
             f"{layout.name}: wavelengths {low:g} to {high:g} are in several units; write all in nm, or name a file of "
             "them as `wavelengths`"
         )
-    column = Column("wavelength", found[known], 1, layout.unit)
-    converted = np.full(found.shape, np.nan)
+    column = Column("wavelength", result[finite], 1, layout.unit)
+    converted = np.full(result.shape, np.nan)
     try:
-        converted[known], _ = wavelength_nm(column, stated.wavelength_unit, layout.name)
+        converted[finite], _ = wavelength_nm(column, stated.wavelength_unit, layout.name)
     except DataError as error:
         if layout.unit is None or stated.wavelength_unit is not None:
             raise
@@ -333,12 +331,12 @@ def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LunarSciWarning)
             try:
-                converted[known], record = wavelength_nm(column, None, layout.name)
+                converted[finite], record = wavelength_nm(column, None, layout.name)
             except DataError:
                 raise error from None
         unit = record["wavelength_unit"]
         warn(f"{layout.name}: says that wavelengths {low:g}-{high:g} are in {layout.unit}; read as {unit}")
-    lost = int((~known).sum())
+    lost = int((~finite).sum())
     return converted, [f"{lost} channels without a wavelength are left out"] if lost else []
 
 
@@ -358,14 +356,14 @@ def _check_order(cube: Cube) -> None:
 
 def _as_stored(values: Sequence[float], dtype: np.dtype[Any]) -> tuple[float, ...]:
     """Values as numbers of the file's type, so that they equal what stands there, less those that it cannot hold."""
-    found = []
+    result = []
     for value in values:
         with np.errstate(over="ignore", invalid="ignore"):
             if dtype.kind == "f":
-                found.append(float(np.asarray(value).astype(dtype)))
+                result.append(float(np.asarray(value).astype(dtype)))
             elif np.isfinite(value) and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max:
-                found.append(float(value))
-    return tuple(dict.fromkeys(found))
+                result.append(float(value))
+    return tuple(dict.fromkeys(result))
 
 
 def _saturation(layout: Layout, stated: Stated) -> float:
@@ -388,7 +386,7 @@ def _check_level(cube: Cube, layout: Layout, stated: Stated) -> None:
         return
     median = float(np.median(seen))
     whole = layout.dtype.kind in "iu" and not (stated.scale or layout.scale or layout.gain is not None)
-    if median > MOST_REFLECTANCE or whole:
+    if median > MAX_FRACTION or whole:
         guess = "percent have `scale` 100; " if median < 100 and not whole else "10000 is common; "
         raise DataError(
             f"{cube.name}: has numbers of about {median:.4g}, no reflectances; radiance must be calibrated first, "

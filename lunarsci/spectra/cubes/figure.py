@@ -67,12 +67,12 @@ def is_map_of(path: Path, record: Mapping[str, Any], provenance: Mapping[str, An
     """
     if SUFFIXES[path.suffix.lower()] == "netcdf":
         data = netcdf(str(path))
-        told, shape = data.attrs.get("provenance"), data[FLAG_LAYER].shape if FLAG_LAYER in data.variables else ()
+        stated, shape = data.attrs.get("provenance"), data[FLAG_LAYER].shape if FLAG_LAYER in data.variables else ()
         names = {str(name) for name in data.variables}
     else:
         with opened(str(path), "GTiff") as dataset:
-            told, shape, names = dataset.tags().get("provenance"), dataset.shape, set(dataset.descriptions)
-    made = json.loads(told or "{}")
+            stated, shape, names = dataset.tags().get("provenance"), dataset.shape, set(dataset.descriptions)
+    made = json.loads(stated or "{}")
     same = all(made.get(key) == provenance.get(key) for key in ("version", "inputs", "tables"))
     asked = provenance.get("options") or {}
     return (
@@ -154,8 +154,8 @@ def _draw(
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 4), frameon=False)
         panel.set_title("pixels")
         return
-    known = image[np.isfinite(image)]
-    low, high = np.quantile(known, (0.02, 0.98)) if known.size else (0.0, 1.0)
+    finite = image[np.isfinite(image)]
+    low, high = np.quantile(finite, (0.02, 0.98)) if finite.size else (0.0, 1.0)
     colors = colormaps["viridis"].with_extremes(bad=NO_VALUE)
     drawn = panel.imshow(image, colors, vmin=low, vmax=high, extent=extent, interpolation="nearest")
     bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")

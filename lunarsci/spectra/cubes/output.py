@@ -4,19 +4,20 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
-from lunarsci.spectra.cubes.cube import FLAGS, Cube, PixelFrame
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.errors import ParameterError, warn
+from lunarsci.spectra.cubes.cube import FLAGS, LEFT_OUT, NO_DATA, Cube, PixelFrame
 from lunarsci.spectra.cubes.rasters import HINT
 from lunarsci.spectra.cubes.regions import MOON_LONGLAT, Region
 
@@ -24,7 +25,6 @@ SUFFIXES = {".nc": "netcdf", ".tif": "geotiff", ".tiff": "geotiff"}
 CONVENTIONS = "CF-1.11"
 NO_CODE = -1
 FLAG_LAYER = "pixel_flags"
-
 Block = tuple[range, Mapping[str, npt.NDArray[Any]]]
 
 
@@ -140,7 +140,7 @@ class MapFile:
             for rows, arrays in blocks:
                 for layer in self.layers:
                     values = file.variables[layer.name]
-                    values[rows.start : rows.stop] = _stored(arrays[layer.name], self.dtype(layer))
+                    values[rows.start : rows.stop] = np.ascontiguousarray(arrays[layer.name], self.dtype(layer))
 
     def _geotiff(self, path: Path, blocks: Iterable[Block]) -> None:
         try:
@@ -160,7 +160,7 @@ class MapFile:
             for number, layer in enumerate(self.layers, 1):
                 file.set_band_description(number, layer.name)
                 file.set_band_unit(number, layer.units if layer.units != "1" else "")
-                file.update_tags(number, long_name=layer.long_name, **_told(layer))
+                file.update_tags(number, long_name=layer.long_name, **_flag_attributes(layer))
             for rows, arrays in blocks:
                 window = Window(0, rows.start, samples, len(rows))
                 for number, layer in enumerate(self.layers, 1):
@@ -177,7 +177,7 @@ def _georeference(frame: PixelFrame | None) -> dict[str, Any]:
     return {"transform": Affine(*frame.transform), **crs}
 
 
-def _told(layer: Layer) -> dict[str, Any]:
+def _flag_attributes(layer: Layer) -> dict[str, Any]:
     """Codes and their meanings, as CF names them."""
     if not layer.meanings:
         return {}
@@ -186,14 +186,10 @@ def _told(layer: Layer) -> dict[str, Any]:
 
 
 def _as_float(values: npt.NDArray[Any], layer: Layer) -> FloatArray:
-    found = values.astype(float)
+    result = values.astype(float)
     if layer.meanings and not layer.bits:
-        found[values == NO_CODE] = np.nan
-    return found
-
-
-def _stored(values: npt.NDArray[Any], dtype: str) -> npt.NDArray[Any]:
-    return np.ascontiguousarray(values, dtype=dtype)
+        result[values == NO_CODE] = np.nan
+    return result
 
 
 def _netcdf_layer(file: Any, layer: Layer, dtype: str, dims: tuple[str, str], links: Mapping[str, str]) -> None:
@@ -205,7 +201,7 @@ def _netcdf_layer(file: Any, layer: Layer, dtype: str, dims: tuple[str, str], li
     if layer.standard_name:
         variable.attrs["standard_name"] = layer.standard_name
         return
-    for key, value in _told(layer).items():
+    for key, value in _flag_attributes(layer).items():
         variable.attrs[key] = np.array(value, dtype=dtype) if isinstance(value, list) else value
     for key, value in links.items():
         variable.attrs[key] = value
@@ -242,8 +238,8 @@ def _coordinates(file: Any, made: MapFile, dims: tuple[str, str]) -> dict[str, s
 
 def _axis_names(name: str, geographic: bool) -> dict[str, str]:
     if geographic:
-        known = {"x": ("longitude", "degrees_east"), "y": ("latitude", "degrees_north")}
-        return {"standard_name": known[name][0], "units": known[name][1]}
+        names = {"x": ("longitude", "degrees_east"), "y": ("latitude", "degrees_north")}
+        return {"standard_name": names[name][0], "units": names[name][1]}
     return {"standard_name": f"projection_{name}_coordinate", "units": "m"}
 
 
@@ -288,3 +284,148 @@ def _globe_of(system: Any) -> Any:
     text = system.to_proj4().split()
     ball = [part for part in text if part.startswith(("+R=", "+a=", "+b=", "+ellps=", "+datum="))]
     return CRS.from_proj4(" ".join(["+proj=longlat", *ball, "+no_defs"]) if ball else MOON_LONGLAT)
+
+
+SAMPLED = 20_000
+"""Pixels that medians in the summary are taken from."""
+TRIED = 3
+"""Pixels that are measured to say what all will take."""
+LONG_HOURS = 1 / 60
+"""What takes longer is said before it begins."""
+
+
+class Product:
+    """Some layers that are measured together; it goes to other processes, so it is small."""
+
+    name: ClassVar[str]
+
+    @property
+    def slow(self) -> bool:
+        """Whether it works on one spectrum after the other."""
+        return False
+
+    @property
+    def layers(self) -> Sequence[Layer]:
+        """What it measures."""
+        return ()
+
+    @property
+    def tables(self) -> Sequence[str]:
+        """Tables of lunarsci that it reads."""
+        return ()
+
+    @property
+    def sources(self) -> Sequence[str]:
+        """What to cite."""
+        return ()
+
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: IntArray) -> Mapping[str, Any]:
+        """Each layer, (n,), of spectra (n, c) with NaN in channels that cannot be used.
+
+        `places` are the line and the sample of each in the map, (n, 2).
+        """
+        raise NotImplementedError
+
+
+def fetched(cube: Cube, region: Region, rows: range) -> dict[str, Any]:
+    """What is read of some rows of a map: reflectance, flags, and further numbers of the pixels."""
+    lines, samples = region.part(rows)
+    thin = (slice(None, None, region.step),) * 2
+    values, flags = cube.read(lines, samples)
+    reflectance, flags = values[thin], flags[thin]
+    flags[~region.wanted(cube, rows)] |= LEFT_OUT
+    planes = {
+        name: plane.read(lines, samples)[:: region.step, :: region.step] for name, plane in cube.backplanes.items()
+    }
+    return {"first": rows.start, "reflectance": reflectance, "flags": flags, "planes": planes}
+
+
+def measured(products: Sequence[Product], wavelength_nm: Any, block: Mapping[str, Any]) -> dict[str, Any]:
+    """Every layer of a block, (rows, samples)."""
+    flags, shape = block["flags"], block["flags"].shape
+    wanted = (flags & (NO_DATA | LEFT_OUT)) == 0
+    result: dict[str, Any] = {FLAG_LAYER: flags, **block["planes"]}
+    reflectance, places = block["reflectance"][wanted], np.argwhere(wanted) + np.array([block["first"], 0])
+    for product in products:
+        values = product.measure(wavelength_nm, reflectance, places) if len(reflectance) else {}
+        for layer in product.layers:
+            whole = np.full(shape, _nothing(layer))
+            if layer.name in values:
+                whole[wanted] = values[layer.name]
+            result[layer.name] = whole
+    return result
+
+
+def warn_of_cost(products: Sequence[Product], cube: Cube, region: Region) -> None:
+    """Measure a few pixels of products that take long and say what all would take, as a LunarSciWarning."""
+    slow = [product for product in products if product.slow]
+    if not slow:
+        return
+    rows = (region.shape[0] * k // 4 for k in (2, 1, 3, 0))
+    blocks = (fetched(cube, region, range(row, row + 1)) for row in rows)
+    wanted = (block["reflectance"][(block["flags"] & (NO_DATA | LEFT_OUT)) == 0] for block in blocks)
+    some = next((result for result in wanted if len(result) >= TRIED), np.empty((0, 0)))[:TRIED]
+    if not len(some):
+        return
+    places = np.zeros((TRIED, 2), np.int64)
+    for product in slow:
+        product.measure(cube.wavelength_nm, some[:1], places[:1])
+    begun = time.perf_counter()
+    for product in slow:
+        product.measure(cube.wavelength_nm, some, places)
+    each = (time.perf_counter() - begun) / TRIED
+    count = region.shape[0] * region.shape[1]
+    hours = each * count / 3600
+    duration = (
+        f"{60 * hours:.0f} minutes" if hours < 2 else f"{hours:.0f} hours" if hours < 48 else f"{hours / 24:.0f} days"
+    )
+    if hours > LONG_HOURS:
+        names = " and ".join(product.name for product in slow)
+        message = (
+            f"{names}: {each:.2g} s a pixel, about {duration} for {count:,} pixels on one core; `every` makes it less"
+        )
+        warn(message)
+
+
+def _nothing(layer: Layer) -> Any:
+    """What a layer has where nothing was measured."""
+    return np.nan if not layer.meanings else np.uint8(0) if layer.bits else np.int16(NO_CODE)
+
+
+class Tally:
+    """Counts and samples of what goes through it, for the summary."""
+
+    def __init__(self, layers: Sequence[Layer], shape: tuple[int, int]) -> None:
+        self.layers, self.step = layers, max(1, -(-shape[0] * shape[1] // SAMPLED))
+        self.parts: dict[str, list[Any]] = {layer.name: [] for layer in layers if not layer.meanings}
+        self.codes: dict[str, dict[str, int]] = {
+            layer.name: dict.fromkeys(layer.meanings, 0) for layer in layers if layer.meanings
+        }
+        self.pixels = 0
+
+    def through(self, blocks: Iterator[tuple[range, Mapping[str, Any]]]) -> Iterator[tuple[range, Mapping[str, Any]]]:
+        """The same blocks."""
+        for rows, arrays in blocks:
+            self._add(arrays)
+            yield rows, arrays
+
+    def _add(self, arrays: Mapping[str, Any]) -> None:
+        retained = (arrays[FLAG_LAYER].ravel() & LEFT_OUT) == 0
+        some = np.flatnonzero(retained)[:: self.step]
+        self.pixels += int(retained.sum())
+        for layer in self.layers:
+            values = arrays[layer.name].ravel()
+            if not layer.meanings:
+                self.parts[layer.name].append(values[some])
+                continue
+            for k, name in enumerate(layer.meanings):
+                hit = (values & (1 << k)) != 0 if layer.bits else values == k
+                self.codes[layer.name][name] += int(np.count_nonzero(hit if name == "left_out" else hit & retained))
+
+    def counts(self) -> dict[str, int]:
+        """Pixels that were wanted, and how many of them have each flag."""
+        return {"pixels": self.pixels, **self.codes[FLAG_LAYER]}
+
+    def values(self) -> dict[str, Any]:
+        """Those of the sampled pixels, by layer."""
+        return {name: np.concatenate(parts) if parts else np.empty(0) for name, parts in self.parts.items()}

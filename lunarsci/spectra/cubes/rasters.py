@@ -11,7 +11,7 @@ line, -999 for no value) with a header of the same name; `..._LOC.IMG` has longi
 
 Cubes that a label of the Planetary Data System describes, as those of CRISM and IIRS.
 
-Why no library does it is said in `lunarsci.spectra.readers.pds_label`.
+Why no library does it is said in `lunarsci.spectra.readers.pds`.
 """
 
 import math
@@ -44,16 +44,15 @@ from lunarsci.spectra.cubes.cube import (
     cube_of,
     sha256_of,
 )
-from lunarsci.spectra.photometry.correction import correction_factor
-from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
-from lunarsci.spectra.readers.pds import radiance
-from lunarsci.spectra.readers.pds_label import LABELS, data_file, is_pds_label, label_beside, read_pds_label
+from lunarsci.spectra.photometry import correction_factor
+from lunarsci.spectra.readers.envi import SUFFIX, EnviHeader, data_names, header_names, partner
+from lunarsci.spectra.readers.pds import LABELS, data_file, is_pds_label, label_beside, radiance, read_pds_label
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
 from lunarsci.spectra.rows import number, quoted, separator_of, split_fields, split_lines
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.detector import IN_FLIGHT_VERSION, default_settings, irradiance_at, reflectance_factor
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import find_parts, read_observation
 
 
@@ -67,15 +66,17 @@ def label_of_cube(path: str) -> str | None:
 
 def open_pds(path: str) -> Layout:
     """The image with most bands of a label. Raises DataError for radiance, and for what is no image of spectra."""
-    label = read_pds_label(read_input(path))
-    if not label.images:
+    label, why = read_pds_label(read_input(path)), ""
+    image = max(label.images, key=lambda one: (radiance(one.unit), one.bands), default=None)
+    if image is None:
         raise DataError(f"{path}: is the label of a table, no image; `lunarsci spectra bands` takes tables of spectra")
-    image = max(label.images, key=lambda one: (radiance(one.unit), one.bands))
-    what = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
     if radiance(image.unit):
-        raise DataError(f"{path}: {image.file} has {what} in {image.unit}: radiance; give the reflectances made of it")
-    if not image.dtype:
-        raise DataError(f"{path}: {image.file} has numbers of a type that is not read; convert it to ENVI")
+        why = f"in {image.unit}: radiance; give the reflectances made of it"
+    elif not image.dtype:
+        why = "of a type that is not read; convert it to ENVI"
+    if why:
+        what = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
+        raise DataError(f"{path}: {image.file} has {what} {why}")
     data = data_file(path, image.file)
     source = FlatFile(data, image.dtype, image.offset, image.lines, image.samples, image.bands, image.interleave)
     if (size := Path(data).stat().st_size) < source.bytes:
@@ -113,8 +114,8 @@ def open_envi(path: str, locations: str | None, framed: Callable[[str], PixelFra
     another size than the header says.
     """
     header, data = _pair(path)
-    found = EnviHeader.of(read_input(header))
-    source = flat_file(found, data)
+    result = EnviHeader.of(read_input(header))
+    source = flat_file(result, data)
     m3 = M3_NAME.search(Path(data).name)
     if m3 and m3[2].upper() in ("RDN", "LOC", "OBS", "SUP"):
         raise DataError(f"{data}: is M3's {m3[2].upper()} file; reflectances are in the _RFL.IMG of Level 2")
@@ -125,17 +126,17 @@ def open_envi(path: str, locations: str | None, framed: Callable[[str], PixelFra
         source=source,
         shape=(source.lines, source.samples),
         dtype=np.dtype(source.dtype),
-        wavelength=found.numbers("wavelength", source.channels, "bands"),
-        unit=found.wavelength_unit(),
-        fwhm=found.numbers("fwhm", source.channels, "bands"),
-        bad=None if (good := found.numbers("bbl", source.channels, "bands")) is None else good == 0,
-        **_scales(found, source.channels),
-        ignored=[mark for mark in (found.number("data ignore value"), M3_IGNORED if m3 else None) if mark is not None],
-        frame=framed(data) if "map info" in found.fields else None,
-        names=found.cells("band names") if "band names" in found.fields else (),
+        wavelength=result.numbers("wavelength", source.channels, "bands"),
+        unit=result.wavelength_unit(),
+        fwhm=result.numbers("fwhm", source.channels, "bands"),
+        bad=None if (good := result.numbers("bbl", source.channels, "bands")) is None else good == 0,
+        **_scales(result, source.channels),
+        ignored=[mark for mark in (result.number("data ignore value"), M3_IGNORED if m3 else None) if mark is not None],
+        frame=framed(data) if "map info" in result.fields else None,
+        names=result.cells("band names") if "band names" in result.fields else (),
         backplanes=planes,
         inputs={name: sha256_of(name) for name in (header, data, *used)},
-        remarks=_remarks(found, m3 is not None),
+        remarks=_remarks(result, m3 is not None),
     )
 
 
@@ -161,28 +162,29 @@ def has_header(path: str) -> bool:
 def flat_file(header: EnviHeader, data: str) -> FlatFile:
     """Where the numbers of a data file are. Raises DataError where header and size do not agree."""
     kind = " ".join(header.fields.get("file type", "").split()).lower()
-    if kind not in _IMAGES:
-        raise DataError(
-            f"{header.file}: is the header of an {quoted(kind)}, no image of spectra; give an ENVI Standard file"
-        )
     interleave = header.fields.get("interleave", "bsq").strip().lower()
-    if interleave not in ("bsq", "bil", "bip"):
-        raise DataError(f"{header.file}: 'interleave' is {quoted(interleave)}; it must be bsq, bil or bip")
-    if header.fields.get("file compression", "0").strip() not in ("0", ""):
-        raise DataError(f"{header.file}: the data file is compressed; write it without compression")
     lines, samples, bands = (header.whole(key) for key in ("lines", "samples", "bands"))
-    if not 0 < lines * samples * bands <= MOST_VALUES:
-        raise DataError(f"{header.file}: lines = {lines}, samples = {samples}, bands = {bands} are no image; check it")
-    remedy = "a cube has whole numbers (1, 2, 3, 12, 13, 14, 15) or floats (4, 5); complex ones are no reflectances"
-    dtype = header.dtype(NUMBERS, remedy).str
-    found = FlatFile(data, dtype, header.whole("header offset", "0"), lines, samples, bands, interleave)
-    if (size := Path(data).stat().st_size) != found.bytes:
-        what = "shorter" if size < found.bytes else "longer"
+    packed = header.fields.get("file compression", "0").strip() not in ("0", "")
+    for wrong, what in (
+        (kind not in _IMAGES, f"is the header of an {quoted(kind)}, no image of spectra; give an ENVI Standard file"),
+        (interleave not in ("bsq", "bil", "bip"), f"'interleave' is {quoted(interleave)}; it must be bsq, bil or bip"),
+        (packed, "the data file is compressed; write it without compression"),
+        (
+            not 0 < lines * samples * bands <= MOST_VALUES,
+            f"lines = {lines}, samples = {samples}, bands = {bands} are no image; check it",
+        ),
+    ):
+        if wrong:
+            raise DataError(f"{header.file}: {what}")
+    dtype = header.dtype().str
+    flat = FlatFile(data, dtype, header.whole("header offset", "0"), lines, samples, bands, interleave)
+    if (size := Path(data).stat().st_size) != flat.bytes:
+        what = "shorter" if size < flat.bytes else "longer"
         raise DataError(
-            f"{data}: has {size} bytes, {what} than the {found.bytes} that {Path(header.file).name} announces ({lines} "
+            f"{data}: has {size} bytes, {what} than the {flat.bytes} that {Path(header.file).name} announces ({lines} "
             f"lines of {samples} samples and {bands} bands, {np.dtype(dtype).itemsize} bytes each); fetch both again"
         )
-    return found
+    return flat
 
 
 def _scales(header: EnviHeader, bands: int) -> dict[str, Any]:
@@ -236,38 +238,38 @@ def envi_plane(path: str) -> FlatFile:
 def _plane_file(path: str, of: FlatFile, *, stated: bool, fewest: int) -> tuple[FlatFile | None, Sequence[str]]:
     """A file beside the cube; where it does not belong to it, an error if it was stated, else a warning."""
     try:
-        found = envi_plane(path)
-        if (found.lines, found.samples) != (of.lines, of.samples) or found.channels < fewest:
-            what = f"{found.lines} lines, {found.samples} samples, {found.channels} bands"
+        result = envi_plane(path)
+        if (result.lines, result.samples) != (of.lines, of.samples) or result.channels < fewest:
+            what = f"{result.lines} lines, {result.samples} samples, {result.channels} bands"
             raise DataError(f"{path}: has {what}; the cube has {of.lines} lines and {of.samples} samples")
     except DataError as error:
         if stated:
             raise
         warn(f"{error}; it is not used")
         return None, ()
-    return found, _pair(path)
+    return result, _pair(path)
 
 
 def _beside(data: str, m3: str, kind: str) -> str | None:
     """The image of an observation of M3 in the same folder, of whatever version."""
     wanted = re.compile(rf"{m3}_V\d\d_{kind}\.IMG", re.IGNORECASE)
-    found = sorted(item.name for item in Path(data).parent.iterdir() if wanted.fullmatch(item.name))
-    return str(Path(data).with_name(found[-1])) if found else None
+    result = sorted(item.name for item in Path(data).parent.iterdir() if wanted.fullmatch(item.name))
+    return str(Path(data).with_name(result[-1])) if result else None
 
 
 def _remarks(header: EnviHeader, m3: bool) -> list[str]:
-    told = header.fields.get("description", "")
-    said = [f"its header calls it {SYNTHETIC}"] if SYNTHETIC.lower() in told.lower() else []
+    description = header.fields.get("description", "")
+    notes = [f"its header calls it {SYNTHETIC}"] if SYNTHETIC.lower() in description.lower() else []
     if header.fields.get("flip", "0") not in ("0", ""):
-        said.append(
+        notes.append(
             f"its header says flip = {header.fields['flip']}; lines and samples are taken as they lie in the file"
         )
     if m3:
-        said.append(
+        notes.append(
             "reflectance of M3 is radiance factor at 30, 0, 30 degrees; reflectance factors of other instruments are "
             "1 / cos 30 = 1.155 times that"
         )
-    return said
+    return notes
 
 
 def open_vnis(path: str) -> Layout:
@@ -284,11 +286,11 @@ def open_vnis(path: str) -> Layout:
     factor = reflectance_factor(np.ones(VNIR_NM.size), irradiance, label.geometry.incidence_deg, distance)
     bands, lines, samples = CUBE_SHAPE
     lsb = any("lsb" in (item.data_type or "").lower() for item in label.files if item.axes)
-    said = ["one geometry is taken for the whole image", *observation.doubts]
+    notes = ["one geometry is taken for the whole image", *observation.doubts]
     if observation.synthetic:
-        said.append(f"its label calls it {SYNTHETIC}")
+        notes.append(f"its label calls it {SYNTHETIC}")
     if label.calibration_version < IN_FLIGHT_VERSION:
-        said.append("radiance from before the in-flight calibration (version 1)")
+        notes.append("radiance from before the in-flight calibration (version 1)")
     return Layout(
         name=file,
         format="vnis",
@@ -301,7 +303,7 @@ def open_vnis(path: str) -> Layout:
         bad=observation.cube_flags,
         gain=factor * correction_factor(label.geometry, VNIR_NM, settings.photometry, settings.phase),
         inputs=observation.inputs,
-        remarks=said,
+        remarks=notes,
     )
 
 
@@ -323,12 +325,12 @@ def open_cube(path: str, stated: Stated | None = None) -> Cube:
     Raises DataError, one line with file and remedy, for files that cannot be used as a cube; ParameterError where the
     extra for it is missing.
     """
-    said = stated or Stated()
-    layout = _layout(path, said)
-    return cube_of(_with_wavelengths(layout, said) if said.wavelengths else layout, said)
+    given = stated or Stated()
+    layout = _layout(path, given)
+    return cube_of(_with_wavelengths(layout, given) if given.wavelengths else layout, given)
 
 
-def _layout(path: str, said: Stated) -> Layout:
+def _layout(path: str, given: Stated) -> Layout:
     start = start_of(path)
     if product_name(path) is not None:
         return open_vnis(path)
@@ -337,7 +339,7 @@ def _layout(path: str, said: Stated) -> Layout:
     if start.startswith((HDF, b"CDF")):
         return open_netcdf(path)
     if start.split(b"\n")[0].strip() == b"ENVI" or has_header(path):
-        return open_envi(path, said.locations, _envi_frame)
+        return open_envi(path, given.locations, _envi_frame)
     if label := label_of_cube(path):
         return open_pds(label)
     raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
@@ -425,22 +427,22 @@ def _described(dataset: Any) -> tuple[FloatArray | None, WavelengthUnit | None]:
     tags = [{**dataset.tags(band, ns="IMAGERY"), **dataset.tags(band)} for band in bands]
     for key, stated in (("CENTRAL_WAVELENGTH_UM", "um"), ("wavelength", None)):
         if all(key in tag for tag in tags):
-            found = [
+            result = [
                 (number(tag[key]) or np.nan, length_unit(stated or tag.get("wavelength_units", ""))) for tag in tags
             ]
             break
     else:
         named = [_in_name(name or "") for name in dataset.descriptions]
-        if len(found := [one for one in named if one is not None]) < len(named):
+        if len(result := [one for one in named if one is not None]) < len(named):
             return None, None
-    units = {unit for _, unit in found}
-    return np.array([value for value, _ in found], float), units.pop() if len(units) == 1 else None
+    units = {unit for _, unit in result}
+    return np.array([value for value, _ in result], float), units.pop() if len(units) == 1 else None
 
 
 def _in_name(name: str) -> tuple[float, WavelengthUnit | None] | None:
     """The number of a description that is a wavelength: the one with a unit, else the only one above 0.2."""
-    found = _IN_NAME.findall(name)
-    with_unit = [(float(value), length_unit(unit)) for value, unit in found if unit]
+    result = _IN_NAME.findall(name)
+    with_unit = [(float(value), length_unit(unit)) for value, unit in result if unit]
     if len(with_unit) == 1:
         return with_unit[0]
     alone = name.strip()
@@ -483,10 +485,10 @@ def _netcdf(path: str, engine: str, *_version: int) -> Any:
             with h5netcdf.File(path) as file:
                 for name, item in file.variables.items():
                     _check_size(path, name, item.shape, item.chunks or (), item.dtype.itemsize)
-        found = xarray.open_dataset(path, engine=engine, decode_times=False)
-    for name, item in found.variables.items():
+        result = xarray.open_dataset(path, engine=engine, decode_times=False)
+    for name, item in result.variables.items():
         _check_size(path, name, item.shape, (), item.dtype.itemsize)
-    return found
+    return result
 
 
 def _check_size(path: str, name: Any, shape: Sequence[int], chunks: Sequence[int], item_bytes: int) -> None:
@@ -506,8 +508,8 @@ def _netcdf_errors(path: str) -> Iterator[None]:
     except DataError:
         raise
     except Exception as error:
-        told = " ".join(str(error).split())[:120]
-        raise DataError(f"{path}: cannot be read as NetCDF ({told}); fetch or write it again") from error
+        reason = " ".join(str(error).split())[:120]
+        raise DataError(f"{path}: cannot be read as NetCDF ({reason}); fetch or write it again") from error
 
 
 def open_netcdf(path: str) -> Layout:
@@ -608,12 +610,12 @@ class ArrayFile:
 def _plane_array(path: str) -> npt.NDArray[Any]:
     """Numbers of a NumPy file, left on disk. Raises DataError for what holds none."""
     try:
-        found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+        result: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # whatever NumPy raises of a damaged file
         raise DataError(f"{path}: not a NumPy array that can be read; write it with numpy.save") from error
-    if found.dtype.kind not in "biuf":
-        raise DataError(f"{path}: holds no numbers but {found.dtype}; write them with numpy.save")
-    return found
+    if result.dtype.kind not in "biuf":
+        raise DataError(f"{path}: holds no numbers but {result.dtype}; write them with numpy.save")
+    return result
 
 
 def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
@@ -650,9 +652,9 @@ def start_of(path: str) -> bytes:
         return stream.read(16)
 
 
-def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
+def _with_wavelengths(layout: Layout, given: Stated) -> Layout:
     """With those of a table: a column of wavelengths, and where wanted `fwhm` and `good` (0 or 1) beside it."""
-    source = read_input(file := str(said.wavelengths))
+    source = read_input(file := str(given.wavelengths))
     lines = split_lines(text(source))[0]
     cells = [split_fields(line, separator_of(lines), f"{file}: line {n}") for n, line in lines]
     if not any(cells):

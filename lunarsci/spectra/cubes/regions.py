@@ -54,30 +54,30 @@ class Region:
         last = min(self.lines[0] + (rows.stop - 1) * self.step + 1, self.lines[1])
         return slice(first, last), slice(*self.samples)
 
-    def kept(self, cube: Cube, rows: range) -> BoolArray:
+    def wanted(self, cube: Cube, rows: range) -> BoolArray:
         """Whether each pixel of some rows of the map is wanted, (rows, samples)."""
         lines, samples = self.part(rows)
-        kept = np.ones((lines.stop - lines.start, samples.stop - samples.start), bool)
+        retained = np.ones((lines.stop - lines.start, samples.stop - samples.start), bool)
         if self.mask is not None:
             values = np.asarray(self.mask.read(lines, samples)[..., 0], float)
-            kept &= np.isfinite(values) & (values != 0)
+            retained &= np.isfinite(values) & (values != 0)
         if self.polygons:
-            kept &= self._inside(cube, lines, samples)
-        return kept[:: self.step, :: self.step]
+            retained &= self._inside(cube, lines, samples)
+        return retained[:: self.step, :: self.step]
 
     def _inside(self, cube: Cube, lines: slice, samples: slice) -> BoolArray:
         from matplotlib.path import Path as Outline
 
         points = _places(cube, lines, samples)
-        found = np.zeros(len(points), bool)
+        result = np.zeros(len(points), bool)
         for rings in self.polygons:
             parity = np.zeros(len(points), bool)
             for ring in rings:
                 outline = np.array(ring)
                 about = points if cube.frame is not None else _turned(points, outline)
                 parity ^= Outline(outline).contains_points(about)
-            found |= parity
-        return found.reshape(lines.stop - lines.start, -1)
+            result |= parity
+        return result.reshape(lines.stop - lines.start, -1)
 
 
 def _places(cube: Cube, lines: slice, samples: slice) -> FloatArray:
@@ -139,8 +139,8 @@ def _span(ends: Any, size: int, roi: str) -> tuple[int, int]:
 
 def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:
     try:
-        found = list(_rings(json_document(text(read_input(file)))))
-        rings = [[np.array(ring, float)[:, :2] for ring in polygon] for polygon in found]
+        result = list(_rings(json_document(text(read_input(file)))))
+        rings = [[np.array(ring, float)[:, :2] for ring in polygon] for polygon in result]
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise DataError(
             f"{file}: is no GeoJSON with polygons ({error}); give one, or a box of samples and lines"
@@ -251,10 +251,10 @@ def _bounds(cube: Cube, polygons: Sequence[Sequence[Ring]], file: str) -> tuple[
     rows, columns = np.zeros(cube.shape[0], bool), np.zeros(cube.shape[1], bool)
     for first in range(0, cube.shape[0], _LINES_AT_ONCE):
         part = range(first, min(first + _LINES_AT_ONCE, cube.shape[0]))
-        inside = whole.kept(cube, part)
+        inside = whole.wanted(cube, part)
         rows[part.start : part.stop] = inside.any(axis=1)
         columns |= inside.any(axis=0)
     if not rows.any():
         raise DataError(f"{file}: lies beside the cube {cube.name}")
-    found = [np.flatnonzero(seen) for seen in (rows, columns)]
-    return (int(found[0][0]), int(found[0][-1]) + 1), (int(found[1][0]), int(found[1][-1]) + 1)
+    result = [np.flatnonzero(seen) for seen in (rows, columns)]
+    return (int(result[0][0]), int(result[0][-1]) + 1), (int(result[1][0]), int(result[1][-1]) + 1)

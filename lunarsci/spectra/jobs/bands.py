@@ -16,7 +16,7 @@ from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
-from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
+from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, Estimates
 from lunarsci.spectra.jobs.requests import BandsRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
@@ -117,11 +117,11 @@ class MeasuredBands(Result):
         return f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
 
     def to_dict(self) -> dict[str, Any]:
-        return self.batch.said | {"spectra": self.content()["spectra"].tolist()}
+        return self.batch.remarks | {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
 
-        return {**self.batch.said, "spectra": in_blocks(len(self.measured), self._records)}
+        return {**self.batch.remarks, "spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> Records | RecordsInBlocks:
         """One a spectrum; value, error and range of each regression in columns of their own."""
@@ -132,23 +132,23 @@ class MeasuredBands(Result):
         """Of some of the spectra, next to each other."""
         if len(block) == len(self.measured):
             return self
-        own = slice(block.start, block.stop)
-        batch = replace(self.batch, spectra=self.batch.spectra[own], origins=self.batch.origins[own])
+        subset = slice(block.start, block.stop)
+        batch = replace(self.batch, spectra=self.batch.spectra[subset], origins=self.batch.origins[subset])
         return MeasuredBands(batch, self.measured.part(block), self.failures)
 
     def _records(self, block: range) -> Records:
 
-        own = self._part(block)
-        found = own.chemistry
-        shown = {key: Where(found[key].present, found[key].columns()) if key in found else None for key in KEYS}
-        return Records(own.measured.columns() | {"chemistry": shown, "source": own.batch.origins})
+        subset = self._part(block)
+        result = subset.chemistry
+        shown = {key: Where(result[key].present, result[key].columns()) if key in result else None for key in KEYS}
+        return Records(subset.measured.columns() | {"chemistry": shown, "source": subset.batch.origins})
 
     def _rows(self, block: range) -> Records:
 
-        own = self._part(block)
-        columns = own.measured.columns() | {"source": own.batch.origins}
+        subset = self._part(block)
+        columns = subset.measured.columns() | {"source": subset.batch.origins}
         for key in KEYS:
-            item = own.chemistry.get(key)
+            item = subset.chemistry.get(key)
             columns[key] = Where(item.present, item.value) if item else None
             columns[f"{key}_sigma"] = Where(item.present, item.sigma) if item else None
             columns[f"{key}_in_range"] = Where(item.present, item.in_range) if item else None
@@ -168,14 +168,14 @@ class MeasuredBands(Result):
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
 
-        found: dict[str, Mapping[str, Any]] = {}
+        result: dict[str, Mapping[str, Any]] = {}
         for block in spans(len(self.measured), BLOCK_THINGS):
             here = self._part(block).chemistry
-            firsts = {key: here[key].first_usable for key in keys if key in here and key not in found}
-            found |= {key: here[key].of(row).to_dict() for key, row in firsts.items() if row is not None}
-            if len(found) == len(keys):
+            firsts = {key: here[key].first_usable for key in keys if key in here and key not in result}
+            result |= {key: here[key].of(row).to_dict() for key, row in firsts.items() if row is not None}
+            if len(result) == len(keys):
                 break
-        return {key: found[key] for key in keys if key in found}
+        return {key: result[key] for key in keys if key in result}
 
     def figures(self) -> "Iterator[Figure]":
 

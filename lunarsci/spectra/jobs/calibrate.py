@@ -12,14 +12,14 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.jobs.requests import CalibrateRequest
-from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
+from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure, calibration_pages, to_ecsv, to_fits
 from lunarsci.spectra.vnis.detector import Settings, read_channel_factors
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 
 if TYPE_CHECKING:
@@ -157,14 +157,14 @@ def check_fits(path: Path | None, products: Products) -> None:
 def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataError]]]:
     """One file of each observation, and the arguments that name none, with the reason."""
 
-    found: list[str] = []
+    result: list[str] = []
     failures: list[tuple[str, DataError]] = []
     for argument in [products] if isinstance(products, str | Path) else products:
         try:
-            found += _products(str(argument))
+            result += _products(str(argument))
         except DataError as error:
             failures.append((str(argument), error))
-    return one_per_observation(found), failures
+    return one_per_observation(result), failures
 
 
 def _products(argument: str) -> list[str]:

@@ -15,8 +15,8 @@ from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.jobs.other_causes import with_causes
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
+from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, TABLES
 from lunarsci.spectra.mgm.batch import beyond_any, compositions
@@ -110,7 +110,7 @@ class MgmFits(Result):
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
     def content(self) -> dict[str, Any]:
-        return {**self.batch.said, "spectra": self.records}
+        return {**self.batch.remarks, "spectra": self.records}
 
     @property
     def _as_arrays(self) -> bool:
@@ -143,13 +143,13 @@ class MgmFits(Result):
     def _record(self, index: int, origin: str) -> dict[str, Any]:
 
         item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
-        found = self.abundances.get(index, ())
+        result = self.abundances.get(index, ())
         return item.to_dict() | {
             "source": origin,
             "compositions": {one.key: asdict(one) for one in compositions(item)} if isinstance(item, MgmFit) else {},
             "choice": choice.to_dict() if choice else None,
             "intervals": intervals.to_dict() if intervals else None,
-            "abundance": found[0].to_dict() if found else None,
+            "abundance": result[0].to_dict() if result else None,
         }
 
     def may_have(self, key: str) -> Collection[str]:
@@ -208,37 +208,37 @@ def fit(
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     if asked.to_fit_file and (count := len(batch.spectra)) != 1:
         raise ParameterError(f"a .fit file holds one spectrum, not {count}; fit one at a time, or take JSON")
-    found = fit_batch_of(batch, asked, progress)
+    result = fit_batch_of(batch, asked, progress)
     if asked.continuum_spread:
         how: dict[str, Any] = {"model_error": asked.model_error, "starts": asked.starts, "progress": progress}
-        found["fits"] = spread_over_continua(batch.spectra, found["fits"], partial(model_of, asked), **how)
+        result["fits"] = spread_over_continua(batch.spectra, result["fits"], partial(model_of, asked), **how)
     more = {
-        "intervals": intervals_of(found["fits"], asked.errors, asked.seed, progress),
-        "abundances": nbsr_abundances(found["fits"]),
+        "intervals": intervals_of(result["fits"], asked.errors, asked.seed, progress),
+        "abundances": nbsr_abundances(result["fits"]),
     }
-    return MgmFits(batch=batch, request=asked, **(found | more))
+    return MgmFits(batch=batch, request=asked, **(result | more))
 
 
 def fit_batch_of(batch: SpectraBatch, request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
 
-    found: dict[str, Any]
+    result: dict[str, Any]
     if request.continuum == "none":
         check_continuum_removed(batch.spectra)
     try:
         if request.automatic:
-            found = _chosen(batch.spectra, request, progress)
+            result = _chosen(batch.spectra, request, progress)
         elif request.start:
-            found = _from_file(batch.spectra, request, progress)
+            result = _from_file(batch.spectra, request, progress)
         else:
             model = model_of(request, request.assemblage, request.continuum)
-            found = {"fits": _by_prior(batch.spectra, model, request, progress)}
+            result = {"fits": _by_prior(batch.spectra, model, request, progress)}
     except ParameterError as error:  # of a model that these options cannot make
         raise RequestError(str(error)) from error
-    fits = found["fits"]
+    fits = result["fits"]
     missing = fits.failures.items() if isinstance(fits, SpectraFits) else enumerate(fits)
     reasons = {index: item.status for index, item in missing if isinstance(item, MgmFailure)}
-    return found | {"failures": batch.failures_among(reasons)}
+    return result | {"failures": batch.failures_among(reasons)}
 
 
 def _by_prior(
@@ -263,13 +263,13 @@ def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progre
     """Compare all assemblages, then fit each spectrum with its own."""
 
     stated = parse_compositions(request.composition) if request.composition else None
-    found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
-    choices = with_causes(spectra, {index: item for index, item in enumerate(found) if isinstance(item, Choice)})
-    fits: list[Any] = list(found)
+    result = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
+    choices = with_causes(spectra, {index: item for index, item in enumerate(result) if isinstance(item, Choice)})
+    fits: list[Any] = list(result)
     for name in dict.fromkeys(choice.assemblage for choice in choices.values()):
-        own = [index for index, choice in choices.items() if choice.assemblage == name]
+        subset = [index for index, choice in choices.items() if choice.assemblage == name]
         model = model_of(request, name, request.continuum)
-        for index, item in zip(own, _by_prior([spectra[k] for k in own], model, request, None), strict=True):
+        for index, item in zip(subset, _by_prior([spectra[k] for k in subset], model, request, None), strict=True):
             fits[index] = item
             if isinstance(item, MgmFit) and item.converged:
                 choices[index] = replace(choices[index], beyond=beyond_any(item))

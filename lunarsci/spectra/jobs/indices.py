@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
 from lunarsci.constants import SMOOTHING
 from lunarsci.errors import DataError, Failure, RequestError
 from lunarsci.io.records import Codes, Records
@@ -15,7 +14,6 @@ from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.indices import INDICES, NO_CHANNELS, STATUSES, IndexColumn, index_arrays
 from lunarsci.spectra.jobs.requests import IndicesRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
-from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,12 +40,12 @@ class FoundIndices(Result):
     def content(self) -> dict[str, Any]:
 
         about = {name: _about(INDICES[name]) for name in self.columns}
-        return {**self.batch.said, "indices": about, "spectra": self.records()}
+        return {**self.batch.remarks, "indices": about, "spectra": self.records()}
 
     def records(self) -> Records:
         """Each spectrum with a nested object for each index."""
 
-        found: dict[str, Any] = {
+        result: dict[str, Any] = {
             name: {
                 "value": column.value,
                 "sigma": column.sigma,
@@ -58,7 +56,7 @@ class FoundIndices(Result):
             }
             for name, column in self.columns.items()
         }
-        return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **found})
+        return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **result})
 
     def rows(self) -> Records:
         """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
@@ -108,33 +106,17 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
     if unknown := [name for name in names if name not in INDICES]:
         raise RequestError(f"`index` {unknown[0]}: there are {', '.join(INDICES)}")
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
-    found = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
-    for rows, columns in _measured(batch.spectra, names, asked.smooth_nm):
-        for name, column in columns.items():
-            found[name].take(column, rows)
-    if all((column.status == NO_CHANNELS).all() for column in found.values()):
+    result = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
+    for rows in batch.spectra.alike():
+        alike = batch.spectra.taken(rows).arrays()
+        shifts = {str(k): alike.shifts[:, k] for k in range(alike.shifts.shape[1])}
+        how: dict[str, Any] = {"names": names, "smooth_nm": asked.smooth_nm, "shifts": shifts}
+        for name, column in index_arrays(alike.wavelength_nm, alike.reflectance, alike.sigma, **how).items():
+            result[name].take(column, rows)
+    if all((column.status == NO_CHANNELS).all() for column in result.values()):
         needs = sorted({round(nm) for name in names for nm in INDICES[name].wavelengths_nm})
         raise DataError(
             f"{batch.origins[0]}: no channels where an index needs them; these need reflectances from {needs[0]} to "
             f"{needs[-1]} nm, with channels at most 60 nm apart"
         )
-    return FoundIndices(batch, found)
-
-
-def _measured(
-    spectra: Sequence[Spectrum], names: Sequence[str], smooth_nm: float
-) -> Iterator[tuple[list[int], dict[str, IndexColumn]]]:
-    """Numbers of spectra on the same channels, and their indices."""
-
-    groups: dict[Any, list[int]] = {}
-    for number, item in enumerate(spectra):
-        key = (item.wavelength_nm.tobytes(), item.uncertainty is None, tuple(item.systematic))
-        groups.setdefault(key, []).append(number)
-    for rows in groups.values():
-        own = [spectra[number] for number in rows]
-        values = np.array([np.where(item.usable, item.reflectance, np.nan) for item in own])
-        sigma: FloatArray | None = None
-        if own[0].uncertainty is not None:
-            sigma = np.array([item.uncertainty for item in own])
-        shifts = {name: np.array([item.systematic[name] for item in own]) for name in own[0].systematic}
-        yield rows, index_arrays(own[0].wavelength_nm, values, sigma, names=names, smooth_nm=smooth_nm, shifts=shifts)
+    return FoundIndices(batch, result)

@@ -11,9 +11,17 @@ from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.jobs.requests import ImportRequest
-from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, read_metadata, with_description
-from lunarsci.spectra.library.end_member import EndMember, library_pages, read_library, to_ecsv
 from lunarsci.spectra.readers.batch import expanded
+from lunarsci.spectra.readers.library import (
+    MIXTURE,
+    EndMember,
+    LibraryFinding,
+    library_pages,
+    read_library,
+    read_metadata,
+    to_ecsv,
+    with_description,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,7 +63,7 @@ class Library(Result):
         return library_pages(self.members)
 
     def to_ecsv(self, provenance: Mapping[str, Any] | None = None) -> bytes:
-        """As `lunarsci.spectra.library.end_member.to_ecsv`."""
+        """As `lunarsci.spectra.readers.library.to_ecsv`."""
 
         return to_ecsv(self.members, provenance)
 
@@ -97,10 +105,10 @@ class CheckedLibrary(Result):
             {
                 "id": member.id,
                 "mineral": member.mineral,
-                "must_mend": [finding.text for finding in found if finding.must_mend],
-                "remarks": [finding.text for finding in found if not finding.must_mend],
+                "must_mend": [finding.text for finding in result if finding.must_mend],
+                "remarks": [finding.text for finding in result if not finding.must_mend],
             }
-            for member, found in zip(self.library.members, self.findings, strict=True)
+            for member, result in zip(self.library.members, self.findings, strict=True)
         ]
         return {"end_members": records, "ok": not any(record["must_mend"] for record in records)}
 
@@ -108,8 +116,8 @@ class CheckedLibrary(Result):
         """One a finding."""
         return [
             {"id": member.id, "must_mend": finding.must_mend, "finding": finding.text}
-            for member, found in zip(self.library.members, self.findings, strict=True)
-            for finding in found
+            for member, result in zip(self.library.members, self.findings, strict=True)
+            for finding in result
         ]
 
     def figures(self) -> "Iterator[Figure]":
@@ -130,9 +138,9 @@ def open_library(
             continue
         try:
             source = read_input(name)
-            found = read_library(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
-            members += found
-            origins += [source.name] * len(found)
+            result = read_library(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+            members += result
+            origins += [source.name] * len(result)
             inputs[source.name] = source.sha256
         except LunarSciError as error:
             failures.append(Failure.of(name, error))
@@ -151,23 +159,23 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
 
     asked = request_of(ImportRequest, request, options)
     table = read_input(asked.metadata) if asked.metadata is not None else None
-    told = read_metadata(table) if table else {}
+    stated = read_metadata(table) if table else {}
     skipped = asked.metadata if isinstance(asked.metadata, str) else None
-    found = open_library(files, asked.wavelength_unit, asked.reflectance_unit, but=skipped)
-    unknown = [member.id for member in found.members if table and member.id not in told]
-    left_out = [member.id for member in found.members if told.get(member.id, {}).get("mineral") == MIXTURE]
-    kept = [
-        (_described(member, told.get(member.id, {}), asked, table.name if table else ""), origin)
-        for member, origin in zip(found.members, found.origins, strict=True)
-        if told.get(member.id, {}).get("mineral") != MIXTURE
+    result = open_library(files, asked.wavelength_unit, asked.reflectance_unit, but=skipped)
+    unknown = [member.id for member in result.members if table and member.id not in stated]
+    left_out = [member.id for member in result.members if stated.get(member.id, {}).get("mineral") == MIXTURE]
+    retained = [
+        (_described(member, stated.get(member.id, {}), asked, table.name if table else ""), origin)
+        for member, origin in zip(result.members, result.origins, strict=True)
+        if stated.get(member.id, {}).get("mineral") != MIXTURE
     ]
-    if not kept:
+    if not retained:
         raise DataError(f"{skipped}: all {len(left_out)} spectra are mixtures by it; none is an end member")
     library = ImportedLibrary(
-        members=[member for member, _ in kept],
-        origins=[origin for _, origin in kept],
-        inputs={**found.inputs, **({table.name: table.sha256} if table else {})},
-        failures=found.failures,
+        members=[member for member, _ in retained],
+        origins=[origin for _, origin in retained],
+        inputs={**result.inputs, **({table.name: table.sha256} if table else {})},
+        failures=result.failures,
         left_out=left_out,
         unknown=unknown,
     )
@@ -175,10 +183,10 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
     return library
 
 
-def _described(member: EndMember, told: Mapping[str, Any], asked: ImportRequest, table: str) -> EndMember:
+def _described(member: EndMember, stated: Mapping[str, Any], asked: ImportRequest, table: str) -> EndMember:
 
     try:
-        member = with_description(member, told)
+        member = with_description(member, stated)
     except DataError as error:
         raise DataError(f"{table}: {error}") from error
     return replace(member, mineral=member.mineral or asked.mineral, source=member.source or asked.source)
@@ -205,6 +213,6 @@ def check_library(files: Sequence[str]) -> CheckedLibrary:
 
 
 def _checked(library: Library) -> CheckedLibrary:
-    from lunarsci.spectra.library.check import check_library
+    from lunarsci.spectra.readers.library import check_library
 
     return CheckedLibrary(library=library, findings=check_library(library.members))

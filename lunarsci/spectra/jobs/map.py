@@ -16,9 +16,19 @@ from lunarsci.options import request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
 from lunarsci.result import MadeFrom, Result
-from lunarsci.spectra.cubes.blocks import Product, Tally, fetched, measured, warn_of_cost
 from lunarsci.spectra.cubes.cube import FLAGS, Cube, Stated
-from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, Layer, MapFile, backplane_layers
+from lunarsci.spectra.cubes.output import (
+    PIXEL_FLAGS,
+    SUFFIXES,
+    Layer,
+    MapFile,
+    Product,
+    Tally,
+    backplane_layers,
+    fetched,
+    measured,
+    warn_of_cost,
+)
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
 from lunarsci.spectra.jobs.fit import Progress
@@ -91,9 +101,9 @@ class CubeMap(Result):
         kind = "value" if not layer.meanings else "bits" if layer.bits else "code"
         row: dict[str, Any] = {"name": layer.name, "long_name": layer.long_name, "units": layer.units, "kind": kind}
         seen = self.sampled.get(layer.name)
-        known = np.empty(0) if seen is None else seen[np.isfinite(seen)]
-        low, median, high = np.quantile(known, (0.05, 0.5, 0.95)) if known.size else (None, None, None)
-        share = known.size / seen.size if seen is not None and seen.size else None
+        finite = np.empty(0) if seen is None else seen[np.isfinite(seen)]
+        low, median, high = np.quantile(finite, (0.05, 0.5, 0.95)) if finite.size else (None, None, None)
+        share = finite.size / seen.size if seen is not None and seen.size else None
         codes = " ".join(f"{name}={count}" for name, count in self.codes.get(layer.name, {}).items() if count)
         return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
 
@@ -224,8 +234,10 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
         for name, plane in image.backplanes.items()
         if name in ("longitude", "latitude")
     }
-    told = [name for k, name in enumerate(FLAGS) if flags[0, 0] & np.uint8(1 << k)]
-    return PixelSpectrum(cube=image, line=line, sample=sample, reflectance=reflectance[0, 0], flags=told, places=places)
+    names = [name for k, name in enumerate(FLAGS) if flags[0, 0] & np.uint8(1 << k)]
+    return PixelSpectrum(
+        cube=image, line=line, sample=sample, reflectance=reflectance[0, 0], flags=names, places=places
+    )
 
 
 def made_from(cube: Cube, products: Sequence[Product]) -> MadeFrom:

@@ -29,8 +29,7 @@ from lunarsci.spectra.abundance.shares import shares_of_rows
 from lunarsci.spectra.band_status import BANDS, STATUSES
 from lunarsci.spectra.bands import band_arrays
 from lunarsci.spectra.continuum import CONTINUA
-from lunarsci.spectra.cubes.blocks import Product
-from lunarsci.spectra.cubes.output import NO_CODE, Layer
+from lunarsci.spectra.cubes.output import NO_CODE, Layer, Product
 from lunarsci.spectra.indices import INDICES, index_arrays
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import fit
@@ -77,11 +76,10 @@ _BAND_COLUMNS = {
 
 
 @dataclass(frozen=True, slots=True)
-class BandsProduct:
+class BandsProduct(Product):
     """The 1 and 2 um bands, as `lunarsci.bands` measures them."""
 
     name: ClassVar[str] = "bands"
-    slow: ClassVar[bool] = False
     continuum: Any
     smooth_nm: float
 
@@ -94,20 +92,16 @@ class BandsProduct:
     @property
     def layers(self) -> Sequence[Layer]:
 
-        found = []
+        result = []
         for band in BANDS:
-            found += [
+            result += [
                 Layer(name.format(band.key), text.format(band.key), unit)
                 for name, (_, text, unit) in _BAND_COLUMNS.items()
             ]
-            found.append(Layer(f"band{band.key}_continuum", "continuum that was used", meanings=tuple(CONTINUA)))
-            found.append(Layer(f"band{band.key}_status", "whether there is a band, or why not", meanings=STATUSES))
-            found.append(Layer(f"band{band.key}_note", "why the wanted continuum was not used", meanings=STATUSES))
-        return found
-
-    @property
-    def tables(self) -> Sequence[str]:
-        return ()
+            result.append(Layer(f"band{band.key}_continuum", "continuum that was used", meanings=tuple(CONTINUA)))
+            result.append(Layer(f"band{band.key}_status", "whether there is a band, or why not", meanings=STATUSES))
+            result.append(Layer(f"band{band.key}_note", "why the wanted continuum was not used", meanings=STATUSES))
+        return result
 
     @property
     def sources(self) -> Sequence[str]:
@@ -118,9 +112,9 @@ class BandsProduct:
         """Each layer of spectra."""
 
         smoothing = Smoothing(window_nm=self.smooth_nm)
-        found = band_arrays(wavelength_nm, reflectance, continuum_name=self.continuum, smoothing=smoothing)
+        result = band_arrays(wavelength_nm, reflectance, continuum_name=self.continuum, smoothing=smoothing)
         values: dict[str, Any] = {}
-        for key, band in found.bands.items():
+        for key, band in result.bands.items():
             values |= {name.format(key): getattr(band, attribute) for name, (attribute, _, _) in _BAND_COLUMNS.items()}
             values[f"band{key}_continuum"] = np.where(np.isfinite(band.center_nm), band.continuum, NO_CODE)
             values |= {f"band{key}_status": band.status, f"band{key}_note": band.note}
@@ -128,11 +122,10 @@ class BandsProduct:
 
 
 @dataclass(frozen=True, slots=True)
-class IndicesProduct:
+class IndicesProduct(Product):
     """Spectral indices, as `lunarsci.indices` computes them."""
 
     name: ClassVar[str] = "indices"
-    slow: ClassVar[bool] = False
 
     @classmethod
     def of(cls, request: MapRequest) -> "IndicesProduct":
@@ -142,17 +135,13 @@ class IndicesProduct:
     def layers(self) -> Sequence[Layer]:
         from lunarsci.spectra.indices import INDICES, STATUSES
 
-        found = []
+        result = []
         for name, index in INDICES.items():
             unit = {"-": "1", "wt %": "%", "1/µm": "um-1"}[index.unit]
-            found += [Layer(name, index.title, unit), Layer(f"{name}_sigma", "its standard error", unit)]
-            found.append(Layer(f"{name}_interpolation", "what another interpolation of channels differs by", unit))
-            found.append(Layer(f"{name}_status", f"whether there is {index.title}", meanings=STATUSES))
-        return found
-
-    @property
-    def tables(self) -> Sequence[str]:
-        return ()
+            result += [Layer(name, index.title, unit), Layer(f"{name}_sigma", "its standard error", unit)]
+            result.append(Layer(f"{name}_interpolation", "what another interpolation of channels differs by", unit))
+            result.append(Layer(f"{name}_status", f"whether there is {index.title}", meanings=STATUSES))
+        return result
 
     @property
     def sources(self) -> Sequence[str]:
@@ -163,9 +152,9 @@ class IndicesProduct:
         """Each layer of spectra."""
 
         values: dict[str, Any] = {}
-        for name, found in index_arrays(wavelength_nm, reflectance).items():
-            values |= {name: found.value, f"{name}_sigma": found.sigma}
-            values |= {f"{name}_interpolation": found.interpolation, f"{name}_status": found.status}
+        for name, result in index_arrays(wavelength_nm, reflectance).items():
+            values |= {name: result.value, f"{name}_sigma": result.sigma}
+            values |= {f"{name}_interpolation": result.interpolation, f"{name}_status": result.status}
         return values
 
 
@@ -181,11 +170,10 @@ CONTEST = ORIGINS.index("contest")
 
 
 @dataclass(frozen=True, slots=True)
-class FitProduct:
+class FitProduct(Product):
     """The Modified Gaussian Model, as `lunarsci.fit` fits it; with `contest_every` above 0 as `fit_region` does."""
 
     name: ClassVar[str] = "fit"
-    slow: ClassVar[bool] = False
     assemblage: str
     continuum: Any
     model_error: float | None
@@ -201,19 +189,19 @@ class FitProduct:
 
     @property
     def layers(self) -> Sequence[Layer]:
-        found = []
+        result = []
         for band in model_of(self.assemblage, self.continuum).assemblage.bands:
-            stem, told = slug(band.name), f"of {band.name}"
+            stem, of_band = slug(band.name), f"of {band.name}"
             for name, text, unit in _BAND_PARTS:
-                found.append(Layer(f"{stem}_{name.format('')}", f"{text} {told}", unit))
-                found.append(Layer(f"{stem}_{name.format('_sigma')}", f"its standard error ({told})", unit))
+                result.append(Layer(f"{stem}_{name.format('')}", f"{text} {of_band}", unit))
+                result.append(Layer(f"{stem}_{name.format('_sigma')}", f"its standard error ({of_band})", unit))
         for region in ("um1", "um2"):
-            found.append(
+            result.append(
                 Layer(f"nbsr_{region}_opx", f"normalised band strength ratio of orthopyroxene, {region[2]} um")
             )
-            found.append(Layer(f"nbsr_{region}_sigma", "its standard error"))
+            result.append(Layer(f"nbsr_{region}_sigma", "its standard error"))
         return [
-            *found,
+            *result,
             Layer("fit_rms_ln", "root mean square of what the fit leaves of ln reflectance"),
             Layer("fit_reduced_chi2", "chi square over its degrees of freedom"),
             Layer("fit_flags", "what to know about the fit", meanings=FIT_FLAGS, bits=True),
@@ -242,12 +230,12 @@ class FitProduct:
                 column, factor = model.degrees + 3 * k + part, 1e3 if unit == "nm" else 1.0
                 values[f"{slug(band.name)}_{name.format('')}"] = fits.values[:, column] * factor
                 values[f"{slug(band.name)}_{name.format('_sigma')}"] = sigma[:, column] * factor
-        for region, found in (("um1", fits.um1), ("um2", fits.um2)):
-            values[f"nbsr_{region}_opx"], values[f"nbsr_{region}_sigma"] = found[:, 0], found[:, 2]
+        for region, result in (("um1", fits.um1), ("um2", fits.um2)):
+            values[f"nbsr_{region}_opx"], values[f"nbsr_{region}_sigma"] = result[:, 0], result[:, 2]
         missing = fits.status == NOT_FITTED
         with np.errstate(invalid="ignore"):
-            told = (~fits.converged, fits.ambiguous, fits.strained.any(axis=1), fits.rms_ln > UNLIKE_RMS, unsettled)
-        flags = sum(((one & ~missing) * np.uint8(2 << k) for k, one in enumerate(told)), missing.astype(np.uint8))
+            flagged = (~fits.converged, fits.ambiguous, fits.strained.any(axis=1), fits.rms_ln > UNLIKE_RMS, unsettled)
+        flags = sum(((one & ~missing) * np.uint8(2 << k) for k, one in enumerate(flagged)), missing.astype(np.uint8))
         return values | {"fit_flags": flags, "fit_origin": origin}
 
     def _fitted(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> tuple[Any, Any, Any]:
@@ -256,8 +244,8 @@ class FitProduct:
         how: dict[str, Any] = {"model_error": self.model_error, "starts": self.starts}
         model = model_of(self.assemblage, self.continuum)
         if self.contest_every:
-            found = fit_region(wavelength_nm, reflectance, places, model, **how, contest_every=self.contest_every)
-            return found.batch, found.origin, found.unsettled
+            result = fit_region(wavelength_nm, reflectance, places, model, **how, contest_every=self.contest_every)
+            return result.batch, result.origin, result.unsettled
 
         fits = fit_arrays(wavelength_nm, reflectance, model, **how)
         origin = np.where(np.isfinite(fits.rms_ln), CONTEST, ORIGINS.index("not_fitted"))
@@ -282,7 +270,7 @@ def model_of(assemblage: str, continuum: Any) -> MgmModel:
 
 
 @dataclass(frozen=True, slots=True)
-class UnmixProduct:
+class UnmixProduct(Product):
     """Shares of minerals as the networks of `lunarsci.unmix` foretell them, in all pixels at once.
 
     `both` : whether mixtures of end members are fitted beside, pixel by pixel. `minerals` : those that there may be.
@@ -309,18 +297,18 @@ class UnmixProduct:
     @property
     def layers(self) -> Sequence[Layer]:
 
-        found, domain = [], ("out_of_domain", "in_domain")
-        for method, own in self.methods.items():
+        result, domain = [], ("out_of_domain", "in_domain")
+        for method, ending in self.methods.items():
             for mineral in self.minerals:
-                name = f"share_{mineral}{own}"
-                found.append(Layer(name, f"share of {mineral} by volume, method: {method}"))
-                found += [Layer(f"{name}_{end}{level}", f"{end} end of its interval of {level or 68} %")
+                name = f"share_{mineral}{ending}"
+                result.append(Layer(name, f"share of {mineral} by volume, method: {method}"))
+                result += [Layer(f"{name}_{end}{level}", f"{end} end of its interval of {level or 68} %")
                           for level in ("", "95") for end in ("low", "high")]  # fmt: skip
-            if not own:
-                found.append(Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)))
+            if not ending:
+                result.append(Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)))
             meaning = f"whether all shares are likely within 15 %, method: {method}"
-            found.append(Layer(f"shares{own}_in_domain", meaning, meanings=domain))
-        return found
+            result.append(Layer(f"shares{ending}_in_domain", meaning, meanings=domain))
+        return result
 
     @property
     def tables(self) -> Sequence[str]:
@@ -349,12 +337,12 @@ class UnmixProduct:
             channels, part = wavelength_nm[usable], reflectance[np.ix_(rows, usable)]
             kind, dark, weathered = kinds_of_rows(channels, part, None if self.kind == "auto" else self.kind)
             values["kind"][rows] = np.where(kind < 0, NO_CODE, kind)
-            for own in self.methods.values():
-                values[f"shares{own}_in_domain"][rows] = 0
-            if (kept := kind != KINDS.index("weathered-soil")).any():
-                found = self._shares(channels, part[kept], dark[kept], weathered[kept])
-                for name, numbers in found.items():
-                    values[name][rows[kept]] = numbers
+            for ending in self.methods.values():
+                values[f"shares{ending}_in_domain"][rows] = 0
+            if (unmixed := kind != KINDS.index("weathered-soil")).any():
+                result = self._shares(channels, part[unmixed], dark[unmixed], weathered[unmixed])
+                for name, numbers in result.items():
+                    values[name][rows[unmixed]] = numbers
         return values
 
     def _shares(
@@ -365,15 +353,15 @@ class UnmixProduct:
         allowed = np.tile([float(name in self.minerals) for name in MINERALS], (len(reflectance), 1))
         rock = np.full(len(reflectance), float(self.kind == "solid-rock"))
         foretold, values = foretell(wavelength_nm, reflectance, allowed), dict[str, Any]()
-        for own in self.methods.values():
+        for ending in self.methods.values():
             mixed = None
-            if own:
+            if ending:
                 spectra = _spectra(wavelength_nm, reflectance)
                 mixed = mixed_estimate(spectra, foretold, allowed, StatedModes({}, {}), None, UnmixRequest(), None)
             mean, ends, inside = shares_of_rows(foretold, allowed, dark, rock, weathered, mixed)
-            values[f"shares{own}_in_domain"] = inside
+            values[f"shares{ending}_in_domain"] = inside
             for k in map(MINERALS.index, self.minerals):
-                name = f"share_{MINERALS[k]}{own}"
+                name = f"share_{MINERALS[k]}{ending}"
                 values[name] = mean[:, k]
                 for number, end in enumerate(("low", "high", "low95", "high95")):
                     values[f"{name}_{end}"] = ends[:, k, number]
@@ -381,11 +369,10 @@ class UnmixProduct:
 
 
 @dataclass(frozen=True, slots=True)
-class MatchProduct:
+class MatchProduct(Product):
     """Which craters' composition a pixel has, as `lunarsci.match` compares its bands and its pyroxenes."""
 
     name: ClassVar[str] = "match"
-    slow: ClassVar[bool] = True
     bands: BandsProduct
     fit: FitProduct
     craters: str | None
@@ -400,11 +387,15 @@ class MatchProduct:
         return made
 
     @property
+    def slow(self) -> bool:
+        return True
+
+    @property
     def names(self) -> Sequence[str]:
         """Of the craters whose composition is known."""
 
-        found = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))
-        return [crater.name for crater in found if crater.composition.comparable]
+        result = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))
+        return [crater.name for crater in result if crater.composition.comparable]
 
     @property
     def layers(self) -> Sequence[Layer]:
@@ -419,10 +410,6 @@ class MatchProduct:
     def tables(self) -> Sequence[str]:
 
         return () if self.craters else (TABLE,)
-
-    @property
-    def sources(self) -> Sequence[str]:
-        return ()
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
@@ -440,13 +427,13 @@ class MatchProduct:
         with suppress(DataError):
             site = ",".join(map(str, CHANG_E_4))  # moves the prior alone, and no factor
             how = {"craters": self.craters, "site": site, "exposure": False, "re_excavation": False}
-            for found in match(results, **how).matches:
-                by_name = {item.crater.name: item.ln_bayes_factor for item in found.craters}
-                factors[int(found.rock.id)] = [by_name[name] for name in names]
-        known = np.isfinite(factors).all(axis=1)
+            for result in match(results, **how).matches:
+                by_name = {item.crater.name: item.ln_bayes_factor for item in result.craters}
+                factors[int(result.rock.id)] = [by_name[name] for name in names]
+        finite = np.isfinite(factors).all(axis=1)
         best = np.where(np.max(factors, axis=1, initial=-np.inf) > 0, 1 + np.argmax(factors, axis=1), 0)
         values = {f"ln_bayes_factor_{slug(name)}": factors[:, k] for k, name in enumerate(names)}
-        return values | {"nearest_crater": np.where(known, best, NO_CODE)}
+        return values | {"nearest_crater": np.where(finite, best, NO_CODE)}
 
 
 def _spectra(wavelength_nm: FloatArray, reflectance: FloatArray) -> list[Spectrum]:

@@ -174,18 +174,18 @@ def match(
     if asked.craters is None:
         _check_near(asked.site, stated)
     given = _rocks(list(rocks) if isinstance(rocks, list | tuple) else [rocks], asked)
-    found = _candidates(asked)
-    site = stated or _assumed_site(asked, found)
-    matches = match_rocks(given.rocks, found.craters, site, settings, progress)
+    result = _candidates(asked)
+    site = stated or _assumed_site(asked, result)
+    matches = match_rocks(given.rocks, result.craters, site, settings, progress)
     return Matches(
         matches,
         site,
         stated is None,
         settings,
-        assumptions(matches, (found.source, found.map_reports), (site, stated is None), settings),
-        found.map_reports,
-        given.inputs | found.inputs,
-        found.tables | table_hashes(*(table for rock in given.rocks for table in rock.tables)),
+        assumptions(matches, (result.source, result.map_reports), (site, stated is None), settings),
+        result.map_reports,
+        given.inputs | result.inputs,
+        result.tables | table_hashes(*(table for rock in given.rocks for table in rock.tables)),
         given.failures,
     )
 
@@ -200,14 +200,14 @@ def _check_near(text: str | tuple[float, ...] | None, site: Point | None) -> Non
         )
 
 
-def _assumed_site(asked: MatchRequest, found: "Candidates") -> Point:
+def _assumed_site(asked: MatchRequest, result: "Candidates") -> Point:
     """Chang'E-4's, round which the embedded craters lie. Raises RequestError for craters of one's own."""
 
     if asked.craters is None:
         return CHANG_E_4
-    near = min(found.craters, key=lambda crater: distance_km(CHANG_E_4, crater.center))
+    near = min(result.craters, key=lambda crater: distance_km(CHANG_E_4, crater.center))
     raise RequestError(
-        f"`craters` {found.source} are your own, and nothing says where the rocks were found; give LAT,LON as `site`, "
+        f"`craters` {result.source} are your own, and nothing says where the rocks were found; give LAT,LON as `site`, "
         f"of Chang'E-4 {CHANG_E_4[0]:g},{CHANG_E_4[1]:g} (nearest to it is {near.name}, {near.latitude_deg:g},"
         f"{near.longitude_deg:g}, {distance_km(CHANG_E_4, near.center):.0f} km)"
     )
@@ -305,14 +305,14 @@ def _candidates(asked: MatchRequest) -> Candidates:
     """The embedded craters or those of a table, with modes from maps where these are given."""
 
     if asked.craters is None:
-        found = Candidates(embedded_catalogue(), f"embedded {TABLE}", tables=table_hashes(TABLE))
+        result = Candidates(embedded_catalogue(), f"embedded {TABLE}", tables=table_hashes(TABLE))
     else:
         source = read_input(asked.craters)
-        found = Candidates(read_catalogue(source), source.name, {source.name: source.sha256})
-    return _mapped(found, asked.mineral_map, asked.annulus) if asked.mineral_map else found
+        result = Candidates(read_catalogue(source), source.name, {source.name: source.sha256})
+    return _mapped(result, asked.mineral_map, asked.annulus) if asked.mineral_map else result
 
 
-def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
+def _mapped(result: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
 
     names: dict[str, str] = {}
     for item in maps:
@@ -325,9 +325,9 @@ def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
             raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once, or MAP.nc of shares")
         names[mineral] = file
     ring = _ring(annulus)
-    craters, reports = with_maps(found.craters, names, ring)
+    craters, reports = with_maps(result.craters, names, ring)
     hashes = {file: _digest(file) for file in names.values()}
-    return Candidates(craters, found.source, found.inputs | hashes, found.tables, reports)
+    return Candidates(craters, result.source, result.inputs | hashes, result.tables, reports)
 
 
 def _digest(file: str) -> str:

@@ -12,14 +12,14 @@ from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.jobs.requests import SimulateVnisRequest
 from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
-from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
-from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.photometry import TABLE as PHASE_TABLE
+from lunarsci.spectra.photometry import Geometry, phase_function
 from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
 from lunarsci.spectra.vnis.channels import TABLES
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation
 from lunarsci.spectra.vnis.simulation.instrument import simulate as simulated
-from lunarsci.spectra.vnis.simulation.products import product_files, simulation_page
 from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneComposition, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files, simulation_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

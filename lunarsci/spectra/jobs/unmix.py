@@ -31,12 +31,12 @@ from lunarsci.spectra.abundance.shares import PRIOR, SOME, Mixed, abundances
 from lunarsci.spectra.abundance.shares import ROCK_MODES as ROCKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
-from lunarsci.spectra.chemistry.chondrite import TABLE as CHONDRITES
-from lunarsci.spectra.chemistry.chondrite import chondrite_record, chondrites
+from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
+from lunarsci.spectra.chemistry.bands import chondrite_record, chondrites
 from lunarsci.spectra.jobs.fit import Progress
 from lunarsci.spectra.jobs.requests import UnmixRequest
-from lunarsci.spectra.library.end_member import EndMember, read_library
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
+from lunarsci.spectra.readers.library import EndMember, read_library
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
@@ -107,25 +107,25 @@ class UnmixedSpectra(Result):
     @property
     def untrusted(self) -> str:
         names: dict[str, list[str]] = {}
-        for found in self.shares:
-            if not found.determined:
-                names.setdefault(found.status.removeprefix("not determined: "), []).append(found.id)
+        for result in self.shares:
+            if not result.determined:
+                names.setdefault(result.status.removeprefix("not determined: "), []).append(result.id)
         return "; ".join(
-            f"shares of {some_of(own, MOST_NAMED)} are not determined: {reason}" for reason, own in names.items()
+            f"shares of {some_of(ids, MOST_NAMED)} are not determined: {reason}" for reason, ids in names.items()
         )
 
     def content(self) -> dict[str, Any]:
-        return {**self.batch.said, "spectra": self.records}
+        return {**self.batch.remarks, "spectra": self.records}
 
     @cached_property
     def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
         soils = self.normatives
         return [
-            {"source": origin, "id": found.id, "kind": kind.to_dict(), "abundance": found.to_dict(),
+            {"source": origin, "id": one.id, "kind": kind.to_dict(), "abundance": one.to_dict(),
              "normative": soils[index].to_dict() if index in soils else None,
              "chondrite": self.chondrites.get(index)}
-            for index, (origin, found, kind) in enumerate(zip(self.batch.origins, self.shares, self.kinds, strict=True))
+            for index, (origin, one, kind) in enumerate(zip(self.batch.origins, self.shares, self.kinds, strict=True))
         ]  # fmt: skip
 
     def rows(self) -> list[dict[str, Any]]:
@@ -181,28 +181,28 @@ def unmix(
 
     asked = request_of(UnmixRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
-    library, known = (read_input(name) if name else None for name in (asked.library, asked.known))
+    library, modes_file = (read_input(name) if name else None for name in (asked.library, asked.known))
     end_members = read_library(library) if library else None
-    modes = _known_modes([one.id for one in batch.spectra], known)
+    modes = _stated_modes([one.id for one in batch.spectra], modes_file)
     kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
     if asked.together and not asked.mixes:
         warn("`together` needs the minerals by name (`assemblage`): each spectrum is answered by itself")
     named = named_minerals(asked.assemblage) if asked.assemblage else list(MINERALS)
-    soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not known]
+    soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not modes_file]
     taken = [index for index in range(len(kinds)) if index not in set(soils)]
-    found = dict(zip(taken, _shares([batch.spectra[k] for k in taken], [kinds[k] for k in taken], named, modes,
+    result = dict(zip(taken, _shares([batch.spectra[k] for k in taken], [kinds[k] for k in taken], named, modes,
                                     end_members, asked, progress), strict=True))  # fmt: skip
-    found |= {k: refused(batch.spectra[k].id, "unmix", named, REFUSED) for k in soils}
-    weathered = [index for index, kind in enumerate(kinds) if kind.is_weathered and not known]
+    result |= {k: refused(batch.spectra[k].id, "unmix", named, REFUSED) for k in soils}
+    weathered = [index for index, kind in enumerate(kinds) if kind.is_weathered and not modes_file]
     return UnmixedSpectra(
         batch=batch,
         request=asked,
-        shares=[found[index] for index in range(len(kinds))],
+        shares=[result[index] for index in range(len(kinds))],
         kinds=kinds,
         normatives={index: normative(batch.spectra[index], kinds[index]) for index in weathered},
         chondrites=_chondrites(batch.spectra, kinds),
         failures=batch.failures_among({}),
-        files=[file for file in (library, known) if file],
+        files=[file for file in (library, modes_file) if file],
     )
 
 
@@ -212,8 +212,8 @@ def _chondrites(spectra: Sequence[Spectrum], kinds: Sequence[KindVerdict]) -> di
     if not dark:
         return {}
     measured = measure_batch([spectra[index] for index in dark], continuum_name="hull")
-    found = chondrites(measured.arrays.bands)
-    return {index: chondrite_record(found, row) for row, index in enumerate(dark)}
+    result = chondrites(measured.arrays.bands)
+    return {index: chondrite_record(result, row) for row, index in enumerate(dark)}
 
 
 def _shares(
@@ -236,19 +236,19 @@ def _shares(
             row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
     foretold = foretell_each(spectra, allowed)
     mixed = mixed_estimate(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
-    found = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior)
-    return [_as_stated(one, modes.shares[one.id]) if one.id in modes.shares else one for one in found]
+    result = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior)
+    return [_as_stated(one, modes.shares[one.id]) if one.id in modes.shares else one for one in result]
 
 
-def _as_stated(found: Abundance, known: Mapping[str, float]) -> Abundance:
+def _as_stated(result: Abundance, stated: Mapping[str, float]) -> Abundance:
     """A mixture whose shares are known."""
 
-    total = sum(known.values())
-    shares = {mineral: share / total for mineral, share in known.items()}
-    values = [(one.mineral, shares.get(one.mineral, 0.0)) for one in found.fractions]
+    total = sum(stated.values())
+    shares = {mineral: share / total for mineral, share in stated.items()}
+    values = [(one.mineral, shares.get(one.mineral, 0.0)) for one in result.fractions]
     fractions = tuple(MineralFraction(mineral, *[share] * 5, float(share > SOME)) for mineral, share in values)  # type: ignore[call-arg]
-    stated = replace(found, fractions=fractions, in_domain=True, status="modes as stated", ratios=())
-    return replace(stated, prior=None, returned=None)
+    result = replace(result, fractions=fractions, in_domain=True, status="modes as stated", ratios=())
+    return replace(result, prior=None, returned=None)
 
 
 def mixed_estimate(
@@ -275,35 +275,39 @@ def mixed_estimate(
     names = [[name for k, name in enumerate(MINERALS) if row[k]] for row in allowed]
     if request.in_series:
         groups, minerals = [there], [name for k, name in enumerate(MINERALS) if allowed[:, k].any()]
-        known = [modes.shares.get(spectrum.id) for spectrum in spectra]
-        free = [None if told else some + dark for told, some in zip(known, names, strict=True)]
-        how |= {"present": [free[k] for k in there], "given": [known[k] for k in there]}
+        stated = [modes.shares.get(spectrum.id) for spectrum in spectra]
+        free = [None if modes_of_one else some + dark for modes_of_one, some in zip(stated, names, strict=True)]
+        how |= {"present": [free[k] for k in there], "given": [stated[k] for k in there]}
     else:
         groups = [[index] for index in there if len(names[index]) > 1]
     if not there and end_members is not None:
         raise DataError(f"no spectrum reaches over {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, as mixing needs")
     count = len(spectra)
-    found = Mixed(foretold.probabilities.copy(), np.ones(count), np.full(count, np.nan), request.in_series,
+    result = Mixed(foretold.probabilities.copy(), np.ones(count), np.full(count, np.nan), request.in_series,
                   end_members is not None)  # fmt: skip
     for done, rows in enumerate(filter(None, groups), start=1):
         wanted = minerals if request.in_series else names[rows[0]]
         one = estimate_series([spectra[k] for k in rows], wanted + dark, **how)
-        found.probabilities[rows], found.strange[rows], found.rms_ln[rows] = one.probabilities, one.strange, one.rms_ln
+        result.probabilities[rows], result.strange[rows], result.rms_ln[rows] = (
+            one.probabilities,
+            one.strange,
+            one.rms_ln,
+        )
         if progress:
             progress(done, len(groups))
-    return found
+    return result
 
 
-def _known_modes(names: Sequence[str], file: InputFile | None) -> StatedModes:
+def _stated_modes(names: Sequence[str], file: InputFile | None) -> StatedModes:
     """Modes stated of the spectra."""
 
     if file is None:
         return StatedModes({}, {})
     modes = read_modes(file)
-    told = {*modes.shares, *modes.absent}
-    doubled = [name for name in names if name in told and names.count(name) > 1]
+    stated = {*modes.shares, *modes.absent}
+    doubled = [name for name in names if name in stated and names.count(name) > 1]
     if doubled:
         raise ParameterError(f"{file.name}: '{doubled[0]}' is the id of two spectra; give each its own")
-    if names and not told & set(names):
+    if names and not stated & set(names):
         raise ParameterError(f"{file.name}: none of its ids is that of a spectrum, such as '{names[0]}'")
     return modes

@@ -1,19 +1,66 @@
-"""One sentence about a spectrum: what its bands, its fit or its shares say, what they do not, and what to do next.
-
-Made of the keys of `--json`, so that it says no more than they do.
-"""
+"""What else than a pyroxene may make the 1 and 2 um bands of a spectrum."""
 
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from lunarsci.names import some_of
 from lunarsci.result import from_prior
-from lunarsci.spectra.band_status import centre_said
-from lunarsci.spectra.jobs.other_causes import other_cause
+from lunarsci.spectra.band_status import NARROW_TEXT, centre_text
+from lunarsci.spectra.bands import measure_batch
+from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
+from lunarsci.spectra.mgm.assemblages import SURE, chances
 from lunarsci.spectra.mgm.result import UNLIKE_RMS
+from lunarsci.spectra.mgm.selection import Choice
+from lunarsci.spectra.spectrum import Spectrum
+
+MOST_RATIO = 1.5
+"""Depth of the 2 um band over that of the 1 um band above which it is no pyroxene's; assumed. In 290 laboratory spectra
+(RELAB) with 10 vol % of pyroxene or more it is 0.97 at most, in one pigeonite of USGS 2.2; spinels absorb at 2 um
+almost alone (Pieters et al. 2011, 10.1029/2010JE003727)."""
+SIGMAS = 2.0
+"""Standard errors of the depths that the ratio must exceed it by; assumed."""
+
+
+def other_cause(record: Mapping[str, Any]) -> str:
+    """Why the 2 um band need not be a pyroxene's, of the keys of `spectra bands --json`; '' where nothing says so.
+
+    Iron-bearing glass has its centres at 1060-1200 and 1900-2050 nm (Horgan et al. 2014,
+    10.1016/j.icarus.2014.02.031), where olivine with some orthopyroxene has them, too.
+    """
+    first, second = record["bc1000_nm"], record["bc2000_nm"]
+    status = str(record["band2000_status"])
+    if status.startswith(f"no band: {NARROW_TEXT}"):
+        return status.removeprefix("no band: ")
+    if second is None:
+        return ""
+    if first is None:
+        absent = str(record["band1000_status"]).startswith("no band")
+        return "a 2 µm band without one at 1 µm is no pyroxene's: spinel, or something else" if absent else ""
+    one, two = (record[f"bd{key}"] for key in ("1000", "2000"))
+    least = two - SIGMAS * record["bd2000_sigma"]
+    if least > MOST_RATIO * (one + SIGMAS * record["bd1000_sigma"]):
+        return f"the 2 µm band is {two / one:.1f} times as deep as that at 1 µm, which pyroxenes have not: spinel?"
+    if first > OLIVINE_NM[0] and second < OPX_MOST_NM:
+        return "centres at 1 and 2 µm are those of glass, or of olivine with some orthopyroxene"
+    return ""
+
+
+def with_causes(spectra: Sequence[Spectrum], choices: Mapping[int, Choice]) -> dict[int, Choice]:
+    """Choices, by position, with what else the 2 um bands may be of; not strong where the fit has a pyroxene then."""
+
+    measured = measure_batch([spectra[index] for index in choices])
+    result = dict(choices)
+    for (index, choice), bands in zip(choices.items(), measured, strict=True):
+        record = bands.to_dict()
+        cause, (_, inside, beside) = other_cause(record), str(record["band2000_status"]).partition("in it ")
+        decided = choice.strong and not (cause and chances(choice.probabilities)["pyroxene"] >= SURE)
+        result[index] = replace(choice, cause=cause, beside=beside if inside else "", strong=decided)
+    return result
+
 
 MOST_NAMED = 4
 SEEN = 2.0
@@ -25,11 +72,11 @@ SURE_THERE = 0.9
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 
-def centres_said(record: Mapping[str, Any]) -> dict[str, str]:
+def centre_texts(record: Mapping[str, Any]) -> dict[str, str]:
     """By key of each band that is there, its centre with the errors of noise and of method."""
 
     return {
-        key: centre_said(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"], record[f"bc{key}_method_nm"])
+        key: centre_text(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"], record[f"bc{key}_method_nm"])
         for key in ("1000", "2000")
         if record[f"bc{key}_nm"] is not None
     }
@@ -37,7 +84,7 @@ def centres_said(record: Mapping[str, Any]) -> dict[str, str]:
 
 def bands_verdict(record: Mapping[str, Any]) -> str:
     """The centres of `spectra bands`, and what they say."""
-    centres = " and ".join(centres_said(record).values())
+    centres = " and ".join(centre_texts(record).values())
     return f"centred at {centres}: {bands_meaning(record)}" if centres else bands_meaning(record)
 
 
@@ -72,9 +119,10 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     if not record["bands"]:
         return f"no fit: {record['status']}"
     parts = [str(record["choice"]["status"]) if record["choice"] else _assumed(record), *_strained(record)]
-    known = [f"{PERCENT_OF[key]} {_composition(item)} mol %{_condition(item)}" for key, item in _told(record)]
+    determined = _determined(record)
+    compositions = [f"{PERCENT_OF[key]} {_composition(item)} mol %{_condition(item)}" for key, item in determined]
     sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
-    parts += [f"{'' if sure else 'if so, '}{', '.join(known)}"] if known else ["no composition is told"]
+    parts += [f"{'' if sure else 'if so, '}{', '.join(compositions)}"] if compositions else ["no composition is told"]
     return "; ".join(parts)
 
 
@@ -129,10 +177,10 @@ def _strained(record: Mapping[str, Any]) -> list[str]:
     return [] if status == "converged" else [f"in doubt, {status.partition('; ')[2] or status}"]
 
 
-def _told(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+def _determined(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """Compositions in range that the spectrum, and not the prior alone, tells, of minerals that are not in doubt."""
 
-    doubtful = [] if record["choice"] else [mineral for found in _by_bands(record)[1:] for mineral in found]
+    doubtful = [] if record["choice"] else [mineral for result in _by_bands(record)[1:] for mineral in result]
     return [
         (key, item)
         for key, item in record["compositions"].items()
@@ -162,9 +210,9 @@ def _by_bands(record: Mapping[str, Any]) -> tuple[list[str], list[str], list[str
     for band in record["bands"]:
         if band["mineral"] in MINERALS and band["strength_sigma"] > 0 and band["name"] not in WEAK:
             depths.setdefault(band["mineral"], []).append(-band["strength"] / band["strength_sigma"])
-    full = [mineral for mineral, found in depths.items() if min(found) >= SEEN]
-    some = [mineral for mineral, found in depths.items() if min(found) < SEEN <= max(found)]
-    return full, some, [mineral for mineral, found in depths.items() if max(found) < SEEN]
+    full = [mineral for mineral, result in depths.items() if min(result) >= SEEN]
+    some = [mineral for mineral, result in depths.items() if min(result) < SEEN <= max(result)]
+    return full, some, [mineral for mineral, result in depths.items() if max(result) < SEEN]
 
 
 def shares_verdict(record: Mapping[str, Any]) -> str:
@@ -205,6 +253,6 @@ def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _percent(share: Mapping[str, Any]) -> str:
-    known = share["fraction"] is not None and math.isfinite(share["fraction"])
-    value = f"{100 * share['fraction']:.0f} %" if known else "not determined"
+    determined = share["fraction"] is not None and math.isfinite(share["fraction"])
+    value = f"{100 * share['fraction']:.0f} %" if determined else "not determined"
     return f"{value} (95 %: {100 * share['low95']:.0f} to {100 * share['high95']:.0f})"

@@ -119,7 +119,7 @@ def _mark_centres(axes: Any, item: SpectrumBands) -> None:
             continue
         axes.errorbar(band.center_nm, 1 - band.depth, xerr=band.center_sigma_nm, fmt="v", color="black", markersize=5)
         depth = " ± ".join(with_errors(band.depth, band.depth_sigma, most=3))
-        text = f"{band.centre_said}\ndepth {depth}"
+        text = f"{band.centre_text}\ndepth {depth}"
         axes.annotate(
             text, (band.center_nm, 1 - band.depth), xytext=(0, -8), textcoords="offset points",
             ha="center", va="top", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},

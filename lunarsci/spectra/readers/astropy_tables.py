@@ -19,7 +19,7 @@ from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is
 from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import quoted
 
-_LISTS_KEPT = 200
+_LONGEST_LIST = 200
 _ERROR = re.compile(r"uncertainty|sigma|std\w*|error|err|flux_?err\w*", re.IGNORECASE)
 """Names of the errors beside spectra in vector cells; specutils writes `uncertainty`."""
 _DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless", "none", "-", "---"}
@@ -40,22 +40,12 @@ def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
         left_out=[k for k, name in enumerate(names) if not _is_number_column(table[name]) or _is_physical(units[k])],
     )
 
-    def values(k: int) -> FloatArray:
-        return _values(table[names[k]], source.name)
+    def column(k: int) -> Column:
+        numbers = Column(names[k], _values(table[names[k]], source.name), k + 1)
+        return _wavelength(numbers, units[k], source.name) if k == roles.wavelength else _reflectance(numbers, units[k])
 
-    def reflectance(k: int) -> Column:
-        return _reflectance(Column(names[k], values(k), k + 1), units[k])
-
-    wavelength = Column(names[roles.wavelength], values(roles.wavelength), roles.wavelength + 1)
-    return SpectrumTable(
-        source,
-        format,
-        _wavelength(wavelength, units[roles.wavelength], source.name),
-        tuple((reflectance(r), None if s is None else reflectance(s)) for r, s in roles.spectra),
-        tuple(f"row {k + 1}" for k in range(len(table))),
-        {"header": plain(dict(table.meta))} if table.meta else {},
-        roles.systematic_columns(reflectance),
-    )
+    about = {"header": plain(dict(table.meta))} if table.meta else {}
+    return roles.table(source, format, column, tuple(f"row {k + 1}" for k in range(len(table))), about)
 
 
 def plain(value: Any) -> Any:
@@ -65,7 +55,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value[:_LISTS_KEPT]]
+        return [plain(v) for v in value[:_LONGEST_LIST]]
     return str(value)
 
 
@@ -170,11 +160,11 @@ _COMMA = re.compile(r"^# delimiter: *['\"]?,", re.MULTILINE)
 def read_ecsv(source: InputFile) -> SpectrumTable:
     """Read an ECSV table; column units and header metadata are kept. Raises DataError when it is broken."""
     text = inputs.text(source)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         table = _parsed(text, source.name)
     _check_names(text, source.name)
-    for message in said:
+    for message in caught:
         warn(f"{source.name}: {one_line(message.message)}")
     return spectrum_table(table, source, "ecsv")
 
@@ -204,10 +194,10 @@ _BLOCK = 2880
 
 def read_fits(source: InputFile) -> SpectrumTable:
     """Read the first table with two columns or more. Raises DataError when there is none, or the file is broken."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         table = _first_table(source)
-    messages = [one_line(m.message) for m in said]
+    messages = [one_line(m.message) for m in caught]
     if any("truncated" in m.lower() for m in messages) or (table is None and len(source.data) % _BLOCK):
         raise DataError(f"{source.name}: truncated FITS file ({len(source.data)} bytes are too few); fetch it again")
     if table is None:
@@ -305,18 +295,18 @@ def _channels_in_rows(table: Any, vectors: list[str]) -> Any:
     """A channel in each row, several spectra in its cells: a column for each, `flux_1` on."""
     from astropy.table import Table
 
-    found = Table(meta=table.meta)
+    result = Table(meta=table.meta)
     for name in table.colnames:
         if name not in vectors:
-            found[name] = table[name]
+            result[name] = table[name]
             continue
         cells = np.ma.asarray(table[name]).reshape(len(table), -1)
         error = _ERROR.fullmatch(name)
         for k in range(cells.shape[1]):
-            own = f"{name}_{k + 1}" if error is None else f"flux_{k + 1}_sigma"
-            found[own] = cells[:, k]
-            found[own].unit = table[name].unit
-    return found
+            title = f"{name}_{k + 1}" if error is None else f"flux_{k + 1}_sigma"
+            result[title] = cells[:, k]
+            result[title].unit = table[name].unit
+    return result
 
 
 def _spectra_in_rows(table: Any, vectors: list[str], file: str) -> Any:
@@ -335,11 +325,11 @@ def _spectra_in_rows(table: Any, vectors: list[str], file: str) -> Any:
         raise DataError(f"{file}: {len(table)} rows with wavelengths of their own; give a file for each")
     texts = [name for name in table.colnames if table[name].dtype.kind in "SU" and len({*table[name]}) == len(table)]
     ids = [str(one).strip() for one in table[texts[0]]] if texts else [str(k + 1) for k in range(len(table))]
-    found = Table({waves[0]: grid[0]}, meta=table.meta)
-    found[waves[0]].unit = table[waves[0]].unit
+    result = Table({waves[0]: grid[0]}, meta=table.meta)
+    result[waves[0]].unit = table[waves[0]].unit
     for name in others:
         for id, row in zip(ids, np.ma.asarray(table[name]), strict=True):
-            own = f"{id}_sigma" if _ERROR.fullmatch(name) else id if texts and len(others) < 3 else f"{name}_{id}"
-            found[own] = row
-            found[own].unit = table[name].unit
-    return found
+            title = f"{id}_sigma" if _ERROR.fullmatch(name) else id if texts and len(others) < 3 else f"{name}_{id}"
+            result[title] = row
+            result[title].unit = table[name].unit
+    return result

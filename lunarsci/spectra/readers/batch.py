@@ -20,7 +20,7 @@ from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, spectra_of
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.libraries import without_wavelength_files
-from lunarsci.spectra.readers.likely import SAID, cleaned, unlikely, without_steps
+from lunarsci.spectra.readers.likely import REMARKS, cleaned, unlikely, without_steps
 from lunarsci.spectra.readers.table import (
     SURELY,
     Column,
@@ -35,7 +35,7 @@ from lunarsci.spectra.readers.table import (
 )
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 
 OneSource: TypeAlias = (
@@ -70,7 +70,7 @@ class SpectraBatch:
     read_as: list[str] = field(default_factory=list)
 
     @property
-    def said(self) -> dict[str, list[str]]:
+    def remarks(self) -> dict[str, list[str]]:
         """For a result: `read_as`, where there was a choice in how files were read."""
         return {"read_as": list(self.read_as)} if self.read_as else {}
 
@@ -86,9 +86,10 @@ class SpectraBatch:
         Raises DataError when none has one.
         """
         spectra = self.spectra
-        each, origins = Counter(self.origins), self.origins
-        told = (Failure.of(origins[k], reasons[k], spectra[k].id, only=each[origins[k]] == 1) for k in sorted(reasons))
-        failures = [*self.failures, *told]
+        each = Counter(self.origins)
+        named = ((k, self.origins[k]) for k in sorted(reasons))
+        none = (Failure.of(name, reasons[k], spectra[k].id, only=each[name] == 1) for k, name in named)
+        failures = [*self.failures, *none]
         if len(reasons) == len(spectra):
             raise BatchError.of(failures)
         return failures
@@ -120,19 +121,19 @@ def read_batch(
         if batch.failures:
             raise BatchError.of(batch.failures)
         raise DataError("no spectra were given; name files or tables")
-    clean, told = cleaned(parts)
-    for line in told:
+    clean, notes = cleaned(parts)
+    for line in notes:
         warn(line)
-    found = replace(batch, spectra=SpectrumCollection(clean))
-    return _those(found, only) if only else found
+    result = replace(batch, spectra=SpectrumCollection(clean))
+    return _those(result, only) if only else result
 
 
 def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
     """The spectra of some names, in the order of the inputs."""
     ids = batch.spectra.ids
     if missing := next((name for name in only if name not in ids), None):
-        found = some_of(ids, NAMED)
-        raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {found}")
+        result = some_of(ids, NAMED)
+        raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {result}")
     places = np.array([place for place, name in enumerate(ids) if name in only])
     return replace(batch, spectra=batch.spectra.taken(places), origins=[batch.origins[k] for k in places])
 
@@ -168,14 +169,10 @@ def _as_arrays(item: Any) -> Any:
 
 def _sd(error: Any) -> Any:
     """One standard deviation of an uncertainty of astropy's NDData."""
-    deviation = error.represent_as(_standard_deviation()) if hasattr(error, "represent_as") else error
-    return deviation.quantity if hasattr(deviation, "quantity") else deviation.array
-
-
-def _standard_deviation() -> Any:
     from astropy.nddata import StdDevUncertainty
 
-    return StdDevUncertainty
+    deviation = error.represent_as(StdDevUncertainty) if hasattr(error, "represent_as") else error
+    return deviation.quantity if hasattr(deviation, "quantity") else deviation.array
 
 
 def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance_unit: Any) -> Iterator[SpectrumRows]:
@@ -183,35 +180,35 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     name = item if isinstance(item, str) else getattr(item, "name", "<table>")
     try:
         source = read_input(_with_wavelengths(item))
-        found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
-        told = unlikely(found, source.name)
+        result = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+        notes = unlikely(result, source.name)
     except LunarSciError as error:
         batch.failures.append(Failure.of(name, error))
         return
-    found = _levelled(batch, found, told)
-    for line in told:
+    result = _levelled(batch, result, notes)
+    for line in notes:
         warn(line)
-    batch.origins.extend([source.name] * len(found))
+    batch.origins.extend([source.name] * len(result))
     batch.inputs[source.name] = source.sha256
-    batch.inputs.update(found.about(0).get("inputs", {}))
-    batch.read_as.extend(found.about(0).get("read_as", ()))
-    yield _averaged(batch, found, source.name)
+    batch.inputs.update(result.about(0).get("inputs", {}))
+    batch.read_as.extend(result.about(0).get("read_as", ()))
+    yield _averaged(batch, result, source.name)
 
 
-def _levelled(batch: SpectraBatch, rows: SpectrumRows, told: Sequence[str]) -> SpectrumRows:
+def _levelled(batch: SpectraBatch, rows: SpectrumRows, notes: Sequence[str]) -> SpectrumRows:
     """The spectra without the steps that were told of."""
-    steps = [line for line in told if SAID["step"] in line]
+    steps = [line for line in notes if REMARKS["step"] in line]
     batch.read_as.extend(steps)
     return without_steps(rows) if steps else rows
 
 
 def _averaged(batch: SpectraBatch, rows: SpectrumRows, name: str) -> SpectrumRows:
     """The spectra with as many channels as are measured; said where some were averaged."""
-    found, each = averaged(rows)
+    result, each = averaged(rows)
     if each > 1:
         batch.read_as.append(f"{name}: {rows.wavelength_nm.size} channels, every {each} averaged")
         warn(batch.read_as[-1])
-    return found
+    return result
 
 
 def _with_wavelengths(item: Any) -> Any:
@@ -230,7 +227,7 @@ def _with_wavelengths(item: Any) -> Any:
 def _from_memory(
     batch: SpectraBatch, item: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
 ) -> Iterator[SpectrumRows]:
-    before, told = len(batch.origins) + len(batch.failures), list[str]()
+    before, notes = len(batch.origins) + len(batch.failures), list[str]()
     name = f"spectrum {before + 1}"
     try:
         if isinstance(item, Spectrum):
@@ -238,16 +235,16 @@ def _from_memory(
         else:
             rows = _of_arrays(before, item, wavelength_unit, reflectance_unit)
             # What is computed scatters by nothing.
-            told = [line for line in unlikely(rows, f"<{name}>") if SAID["smooth"] not in line]
+            notes = [line for line in unlikely(rows, f"<{name}>") if REMARKS["smooth"] not in line]
     except (DataError, ParameterError) as error:
         batch.failures.append(Failure.of(name, str(error).replace(f"<{name}>", name)))
         return
     batch.read_as.extend(rows.about(0).get("read_as", ()) if not isinstance(item, Spectrum) else ())
-    rows = _levelled(batch, rows, told)
-    for line in told:
+    rows = _levelled(batch, rows, notes)
+    for line in notes:
         warn(line)
     for k, id in enumerate(rows.ids):
-        sigma = None if rows.uncertainty is None or not rows.known[k] else rows.uncertainty[k]
+        sigma = None if rows.uncertainty is None or not rows.has_sigma[k] else rows.uncertainty[k]
         content = (rows.wavelength_nm, rows.reflectance[k], sigma)
         batch.origins.append(str(item.metadata.get("source", f"<{id}>")) if isinstance(item, Spectrum) else f"<{id}>")
         batch.inputs[f"<{id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
@@ -298,8 +295,8 @@ def _by_range(name: str, values: FloatArray) -> WavelengthUnit:
     low, high = SURELY["um"]
     if not (values.size and low <= values.min() and values.max() <= high):
         return "nm"
-    told = f"<{name}>: wavelengths {values.min():g}-{values.max():g} read as µm"
-    warn(f"{told}; give nm, or wavelength_unit='um'")
+    notes = f"<{name}>: wavelengths {values.min():g}-{values.max():g} read as µm"
+    warn(f"{notes}; give nm, or wavelength_unit='um'")
     return "um"
 
 
@@ -342,12 +339,12 @@ def expanded(files: Iterable[str], failures: list[Failure]) -> list[str]:
     names: list[str] = []
     for file in files:
         try:
-            found = expand_inputs([file])
-            if found != [file] and any(product_name(name) for name in found):
-                found = [name for name in found if not name.endswith(".json")]
+            result = expand_inputs([file])
+            if result != [file] and any(product_name(name) for name in result):
+                result = [name for name in result if not name.endswith(".json")]
             elif Path(file).is_dir():
-                found = _without_results(file, found)
-            names += without_wavelength_files(found)
+                result = _without_results(file, result)
+            names += without_wavelength_files(result)
         except DataError as error:
             failures.append(Failure.of(file, error))
     return without_headers(list(dict.fromkeys(names)))
@@ -358,9 +355,9 @@ def _without_results(folder: str, names: Sequence[str]) -> list[str]:
     left = [name for name in names if is_result(name)]
     if not left:
         return list(names)
-    told = some_of([Path(name).name for name in left], NAMED_LEFT)
+    listed = some_of([Path(name).name for name in left], NAMED_LEFT)
     count = f"{len(left)} result{'s' if len(left) > 1 else ''}"
-    warn(f"{folder}: left out, {count} of lunarsci: {told}")
+    warn(f"{folder}: left out, {count} of lunarsci: {listed}")
     if len(left) == len(names):
         raise NoFilesError(f"{folder}: holds nothing but results of lunarsci; name the files of spectra, or a pattern")
     return [name for name in names if name not in left]

@@ -1,23 +1,28 @@
-"""Roles of the columns of a table, told by their names: wavelength, spectra, uncertainties, and none of these.
+"""Columns of a table by their names: wavelength, spectra, errors, none of these, what is computed from reflectance.
 
-Tables that say something of spectra by their ids.
+Absorbance of a reflectance spectrum is log10(1/R); F = (1 - R)^2 / (2 R) is Kubelka & Munk (1931), Z. tech. Phys. 12,
+593. Both are the usual forms of near-infrared spectrometers; no library of formats converts them. Tables that say
+something of spectra by their ids are read here, too.
 """
 
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, warn
-from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
 from lunarsci.names import some_of
-from lunarsci.spectra.readers.quantities import quantity_of
+from lunarsci.spectra.readers.likely import LARGE_ERROR
 from lunarsci.spectra.readers.table import (
     MAX_FRACTION,
+    PERCENT_SIGN,
     Column,
     SpectrumTable,
     name_tokens,
@@ -25,7 +30,104 @@ from lunarsci.spectra.readers.table import (
     stated_unit,
     without_unit,
 )
-from lunarsci.spectra.rows import quoted, separator_of, split_lines
+from lunarsci.spectra.rows import named_table, quoted
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnQuantity:
+    """What a column holds: its name, how a name says so, and the reflectance of it."""
+
+    name: str
+    words: re.Pattern[str]
+    reflectance: Callable[[FloatArray], FloatArray]
+
+
+def of_decadic(values: FloatArray) -> FloatArray:
+    """R = 10^-x. [-]"""
+    return np.asarray(10.0**-values)
+
+
+def of_natural(values: FloatArray) -> FloatArray:
+    """R = e^-x. [-]"""
+    return np.asarray(np.exp(-values))
+
+
+def of_kubelka_munk(values: FloatArray) -> FloatArray:
+    """R = 1 + F - (F^2 + 2 F)^(1/2), the root of F = (1 - R)^2 / (2 R) below 1; F >= 0. [-]"""
+    return np.asarray(1.0 + values - np.sqrt(values**2 + 2.0 * values))
+
+
+_R = r"\(?r(ef\w*\.?)?\)?"
+QUANTITIES = (
+    ColumnQuantity("log10(1/R)", re.compile(rf"(?<![a-z])log(10)?[(\[]?1/{_R}|-log(10)?{_R}(?![a-z])"), of_decadic),
+    ColumnQuantity("ln(1/R)", re.compile(rf"(?<![a-z])ln[(\[]?1/{_R}|-ln{_R}(?![a-z])"), of_natural),
+    ColumnQuantity("ln R", re.compile(rf"(?<![a-z-])ln{_R}$"), lambda values: of_natural(-values)),
+    ColumnQuantity("log10 R", re.compile(rf"(?<![a-z-])log(10)?{_R}$"), lambda values: of_decadic(-values)),
+    ColumnQuantity(
+        "the function of Kubelka and Munk",
+        re.compile(r"kubelka|^k[-/]?m$|(?<![a-z])k-m(?![a-z])|^f\(r\W*\w*\)|^k/s$|remissionfunction"),
+        of_kubelka_munk,
+    ),
+    ColumnQuantity("absorbance, log10(1/R)", re.compile(r"absorbance|^abs\.?([(\[].*)?$"), of_decadic),
+)
+"""What is known of, the first that fits a name in lower case without blanks."""
+
+
+@lru_cache(maxsize=4096)
+def quantity_of(name: str) -> ColumnQuantity | None:
+    """What a column holds by its name; None for a reflectance, as far as the name says."""
+    plain = re.sub(r"[\s_]", "", unicodedata.normalize("NFKC", name).replace("−", "-").casefold())
+    return next((one for one in QUANTITIES if one.words.search(plain)), None)
+
+
+def as_reflectance(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
+    """A table whose `block`, and errors, are reflectances where columns hold something else; and what to say."""
+    spectra, notes, reflectances = list(table.spectra), dict[str, str](), table.reflectances
+    for row, (column, sigma) in enumerate(table.spectra):
+        if (quantity := quantity_of(column.name)) is None:
+            continue
+        values = reflectances[row].copy()
+        with np.errstate(invalid="ignore", over="ignore"):
+            reflectances[row] = quantity.reflectance(values)
+            spectra[row] = _named(column), None if sigma is None else _error(sigma, values, quantity)
+        notes.setdefault(
+            quantity.name,
+            f"column {column.label} read as {quantity.name} and made reflectance; if it is one already, name it so",
+        )
+    return replace(table, spectra=tuple(spectra), block=reflectances), list(notes.values())
+
+
+def _named(column: Column) -> Column:
+    """A column of reflectance in its place."""
+    return replace(column, unit="fraction", unit_text=column.name)
+
+
+def _error(sigma: Column, values: FloatArray, quantity: ColumnQuantity) -> Column:
+    """Half the way between the reflectances one standard deviation to either side."""
+    up, down = quantity.reflectance(values - sigma.values), quantity.reflectance(values + sigma.values)
+    return replace(sigma, values=np.abs(up - down) / 2, unit="fraction")
+
+
+def with_absolute_errors(table: SpectrumTable) -> tuple[SpectrumTable, list[str]]:
+    """A table whose relative errors are made errors of their reflectances; and what to say where no unit is named."""
+    spectra, notes = list(table.spectra), list[str]()
+    for row, (column, sigma) in enumerate(table.spectra):
+        if sigma is None or not _is_relative(sigma.name, column.name):
+            continue
+        share, named = sigma.values, PERCENT_SIGN.search(sigma.name) is not None
+        in_percent = named or bool(np.nanmedian(share) > LARGE_ERROR)
+        if not named:
+            unit = "percent" if in_percent else "shares of 1"
+            notes.append(f"column {sigma.label} read as relative errors in {unit}; name its unit to decide otherwise")
+        absolute = np.abs(table.reflectances[row]) * (share / 100 if in_percent else share)
+        spectra[row] = column, replace(sigma, name="", values=absolute, unit=column.unit)
+    return replace(table, spectra=tuple(spectra), block=table.reflectances), notes
+
+
+def _is_relative(name: str, of: str) -> bool:
+    """Whether the name of errors says that they are relative, apart from what they are the errors of."""
+    words = Counter(name_tokens(name)) - Counter(name_tokens(of))
+    return any(re.fullmatch(r"rel|relativ\w*|rel(err|sd|std|unc)\w*|rsd", word) for word in words)
 
 
 def rows_by_id(source: InputFile, key: str = "id") -> dict[str, tuple[int, dict[str, str]]]:
@@ -34,36 +136,13 @@ def rows_by_id(source: InputFile, key: str = "id") -> dict[str, tuple[int, dict[
     Raises DataError for a table without that column or rows, with a column twice, a row of another length, and a name
     that is empty or comes twice.
     """
-    rows: dict[str, tuple[int, dict[str, str]]] = {}
-    for line, row in _rows(source, key):
-        name = row[key]
-        if not name:
-            raise DataError(f"{source.name}: line {line} has no {key}; complete it or delete the line")
-        folded = name if key == "id" else name.casefold()
-        if folded in rows:
-            raise DataError(f"{source.name}: line {line}: {quoted(name)} comes twice; keep one")
-        rows[folded] = line, row
-    return rows
-
-
-def _rows(source: InputFile, key: str) -> list[tuple[int, dict[str, str]]]:
-    lines = split_lines(inputs.text(source))[0]
-    if not lines:
-        raise DataError(f"{source.name}: holds only comments; check how it was made")
-    separator = separator_of(lines)
-    reader = inputs.csv_rows(source.name, [f"{line}\n" for _, line in lines], delimiter=separator, strict=True)
-    header, *body = [[cell.strip() for cell in row] for row in reader]
-    names = [name.casefold() for name in header]
-    if key not in names:
-        raise DataError(f"{source.name}: has no column '{key}', only {', '.join(map(quoted, header[:5]))}; name it so")
-    if twice := [name for name in names if name and names.count(name) > 1]:
-        raise DataError(f"{source.name}: two columns are called '{twice[0]}'; keep one")
-    if not body:
-        raise DataError(f"{source.name}: holds a header and no rows; check how it was made")
-    for (line, _), row in zip(lines[1:], body, strict=False):
-        if len(row) != len(names):
-            raise DataError(f"{source.name}: line {line} has {len(row)} cells, the header {len(names)}; correct it")
-    return [(line, dict(zip(names, row, strict=True))) for (line, _), row in zip(lines[1:], body, strict=False)]
+    table = named_table(source, key)
+    names = [name if key == "id" else name.casefold() for name in table.cells(key)]
+    first = {name: row.line for name, row in zip(reversed(names), reversed(table.rows), strict=True)}
+    again = [not name or first[name] != row.line for name, row in zip(names, table.rows, strict=True)]
+    table.refuse(np.array(again), key, f"each row has a {key} of its own; complete it, or keep one")
+    rows = zip(names, table.rows, strict=True)
+    return {name: (row.line, dict(zip(table.names, row.fields, strict=True))) for name, row in rows}
 
 
 _WAVENUMBER = {"wavenumber", "wavenumbers", "wellenzahl"}
@@ -124,13 +203,19 @@ class Roles:
     spectra: tuple[tuple[int, int | None], ...]
     systematic: Mapping[int, tuple[tuple[str, int], ...]] = field(default_factory=dict)
 
-    def systematic_columns(self, read: Callable[[int], Column]) -> dict[int, tuple[tuple[str, Column], ...]]:
-        """The columns of systematic shifts, read from their places, by the index of their spectrum."""
-        return {
+    def table(
+        self, source: InputFile, format: str, read: Callable[[int], Column], places: tuple[str, ...],
+        metadata: Mapping[str, Any], block: FloatArray | None = None,
+    ) -> SpectrumTable:  # fmt: skip
+        """The table of a file whose columns are read from their places."""
+        wavelength = read(self.wavelength)
+        systematic = {
             index: tuple((name, read(k)) for name, k in self.systematic[place])
             for index, (place, _) in enumerate(self.spectra)
             if place in self.systematic
         }
+        spectra = tuple((read(r), None if s is None else read(s)) for r, s in self.spectra)
+        return SpectrumTable(source, format, wavelength, spectra, places, metadata, systematic, block)
 
 
 def is_wavelength(name: str) -> bool:
@@ -203,14 +288,14 @@ def _check_unique(names: Sequence[str], file: str) -> None:
 
 
 def _wavelength_place(names: Sequence[str], file: str) -> int:
-    found = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
-    found = [k for k in found if not _WAVENUMBER & {*name_tokens(names[k])}] or found
-    if len(found) > 1:
+    result = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    result = [k for k in result if not _WAVENUMBER & {*name_tokens(names[k])}] or result
+    if len(result) > 1:
         raise DataError(
-            f"{file}: {quoted(names[found[0]])} and {quoted(names[found[1]])} are both wavelengths; keep one of them"
+            f"{file}: {quoted(names[result[0]])} and {quoted(names[result[1]])} are both wavelengths; keep one of them"
         )
-    if found:
-        return found[0]
+    if result:
+        return result[0]
     if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM:
         raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one named wavelength_nm")
     return 0
@@ -270,15 +355,15 @@ def _owner(name: str, plain: Mapping[str, int]) -> int | None:
 def _systematic(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, tuple[tuple[str, int], ...]]:
     """By the place of a reflectance, the columns COLUMN_systematic_NAME that say how errors shift all its channels."""
     plain = {without_unit(names[k]): k for k in places}
-    found: dict[int, list[tuple[str, int]]] = {}
+    result: dict[int, list[tuple[str, int]]] = {}
     for k in places:
         match = _SYSTEMATIC.match(without_unit(names[k]))
         if match is None:
             continue
         if match[1] not in plain:
             raise DataError(f"{file}: there is no column {quoted(match[1])} that {quoted(names[k])} belongs to; add it")
-        found.setdefault(plain[match[1]], []).append((match[2], k))
-    return {owner: tuple(columns) for owner, columns in found.items()}
+        result.setdefault(plain[match[1]], []).append((match[2], k))
+    return {owner: tuple(columns) for owner, columns in result.items()}
 
 
 def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[str], file: str) -> None:
@@ -306,19 +391,22 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
     constant = unnamed & ((low > MAX_FRACTION) & ((low == high) | any(plain)) | running)
     if constant.any() and not constant.all():
-        kept, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
+        retained, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
         why = "the same value in all rows" if (low == high)[constant].all() else "raw numbers beside a reflectance"
         why = "the number of the row" if running[constant].all() else why
         warn(f"{table.source.name}: left out {dropped}: {why}, no reflectance")
-        shifts = {new: table.systematic[old] for new, old in enumerate(kept) if old in table.systematic}
-        table = replace(table, spectra=tuple(table.spectra[k] for k in kept), systematic=shifts, block=values[kept])
-        high, deleted = high[kept], deleted[kept]
-    for (before, known), (column, own), most in zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False):
-        if known is None and own is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
+        shifts = {new: table.systematic[old] for new, old in enumerate(retained) if old in table.systematic}
+        table = replace(
+            table, spectra=tuple(table.spectra[k] for k in retained), systematic=shifts, block=values[retained]
+        )
+        high, deleted = high[retained], deleted[retained]
+    pairs = zip(table.spectra, table.spectra[1:], high[1:].tolist(), strict=False)
+    for (before, errors), (column, sigma), most in pairs:
+        if errors is None and sigma is None and most <= ERROR_MOST and _looks_like_error(before.values, column.values):
             text = f"column {column.label} is below {100 * ERROR_SHARE:g} % of {before.label} before it"
-            own_name = quoted(without_unit(before.name) + "_sigma")
-            warn(f"{table.source.name}: {text}: if it is its error, name it {own_name}")
+            sigma_name = quoted(without_unit(before.name) + "_sigma")
+            warn(f"{table.source.name}: {text}: if it is its error, name it {sigma_name}")
     return table, deleted
 
 

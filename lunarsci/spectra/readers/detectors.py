@@ -11,17 +11,13 @@ from itertools import pairwise
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.spectra.readers.likely import LEAST_STEP, STEP_CHANNELS, STEP_SURE, scatter_of
 from lunarsci.spectra.readers.table import SpectrumTable
 
-LEAST_CHANNELS = 5
-"""Of a detector, as of the splice of VNIS; assumed."""
 MOST_DETECTORS = 4
 """Of a spectrometer; assumed: field spectrometers have two or three."""
 EVEN = 0.25
 """Share by which steps of one detector differ from the one before, at most; assumed."""
-SURE, LEAST = 10.0, 0.01
-"""Errors by which levels of two interleaved grids differ, and least ratio in ln R, before they are two detectors;
-those of steps in `likely`, assumed."""
 
 
 def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
@@ -35,7 +31,7 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
     parts = ways[0](table, wavelength_nm) or ways[1](table, wavelength_nm)
     if not parts:
         return _without_copies(table, wavelength_nm)
-    gain, keep, said = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
+    gain, keep, notes = np.ones(table.reflectances.shape), np.zeros(wavelength_nm.size, bool), list[str]()
     keep[parts[-1]] = True
     for low, high in reversed(list(pairwise(parts))):
         first, last = wavelength_nm[high[0]], wavelength_nm[low[-1]]
@@ -43,13 +39,13 @@ def joined(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTab
         keep[low], keep[high] = wavelength_nm[low] < middle, keep[high] & (wavelength_nm[high] >= middle)
         ratio = np.array([_ratio(wavelength_nm, one, low, high) for one in table.reflectances * gain])
         gain[:, low] *= ratio[:, None]
-        said.append(
+        notes.append(
             f"two detectors overlap at {first:.5g}-{last:.5g} nm: read as one spectrum, the first scaled by "
             f"{float(np.median(ratio)):.4g} to the second and joined at {middle:.5g} nm; give each by itself to keep "
             "them apart"
         )
     chosen = np.concatenate([part[keep[part]] for part in parts])
-    return table.taken(chosen, gain), wavelength_nm[chosen], said
+    return table.taken(chosen, gain), wavelength_nm[chosen], notes
 
 
 def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[SpectrumTable, FloatArray, list[str]]:
@@ -60,8 +56,8 @@ def _without_copies(table: SpectrumTable, wavelength_nm: FloatArray) -> tuple[Sp
     chosen = np.sort(np.unique(rows, axis=1, return_index=True)[1])
     if chosen.size == wavelength_nm.size:
         return table, wavelength_nm, []
-    said = [f"{wavelength_nm.size - chosen.size} rows that repeat another one are left out"]
-    return table.taken(chosen), wavelength_nm[chosen], said
+    notes = [f"{wavelength_nm.size - chosen.size} rows that repeat another one are left out"]
+    return table.taken(chosen), wavelength_nm[chosen], notes
 
 
 def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
@@ -76,7 +72,7 @@ def _runs(table: SpectrumTable, wavelength_nm: FloatArray) -> list[IntArray]:
 
 def _overlap(wavelength_nm: FloatArray, parts: Sequence[IntArray]) -> bool:
     """Whether each of a few detectors begins within the one before it, and ends beyond it."""
-    if not 2 <= len(parts) <= MOST_DETECTORS or min(map(len, parts)) < LEAST_CHANNELS:
+    if not 2 <= len(parts) <= MOST_DETECTORS or min(map(len, parts)) < STEP_CHANNELS:
         return False
     ends = [(wavelength_nm[part[0]], wavelength_nm[part[-1]]) for part in parts]
     return all(a < c <= b < d for (a, b), (c, d) in pairwise(ends))
@@ -105,7 +101,7 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     Where two could follow, the one nearer in value does. What follows evenly beyond the last of the others is theirs.
     """
     steps = np.diff(ascending)
-    if ascending.size < 4 * LEAST_CHANNELS or (steps[1:] >= (1 - EVEN) * steps[:-1]).all():
+    if ascending.size < 4 * STEP_CHANNELS or (steps[1:] >= (1 - EVEN) * steps[:-1]).all():
         return []
     one = _even(ascending, values)
     other = np.setdiff1d(np.arange(ascending.size), one)
@@ -115,7 +111,7 @@ def _two_grids(ascending: FloatArray, values: FloatArray) -> list[IntArray]:
     low, high = one[one <= end], np.sort(np.concatenate([other, one[one > end]]))
     while low.size > 1 and high.size > 1 and _is_missed(ascending[low[-1]], ascending[high]):
         low, high = low[:-1], np.sort(np.append(high, low[-1]))
-    if low.size < LEAST_CHANNELS or high.size < LEAST_CHANNELS or low[-1] < high[0]:
+    if low.size < STEP_CHANNELS or high.size < STEP_CHANNELS or low[-1] < high[0]:
         return []
     beside = np.diff(ascending[high[: np.searchsorted(high, low[-1]) + 2]])
     return [low, high] if beside.max() <= (1 + EVEN) * beside.min() else []
@@ -154,27 +150,22 @@ def _differences(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, h
     if not within.size:
         return np.empty(0)
     level = np.log(values[high])
-    spline = CubicSpline(x, level) if x.size > LEAST_CHANNELS else interp1d(x, level)
+    spline = CubicSpline(x, level) if x.size > STEP_CHANNELS else interp1d(x, level)
     return np.asarray(spline(wavelength_nm[within]) - np.log(values[within]))
 
 
 def _ratio(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> float:
     """Of the second detector to the first, by the median where both measured; 1 where nothing tells."""
-    found = _differences(wavelength_nm, values, low, high)
-    return float(np.exp(np.median(found))) if found.size else 1.0
+    result = _differences(wavelength_nm, values, low, high)
+    return float(np.exp(np.median(result))) if result.size else 1.0
 
 
 def _level_sure(wavelength_nm: FloatArray, values: FloatArray, low: IntArray, high: IntArray) -> bool:
     """Whether the levels of two grids differ by more than their common channels, and all of each, scatter."""
-    found = _differences(wavelength_nm, values, low, high)
-    if not found.size:
+    result = _differences(wavelength_nm, values, low, high)
+    if not result.size:
         return False
-    scatter = max(_scatter(values[part]) for part in (low, high))
-    error = max(scatter, float(found.std(ddof=1)) if found.size > 1 else 0.0) / found.size**0.5
-    return bool(abs(float(found.mean())) > max(LEAST, SURE * error))
-
-
-def _scatter(values: FloatArray) -> float:
-    """Of ln R from channel to channel, about straight lines between neighbours: 6 variances of it."""
-    level = np.log(values[values > 0])
-    return float(np.median(np.abs(np.diff(level, 2)))) / (0.6745 * 6**0.5) if level.size > 2 else np.inf
+    levels = [np.log(values[part][values[part] > 0]) for part in (low, high)]
+    scatter = max(scatter_of(level) if level.size > 2 else np.inf for level in levels)
+    error = max(scatter, float(result.std(ddof=1)) if result.size > 1 else 0.0) / result.size**0.5
+    return bool(abs(float(result.mean())) > max(LEAST_STEP, STEP_SURE * error))

@@ -15,15 +15,21 @@ from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
-from lunarsci.spectra.readers.columns import only_spectra, spectrum_ids
+from lunarsci.spectra.readers.columns import as_reflectance, only_spectra, spectrum_ids, with_absolute_errors
 from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
-from lunarsci.spectra.readers.interchange import looks_like, read_jcamp, read_json, read_with_astropy
-from lunarsci.spectra.readers.libraries import looks_like_relab, looks_like_splib, read_relab, read_splib
-from lunarsci.spectra.readers.markers import markers_of, without_deleted, without_markers
-from lunarsci.spectra.readers.pds import read_pds
-from lunarsci.spectra.readers.pds_label import is_pds_label, label_of_table
-from lunarsci.spectra.readers.quantities import as_reflectance, with_absolute_errors
+from lunarsci.spectra.readers.libraries import (
+    looks_like,
+    looks_like_relab,
+    looks_like_splib,
+    read_jcamp,
+    read_json,
+    read_relab,
+    read_splib,
+    read_with_astropy,
+)
+from lunarsci.spectra.readers.likely import markers_of, without_deleted, without_markers
+from lunarsci.spectra.readers.pds import is_pds_label, label_of_table, read_pds
 from lunarsci.spectra.readers.table import (
     SCALES,
     ReflectanceChoice,
@@ -41,18 +47,19 @@ from lunarsci.spectra.readers.table import (
 from lunarsci.spectra.readers.text import read_excel, read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
-from lunarsci.spectra.vnis.name import product_name
+from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import read_observation
-
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
 
 _READERS: dict[str, Callable[[InputFile], SpectrumTable]] = {
     **{"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib, "excel": read_excel},
-    **{"jcamp": read_jcamp, "json": read_json},
+    **{"jcamp": read_jcamp, "json": read_json, "ecsv": read_ecsv, "fits": read_fits, "pds": read_pds},
     **{name: partial(read_with_astropy, format=name) for name in ("votable", "mrt")},
 }
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
-_FOREIGN = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
+_PACKED = {magic: f"compressed ({kind}); unpack it first" for magic, kind in _PACKED.items()}
+_OTHERS = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
+_FOREIGN = {magic: f"{kind}, not a table of spectra; save them as CSV or ECSV" for magic, kind in _OTHERS.items()}
 _FITS = b"SIMPLE  ="
 _RELAB_SUFFIXES = {".tab", ".asc"}
 _FITS_SUFFIXES = {".fits", ".fit", ".fts"}
@@ -89,7 +96,7 @@ def read_spectra(
         return SpectrumRows.of(_calibrated(source.name))
     if format is None and (label := label_of_table(source)) is not None:
         source = label
-    table = _reader(format or _format_of(source))(source)
+    table = _READERS[format or _format_of(source)](source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
 
 
@@ -99,24 +106,17 @@ def _calibrated(path: str) -> Spectrum:
     Raises DataError for one that is in doubt: only that command shows it.
     """
 
-    found = calibrate(read_observation(path))
-    if found.doubts:
+    result = calibrate(read_observation(path))
+    if result.doubts:
         raise DataError(
-            f"{path}: {found.doubts[0]}; look at it with `lunarsci spectra calibrate`, use its -o .ecsv if right"
+            f"{path}: {result.doubts[0]}; look at it with `lunarsci spectra calibrate`, use its -o .ecsv if right"
         )
-    return found.to_spectrum()
+    return result.to_spectrum()
 
 
 def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
     if value is not None and value not in allowed:
         raise ParameterError(f"{what} '{value}' is not known; use one of {', '.join(allowed)}")
-
-
-def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
-    # astropy takes longer to import than a CSV file to read: only files that need it pay for it.
-    if format in ("ecsv", "fits", "pds"):
-        return {"ecsv": read_ecsv, "fits": read_fits, "pds": read_pds}[format]
-    return _READERS[format]
 
 
 def _format_of(source: InputFile) -> str:
@@ -129,7 +129,9 @@ def _format_of(source: InputFile) -> str:
         )
     if source.data.startswith(b"PK\x03\x04") and (b"xl/" in source.data or suffix == ".xlsx"):
         return "excel"
-    _refuse_by_magic(source)
+    for magic, kind in (_PACKED | _FOREIGN).items():
+        if source.data.startswith(magic):
+            raise DataError(f"{source.name}: is {kind}")
     if looks_like_envi(source):
         return "envi"
     if is_pds_label(source):
@@ -142,8 +144,8 @@ def _format_of(source: InputFile) -> str:
         return "ecsv"
     if suffix == ".ecsv":
         raise DataError(f"{source.name}: is named ECSV but has no '# %ECSV' line; rename it .csv, or write it as ECSV")
-    if known := looks_like(text):
-        return known
+    if exchange := looks_like(text):
+        return exchange
     if text.startswith("<"):
         raise DataError(f"{source.name}: is an HTML or XML page, not a table (an error page saved?); fetch it again")
     if looks_like_splib(text):
@@ -151,16 +153,7 @@ def _format_of(source: InputFile) -> str:
     return "relab" if looks_like_relab(text, named_so=suffix in _RELAB_SUFFIXES) else "text"
 
 
-def _refuse_by_magic(source: InputFile) -> None:
-    for magic, kind in _PACKED.items():
-        if source.data.startswith(magic):
-            raise DataError(f"{source.name}: is compressed ({kind}); unpack it first")
-    for magic, kind in _FOREIGN.items():
-        if source.data.startswith(magic):
-            raise DataError(f"{source.name}: is {kind}, not a table of spectra; save the spectra as CSV or ECSV")
-
-
-_SAID = {
+_REMARKS = {
     "channels_unit_overruled": "values read in the reflectance unit that the file states, not in the one you stated",
     "channels_unit_unlikely": "values read in the reflectance unit you stated, which their size makes unlikely",
     "channels_deleted": "values that mark deleted channels (at or below -1e30), taken as missing",
@@ -176,17 +169,17 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     Raises DataError when rows, units or values do not make sense, or a single spectrum has no usable channel.
     """
     file = table.source.name
-    kept, left_out = _rows_with_wavelength(table)
-    kept, deleted, said = without_markers(kept)
-    kept, deleted = only_spectra(kept, deleted)
-    kept, converted = as_reflectance(kept)
-    kept, relative = with_absolute_errors(kept)
-    values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
-    kept, values, spliced = joined(kept, values)
-    order, order_name = _ascending(values, kept)
-    units, sized = _units(kept, values, stated.reflectance)
-    told = (*table.metadata.get("read_as", ()), *said, *converted, *relative, *spliced, *sized)
-    read_as = [f"{file}: {line}" for line in told]
+    used, left_out = _rows_with_wavelength(table)
+    used, deleted, notes = without_markers(used)
+    used, deleted = only_spectra(used, deleted)
+    used, converted = as_reflectance(used)
+    used, relative = with_absolute_errors(used)
+    values, record = wavelength_nm(used.wavelength, stated.wavelength, file)
+    used, values, spliced = joined(used, values)
+    order, order_name = _ascending(values, used)
+    units, sized = _units(used, values, stated.reflectance)
+    lines = (*table.metadata.get("read_as", ()), *notes, *converted, *relative, *spliced, *sized)
+    read_as = [f"{file}: {line}" for line in lines]
     for line in read_as:
         warn(line)
     if record["wavelength_unit_from"] == "values":
@@ -201,9 +194,9 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
         **table.metadata,
         **({"read_as": read_as} if read_as else {}),
     }
-    found, counts = _assembled(kept, values[order], order, units, common, deleted)
-    _report(found, counts, file)
-    return found
+    result, counts = _assembled(used, values[order], order, units, common, deleted)
+    _report(result, counts, file)
+    return result
 
 
 def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
@@ -252,12 +245,12 @@ class _About:
 
     def __call__(self, row: int) -> dict[str, Any]:
         unit = self.units[self.which[row]]
-        said = {
+        unit_record = {
             "reflectance_unit": next(name for name, scale in SCALES.items() if scale == unit.scale),
             "reflectance_unit_from": unit.origin,
         }
         counts = {key: int(count[row]) for key, count in self.counts.items()}
-        return {**self.record, "column": self.names[row], **said, **counts}
+        return {**self.record, "column": self.names[row], **unit_record, **counts}
 
 
 def _assembled(
@@ -289,25 +282,25 @@ def _assembled(
     }
     with np.errstate(invalid="ignore"):
         mask = lacking | ~(values > 0)
-    shifts = {k: {name: (c.values * scale[k])[order] for name, c in own} for k, own in table.systematic.items()}
-    known = np.asarray(False if sigma is None else np.isfinite(sigma).any(axis=1))
+    shifts = {k: {name: (c.values * scale[k])[order] for name, c in columns} for k, columns in table.systematic.items()}
+    has_sigma = np.asarray(False if sigma is None else np.isfinite(sigma).any(axis=1))
     sigma = None if sigma is None else _sorted(sigma, order)
-    found = SpectrumRows(
+    result = SpectrumRows(
         ids,
         wavelength,
         _sorted(values, order),
         _sorted(mask, order),
         _About(record, names, units, which, counts),
         sigma,
-        np.broadcast_to(known, len(ids)),
+        np.broadcast_to(has_sigma, len(ids)),
         shifts,
     )
     try:
         for row in {0, *shifts}:
-            found[row]
+            result[row]
     except DataError as error:
         raise DataError(f"{table.source.name}: {error}") from error
-    return found, counts
+    return result, counts
 
 
 _Ways: TypeAlias = tuple[list[ReflectanceChoice], IntArray, dict[int, float]]
@@ -318,7 +311,7 @@ def _units(table: SpectrumTable, wavelength: FloatArray, stated: ReflectanceUnit
     """How reflectances at wavelengths [nm] are read, and what to say of it."""
     columns, values, file = [column for column, _ in table.spectra], table.reflectances, table.source.name
     medians = medians_above_0(values)
-    by_size, said = (None, "") if stated else unit_by_size(columns, values, medians, wavelength)
+    by_size, notes = (None, "") if stated else unit_by_size(columns, values, medians, wavelength)
     check_alike(columns, medians.tolist(), stated or by_size, file)
     units: dict[ReflectanceChoice, int] = {}
     which, factors = np.empty(len(columns), np.int64), {}
@@ -327,7 +320,7 @@ def _units(table: SpectrumTable, wavelength: FloatArray, stated: ReflectanceUnit
         which[row] = units.setdefault(unit, len(units))
         if sigma is not None:
             factors[row] = uncertainty_scale(sigma, column, unit.scale, file)
-    return (list(units), which, factors), [said] if said else []
+    return (list(units), which, factors), [notes] if notes else []
 
 
 def _uncertainties(
@@ -344,20 +337,20 @@ def _uncertainties(
             np.zeros_like(measured),
             {"channels_without_uncertainty": nothing, "uncertainties_unknown": nothing},
         )
-    sigma, own = np.full(measured.shape, np.nan), np.array(sorted(factors))
-    sigma[own] = [table.spectra[row][1].values for row in own]
+    sigma, stated_rows = np.full(measured.shape, np.nan), np.array(sorted(factors))
+    sigma[stated_rows] = [table.spectra[row][1].values for row in stated_rows]
     without_deleted(sigma)
     sigma[np.isin(sigma, markers_of(sigma))] = np.nan
-    sigma[own] *= np.array([factors[row] for row in own])[:, None]
+    sigma[stated_rows] *= np.array([factors[row] for row in stated_rows])[:, None]
     with np.errstate(invalid="ignore"):
         lacking, negative = measured & ~(sigma > 0), (sigma < 0).any(axis=1)
-    count, stated = lacking.sum(axis=1), np.isin(np.arange(len(measured)), own)
+    count, stated = lacking.sum(axis=1), np.isin(np.arange(len(measured)), stated_rows)
     unknown = count == measured.sum(axis=1)
-    said = stated & unknown & (negative | (table.format != "relab"))
+    reported = stated & unknown & (negative | (table.format != "relab"))
     sigma[unknown], lacking[unknown | ~stated] = np.nan, False
     counts = {
         "channels_without_uncertainty": np.where(stated & ~unknown, count, 0),
-        "uncertainties_unknown": np.where(said, count, 0),
+        "uncertainties_unknown": np.where(reported, count, 0),
     }
     return sigma, lacking, counts
 
@@ -368,7 +361,7 @@ def _sorted(values: Any, order: IntArray) -> Any:
 
 
 def _report(spectra: SpectrumRows, counts: dict[str, IntArray], file: str) -> None:
-    for key, what in _SAID.items():
+    for key, what in _REMARKS.items():
         touched = np.flatnonzero(counts[key])
         if touched.size:
             first = spectra.ids[touched[0]]

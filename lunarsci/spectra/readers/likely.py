@@ -1,15 +1,85 @@
-"""Spectra whose numbers are likely not what they should be: told, a line for each kind; constant ones are refused."""
+"""Numbers that mark no data, channels and steps that no rock makes, and spectra unlikely to be what they should be.
+
+No library finds the marks of a file that does not name them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import NORMAL_MAD, BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError
+from lunarsci.heights.no_data import far_ends
 from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.collection import SpectrumRows
+from lunarsci.spectra.noise import SECOND_DIFFERENCE
+from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
+
+DELETED_BELOW = -1e30
+"""ENVI and USGS write -1.23e34 for a deleted channel (Kokaly et al. 2017, 10.3133/ds1035); no reflectance is near."""
+FAR = 9.0
+"""Times the largest of the others by which a number that is none of them lies beyond it; assumed."""
+FEWEST = 10
+"""Usable channels of a spectrum that is judged at all, and numbers beside one that repeats before that marks no data
+though it could be a reflectance; assumed."""
+MOST_MARKERS = 3
+"""Different markers of a file; assumed."""
+_AT_ONCE = 256
+
+
+def without_deleted(values: FloatArray) -> IntArray:
+    """Make deleted and infinite values NaN; the number of deleted ones in each row."""
+    with np.errstate(invalid="ignore"):
+        deleted = values <= DELETED_BELOW
+    values[deleted | ~np.isfinite(values)] = np.nan
+    return np.asarray(deleted.sum(axis=-1))
+
+
+def markers_of(values: FloatArray) -> list[float]:
+    """Numbers of rows (n, c) that mark channels without data, e.g. 65535, -999 or 1e30; NaN is none.
+
+    An end of a row is one where it is far from all others, and repeats beside ten of them or could be no reflectance in
+    percent. Then the next, with the first left out.
+    """
+    result, left = list[float](), values
+    for _ in range(MOST_MARKERS):
+        parts = (left[block.start : block.stop] for block in spans(len(left), _AT_ONCE))
+        new = {
+            one.value for part in parts for one in far_ends(part, FAR, from_zero=True)
+            if abs(one.value) > MAX_PERCENT or (one.repeats > 1 and one.others >= FEWEST)
+        }  # fmt: skip
+        if not new:
+            break
+        result += sorted(new)
+        left = np.where(np.isin(left, result), np.nan, left)
+    return result
+
+
+def unnamed_markers(parts: Sequence[npt.NDArray[Any]], stated: Sequence[float]) -> list[float]:
+    """Numbers of parts of a cube that mark no data, beside those that are known: far from all others of all parts."""
+    seen = np.concatenate([np.empty(0), *(part.ravel() for part in parts)])[None]
+    seen[np.isin(seen, stated) | ~np.isfinite(seen) | (seen <= DELETED_BELOW)] = np.nan
+    return [] if np.isnan(seen).all() else markers_of(seen)
+
+
+def without_markers(table: SpectrumTable) -> tuple[SpectrumTable, IntArray, list[str]]:
+    """A table with NaN for numbers that mark no data, in its `block`; how many were deleted, or marked, (n, 2)."""
+    values = table.reflectances
+    deleted = without_deleted(values)
+    count = np.stack([deleted, np.zeros_like(deleted)], axis=1)
+    notes = list[str]()
+    if result := markers_of(values):
+        marked = np.isin(values, result)
+        values[marked] = np.nan
+        count[:, 1] = marked.sum(axis=1)
+        listed = ", ".join(f"{one:g}" for one in result)
+        notes = [f"{listed} read as the mark of no data: {int(marked.sum())} values left out"]
+    return replace(table, block=values), count, notes
+
 
 LARGE_ERROR = 0.3
 """Of the value, in more than half of the channels. Assumed. [-]"""
@@ -20,8 +90,6 @@ LONE_STEP = 0.5
 channel of 560 measured spectra of the Moon, of meteorites and minerals does. [-]"""
 IN_STEPS = 10.0
 """And by how many median steps between neighbours, so that noise is not taken for single channels; assumed. [-]"""
-FEWEST = 10
-"""Usable channels of a spectrum that is judged at all."""
 TOO_SMOOTH = 5.0
 """Times the scatter from channel to channel that errors are, in the median, before it is said that they cannot be
 independent; assumed. Measured: 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard
@@ -30,13 +98,10 @@ STEP_CHANNELS, STEP_SURE, LEAST_STEP = 5, 10.0, 0.01
 """Channels on either side of a step, errors by which straight lines through them miss each other, and the least ratio
 by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one (7.9 at most), and steps of 3 % at
 1000 nm and -3 % at 1400 nm put into them are found in 67 and 76 %, nine in ten where channels are 5 nm apart."""
-STEP_SHARE, STEP_BESIDE, STEP_GAP = 0.6, 0.35, 3.0
-"""Least share of a step that lies between two channels, the most that lies between those beside them, and how many
-times the median channel distance they are apart at most; assumed."""
-MOST_STEPS = 2
-"""Steps of a spectrum: field spectrometers have three detectors at most; assumed."""
-_AT_ONCE = 256
-SAID = {
+STEP_GAP, MOST_STEPS = 3.0, 2
+"""Median channel distances that the two channels are apart at most, and steps of a spectrum; assumed, as field
+spectrometers have three detectors at most."""
+REMARKS = {
     "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",
     "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; if "
     "channels share them, as those of samples, name the column NAME_systematic_samples",
@@ -52,22 +117,22 @@ def unlikely(rows: SpectrumRows, file: str) -> list[str]:
 
     Raises DataError where every spectrum of the file is constant.
     """
-    found: dict[str, list[int]] = {name: [] for name in SAID}
+    result: dict[str, list[int]] = {name: [] for name in REMARKS}
     where = ""
     for block in spans(len(rows), _AT_ONCE):
-        own = slice(block.start, block.stop)
-        usable, values = ~rows.mask[own], rows.reflectance[own]
-        sigma = None if rows.uncertainty is None else rows.uncertainty[own]
+        block_rows = slice(block.start, block.stop)
+        usable, values = ~rows.mask[block_rows], rows.reflectance[block_rows]
+        sigma = None if rows.uncertainty is None else rows.uncertainty[block_rows]
         for name, odd in _odd(values, usable, sigma).items():
-            found[name] += (block.start + np.flatnonzero(odd)).tolist()
+            result[name] += (block.start + np.flatnonzero(odd)).tolist()
         for row, step, place in _steps(rows.wavelength_nm, values, usable):
             where = where or f" by {step:+.1%} at {place:.0f} nm"
-            found["step"].append(block.start + row)
-    if len(found["constant"]) == len(rows):
+            result["step"].append(block.start + row)
+    if len(result["constant"]) == len(rows):
         raise DataError(f"{file}: the same value in all channels; give measured reflectances")
     return [
-        f"{file}: {SAID[name]}: {len(k)}, first '{rows.ids[k[0]]}'{where if name == 'step' else ''}"
-        for name, k in found.items()
+        f"{file}: {REMARKS[name]}: {len(k)}, first '{rows.ids[k[0]]}'{where if name == 'step' else ''}"
+        for name, k in result.items()
         if k
     ]
 
@@ -86,21 +151,22 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
     odd = {"large_error": large, "bright": bright, "constant": lowest == highest}
     judged = {name: enough & each for name, each in odd.items()}
     if sigma is not None:
+        each = [(v[u], s[u]) for v, u, s in zip(values, usable, sigma, strict=True)]
         judged["smooth"] = np.array(
-            [n and _smooth(v[u], s[u]) for n, v, u, s in zip(enough, values, usable, sigma, strict=True)]
+            [n and 0 < TOO_SMOOTH * scatter_of(v) < np.median(s) for n, (v, s) in zip(enough, each, strict=True)], bool
         )
     return judged
 
 
 def cleaned(parts: Sequence[SpectrumRows]) -> tuple[list[SpectrumRows], list[str]]:
     """The spectra without single channels far off their neighbours, and what to say of it."""
-    kept, odd = list[SpectrumRows](), list[str]()
+    retained, odd = list[SpectrumRows](), list[str]()
     for rows in parts:
         clean, which = without_lone(rows)
-        kept.append(clean)
+        retained.append(clean)
         odd += [rows.ids[row] for row in which]
     lone = "spectra with single channels a factor of 1.65 and more off both neighbours, which are left out"
-    return kept, [f"{lone}: {len(odd)}, first '{odd[0]}'"] if odd else []
+    return retained, [f"{lone}: {len(odd)}, first '{odd[0]}'"] if odd else []
 
 
 def without_steps(rows: SpectrumRows) -> SpectrumRows:
@@ -110,9 +176,9 @@ def without_steps(rows: SpectrumRows) -> SpectrumRows:
     """
     values, scaled = rows.reflectance.copy(), dict[int, FloatArray]()
     for block in spans(len(rows), _AT_ONCE):
-        own = slice(block.start, block.stop)
+        block_rows = slice(block.start, block.stop)
         for _ in range(MOST_STEPS):
-            for row, step, place in _steps(rows.wavelength_nm, values[own], ~rows.mask[own]):
+            for row, step, place in _steps(rows.wavelength_nm, values[block_rows], ~rows.mask[block_rows]):
                 gain = np.where(rows.wavelength_nm < place, 1.0 + step, 1.0)
                 values[block.start + row] *= gain
                 scaled[block.start + row] = scaled.get(block.start + row, 1.0) * gain
@@ -133,9 +199,9 @@ def without_lone(rows: SpectrumRows) -> tuple[SpectrumRows, list[int]]:
     """
     mask, odd = rows.mask, list[int]()
     for row, usable in enumerate(~rows.mask):
-        if usable.sum() >= FEWEST and (found := _lone(rows.reflectance[row][usable])).any():
+        if usable.sum() >= FEWEST and (result := _lone(rows.reflectance[row][usable])).any():
             mask = mask.copy() if not odd else mask
-            mask[row, np.flatnonzero(usable)[found]] = True
+            mask[row, np.flatnonzero(usable)[result]] = True
             odd.append(row)
     return (replace(rows, mask=mask) if odd else rows), odd
 
@@ -150,7 +216,7 @@ def _lone(values: FloatArray) -> BoolArray:
 
 def _steps(wavelength_nm: FloatArray, values: FloatArray, usable: BoolArray) -> list[tuple[int, float, float]]:
     """Of spectra (n, c) those with a step: which row, the largest step as a share of the value, and where. [nm]"""
-    found = []
+    result = []
     alike, which = np.unique(usable & (values > 0), axis=0, return_inverse=True)
     for kind, channels in enumerate(alike):
         if channels.sum() < 4 * STEP_CHANNELS:
@@ -158,11 +224,11 @@ def _steps(wavelength_nm: FloatArray, values: FloatArray, usable: BoolArray) -> 
         rows = np.flatnonzero(which.ravel() == kind)
         place = wavelength_nm[channels]
         sure, step = _step_at(place, np.log(values[np.ix_(rows, channels)]))
-        for row, own, steps in zip(rows, sure, step, strict=True):
-            if own[k := int(own.argmax())] > STEP_SURE:
+        for row, sizes, steps in zip(rows, sure, step, strict=True):
+            if sizes[k := int(sizes.argmax())] > STEP_SURE:
                 edge = k + STEP_CHANNELS - 1
-                found.append((int(row), float(np.expm1(steps[k])), float(place[edge : edge + 2].mean())))
-    return sorted(found)
+                result.append((int(row), float(np.expm1(steps[k])), float(place[edge : edge + 2].mean())))
+    return sorted(result)
 
 
 def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -186,20 +252,13 @@ def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, Float
     share = 2.0 / size + (at - middle[low]) ** 2 / spread[low] + (at - middle[high]) ** 2 / spread[high]
     variance = (left_over[:, low] + left_over[:, high]) / (2 * size - 4)
     usual = np.median(variance, axis=1, keepdims=True)
-    apart, rise = np.diff(place_nm), np.diff(level, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         sure = np.abs(step) / np.sqrt(np.maximum(variance, usual) * share)
-        inner = (rise[:, edge] - 0.5 * (slope[:, low] + slope[:, high]) * apart[edge]) / step
-        beside = np.maximum(
-            np.abs(rise[:, edge - 1] - slope[:, low] * apart[edge - 1]),
-            np.abs(rise[:, edge + 1] - slope[:, high] * apart[edge + 1]),
-        ) / np.abs(step)
-    good = (np.abs(step) > LEAST_STEP) & (np.abs(inner - 1.1) < 1.1 - STEP_SHARE) & (beside < STEP_BESIDE)
-    good &= apart[edge] < STEP_GAP * float(np.median(apart))
+    apart = np.diff(place_nm)
+    good = (np.abs(step) > LEAST_STEP) & (apart[edge] < STEP_GAP * float(np.median(apart)))
     return np.where(good, sure, 0.0), step
 
 
-def _smooth(values: FloatArray, sigma: FloatArray) -> bool:
-    """Whether errors are far larger than the scatter about straight lines between neighbours: 6 variances of it."""
-    scatter = float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * 6**0.5)
-    return 0 < scatter * TOO_SMOOTH < float(np.median(sigma))
+def scatter_of(values: FloatArray) -> float:
+    """Of three channels or more, about straight lines between their neighbours: 6 variances of one. [as values]"""
+    return float(np.median(np.abs(np.diff(values, 2)))) * NORMAL_MAD / SECOND_DIFFERENCE

@@ -10,9 +10,9 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
+from lunarsci.spectra.readers.arrangements import text_table
 from lunarsci.spectra.readers.astropy_tables import one_line
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.heads import text_table
 from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
 from lunarsci.spectra.readers.text import header_and_body
 from lunarsci.spectra.rows import (
@@ -111,8 +111,8 @@ def _units(table: _Table, file: str) -> tuple[str, str, float]:
         unit = f" {table.length}" if table.length else ""
         raise DataError(f"{file}: wavelengths {low:g}-{high:g}{unit} do not cover 430-2430 nm; use a wider spectrum")
     pers = [table.per] if table.per else list(_IRRADIANCE)
-    found = [(length, per, _integral(table, length) * _IRRADIANCE[per]) for length in lengths for per in pers]
-    best = min(found, key=lambda choice: abs(np.log(choice[2] / _INTEGRAL_W_M2)))
+    result = [(length, per, _integral(table, length) * _IRRADIANCE[per]) for length in lengths for per in pers]
+    best = min(result, key=lambda choice: abs(np.log(choice[2] / _INTEGRAL_W_M2)))
     if abs(best[2] / _INTEGRAL_W_M2 - 1) > _REFUSED_OFF:
         raise DataError(
             f"{file}: integrates to {best[2]:.3g} W m-2 over 430-2430 nm if in {best[1]}, the Sun at 1 AU to 1157; "
@@ -161,13 +161,13 @@ def _places(names: Sequence[str], filled: Sequence[int], file: str) -> tuple[int
     words = {k: set(name_tokens(names[k])) for k in filled if k != wavelength}
     others = [k for k in words if not words[k] & _OTHER_WORDS]
     named = [k for k in others if words[k] & _IRRADIANCE_WORDS]
-    found = others if len(others) == 1 else named
-    if len(found) != 1:
+    result = others if len(others) == 1 else named
+    if len(result) != 1:
         raise DataError(
-            f"{file}: {len(found) or 'no'} columns may be the irradiance; keep two columns, wavelength_nm and "
+            f"{file}: {len(result) or 'no'} columns may be the irradiance; keep two columns, wavelength_nm and "
             "irradiance_w_m-2_nm-1"
         )
-    return wavelength, found[0]
+    return wavelength, result[0]
 
 
 def _irradiance_unit(name: str) -> str | None:

@@ -94,15 +94,15 @@ class SpectrumTable:
         """Some rows, by places or a mask, of the table with reflectances and their errors times `gain`, (n, rows)."""
         gains = np.broadcast_to(gain, self.reflectances.shape)
 
-        def own(column: Column, k: int) -> Column:
+        def scaled(column: Column, k: int) -> Column:
             return replace(column, values=(column.values * gains[k])[rows])
 
         return replace(
             self,
             wavelength=replace(self.wavelength, values=self.wavelength.values[rows]),
-            spectra=tuple((own(r, k), None if s is None else own(s, k)) for k, (r, s) in enumerate(self.spectra)),
+            spectra=tuple((scaled(r, k), None if s is None else scaled(s, k)) for k, (r, s) in enumerate(self.spectra)),
             places=tuple(np.array(self.places)[rows].tolist()),
-            systematic={k: tuple((name, own(c, k)) for name, c in each) for k, each in self.systematic.items()},
+            systematic={k: tuple((name, scaled(c, k)) for name, c in each) for k, each in self.systematic.items()},
             block=(self.reflectances * gains)[:, rows],
         )
 
@@ -130,7 +130,7 @@ _FRACTION = re.compile(r"\s*[(\[{]\s*(?:fraction|0-1|-)\s*[)\]}]$", re.IGNORECAS
 
 _MAY_SAY_UNIT = re.compile(r"[(\[{%]|per ?cent|pct|prozent", re.IGNORECASE)
 """Where a name has none of these, nothing above is in it."""
-_NAMES_KEPT = 4096
+_NAMES_CACHED = 4096
 _MEDIANS_AT_ONCE = 4096
 
 _FACTOR_NM = {"nm": 1.0, "um": 1000.0, "angstrom": 0.1}
@@ -174,7 +174,7 @@ class ReflectanceChoice:
     remark: str | None
 
 
-@lru_cache(maxsize=_NAMES_KEPT)
+@lru_cache(maxsize=_NAMES_CACHED)
 def name_tokens(name: str) -> tuple[str, ...]:
     """Lower-case words of a column name, both code points of µ made one: 'Wavelength (µm)' -> ('wavelength', 'μm')."""
     return tuple(t for t in re.split(r"[^\w%]+|_", unicodedata.normalize("NFKC", name).casefold()) if t)
@@ -222,9 +222,9 @@ def wavelength_nm(column: Column, stated: WavelengthUnit | None, file: str) -> t
     Raises DataError when the unit cannot be told, or the file's word contradicts the values and nothing is stated.
     """
     low, high = float(column.values.min()), float(column.values.max())
-    found, word = column.unit or wavelength_unit_in(column.name, file), stated and _OF_OPTIONS.get(stated, stated)
+    result, word = column.unit or wavelength_unit_in(column.name, file), stated and _OF_OPTIONS.get(stated, stated)
     what = f"{file}: wavelengths {low:g}-{high:g} (column {column.label})"
-    unit, origin = _wavelength_choice(found, word, low, high, what)
+    unit, origin = _wavelength_choice(result, word, low, high, what)
     if origin == "file" and word not in (None, unit):
         warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
     record = {"wavelength_unit": column.unit_text or unit, "wavelength_unit_from": origin}
@@ -236,16 +236,16 @@ def to_nm(values: FloatArray, unit: str) -> FloatArray:
     return np.asarray(1e7 / values if unit == "cm-1" else values * _FACTOR_NM[unit])
 
 
-def _wavelength_choice(found: str | None, stated: str | None, low: float, high: float, what: str) -> tuple[str, str]:
-    if found is not None and _plausible(found, low, high):
-        return found, "file"
+def _wavelength_choice(result: str | None, stated: str | None, low: float, high: float, what: str) -> tuple[str, str]:
+    if result is not None and _plausible(result, low, high):
+        return result, "file"
     if stated is not None:
         if not _plausible(stated, low, high):
             warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
         return stated, "caller"
-    if found is not None:
+    if result is not None:
         raise DataError(
-            f"{what} cannot be {_SYMBOL[found]} as the file says; give `wavelength_unit` nm or um, angstrom or 1/cm"
+            f"{what} cannot be {_SYMBOL[result]} as the file says; give `wavelength_unit` nm or um, angstrom or 1/cm"
         )
     for unit, (least, most) in SURELY.items():
         if least <= low and high <= most:
@@ -270,7 +270,7 @@ def without_unit(name: str) -> str:
     return _FRACTION.sub("", _PERCENT.sub("", name)).strip() or name
 
 
-@lru_cache(maxsize=_NAMES_KEPT)
+@lru_cache(maxsize=_NAMES_CACHED)
 def only_percent(name: str) -> bool:
     """Whether a name says reflectance in percent and nothing else: 'Reflect. %', '%R', 'Tgt./Ref. %'."""
     rest, count = PERCENT_SIGN.subn(" ", name)
@@ -279,14 +279,14 @@ def only_percent(name: str) -> bool:
 
 def medians_above_0(values: FloatArray) -> FloatArray:
     """Median of what is above 0 in each row, NaN where nothing is. (n, channels) to (n,)"""
-    found = np.empty(len(values))
+    result = np.empty(len(values))
     for block in spans(len(values), _MEDIANS_AT_ONCE):
-        own = slice(block.start, block.stop)
-        above = values[own] > 0
-        ordered, count = np.sort(np.where(above, values[own], np.inf), axis=1), above.sum(axis=1)[:, None]
+        subset = slice(block.start, block.stop)
+        above = values[subset] > 0
+        ordered, count = np.sort(np.where(above, values[subset], np.inf), axis=1), above.sum(axis=1)[:, None]
         middle = np.concatenate([np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)], axis=1)
-        found[own] = np.where(count[:, 0] > 0, np.take_along_axis(ordered, middle, axis=1).mean(axis=1), np.nan)
-    return found
+        result[subset] = np.where(count[:, 0] > 0, np.take_along_axis(ordered, middle, axis=1).mean(axis=1), np.nan)
+    return result
 
 
 def reflectance_unit(
@@ -297,15 +297,15 @@ def reflectance_unit(
     Raises DataError when the file's word contradicts the values and nothing is stated, or when without any word the
     median is above 2 and its size tells nothing.
     """
-    found = stated_unit(column)
-    if found is not None and not _contradicts(found, median):
-        return ReflectanceChoice(SCALES[found], "file", "overruled" if stated not in (None, found) else None)
+    result = stated_unit(column)
+    if result is not None and not _contradicts(result, median):
+        return ReflectanceChoice(SCALES[result], "file", "overruled" if stated not in (None, result) else None)
     if stated is not None:
         return ReflectanceChoice(SCALES[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
     what = f"{file}: column {column.label} has a median of {median:.4g}"
-    if found is not None and median <= MAX_PERCENT:
-        raise DataError(f"{what}, which is no {found} as the file says; give `reflectance_unit` fraction or percent")
-    if found is None and by_size is not None:
+    if result is not None and median <= MAX_PERCENT:
+        raise DataError(f"{what}, which is no {result} as the file says; give `reflectance_unit` fraction or percent")
+    if result is None and by_size is not None:
         return ReflectanceChoice(SCALES[by_size], "values", None)
     if median > MAX_PERCENT:
         raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
@@ -324,12 +324,12 @@ def unit_by_size(
     Percent up to 100, ten-thousandths of whole numbers up to 10,000; None where these are fractions, or could as well
     be radiance: where the name does not say reflectance they vary more than sunlight reflected by them would. [nm]
     """
-    known = [k for k, column in enumerate(columns) if medians[k] > MAX_FRACTION and stated_unit(column) is None]
-    if not known:
+    unstated = [k for k, column in enumerate(columns) if medians[k] > MAX_FRACTION and stated_unit(column) is None]
+    if not unstated:
         return None, ""
-    row = max(known, key=lambda k: float(medians[k]))
-    top, own = columns[row], values[row][np.isfinite(values[row])]
-    whole = bool((own == np.round(own)).all() and own.max() <= USUAL_SCALE)
+    row = max(unstated, key=lambda k: float(medians[k]))
+    top, finite = columns[row], values[row][np.isfinite(values[row])]
+    whole = bool((finite == np.round(finite)).all() and finite.max() <= USUAL_SCALE)
     unit = "percent" if medians[row] <= MOST_LIKELY_PERCENT else "ten-thousandths" if whole else None
     if unit is None or not (_says_reflectance(top.name) or _is_no_radiance(values[row], wavelength)):
         return None, ""
@@ -356,12 +356,14 @@ def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: st
 
     Raises DataError when only the column's name says otherwise: it might then mean per cent of the value.
     """
-    found = stated_unit(sigma)
-    if found is None or found == stated_unit(reflectance) or SCALES[found] == scale:
+    result = stated_unit(sigma)
+    if result is None or result == stated_unit(reflectance) or SCALES[result] == scale:
         return scale
     if sigma.unit is None:
-        raise DataError(f"{file}: column {sigma.label} is in {found} and its reflectance is not; give both in one unit")
-    return SCALES[found]
+        raise DataError(
+            f"{file}: column {sigma.label} is in {result} and its reflectance is not; give both in one unit"
+        )
+    return SCALES[result]
 
 
 def check_alike(columns: Sequence[Column], medians: Sequence[float], unit: str | None, file: str) -> None:
@@ -370,10 +372,10 @@ def check_alike(columns: Sequence[Column], medians: Sequence[float], unit: str |
     Raises DataError, which names two that are not: one of them is no reflectance, or has another unit.
     """
     least = _MIN_PERCENT if unit == "percent" else MAX_FRACTION
-    known = [(m, c) for c, m in zip(columns, medians, strict=True) if m > 0 and stated_unit(c) is None]
-    if unit == "fraction" or not known:
+    unstated = [(m, c) for c, m in zip(columns, medians, strict=True) if m > 0 and stated_unit(c) is None]
+    if unit == "fraction" or not unstated:
         return
-    (low, one), (high, other) = min(known, key=itemgetter(0)), max(known, key=itemgetter(0))
+    (low, one), (high, other) = min(unstated, key=itemgetter(0)), max(unstated, key=itemgetter(0))
     if low < least < high:
         raise DataError(
             f"{file}: columns {one.label} and {other.label} have medians of {low:.3g} and {high:.3g}, not reflectances "

@@ -20,14 +20,17 @@ from lunarsci.errors import DataError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.arrangements import (
+    Lines,
+    is_numeric,
     on_one_grid,
     one_below_another,
-    own_wavelengths,
     spectra_in_rows,
+    tables_in,
+    text_table,
     unnamed,
+    wavelength_groups,
 )
 from lunarsci.spectra.readers.columns import assign_roles, is_wavelength
-from lunarsci.spectra.readers.heads import Lines, is_numeric, tables_in, text_table
 from lunarsci.spectra.readers.table import Column, SpectrumTable, stated_unit
 from lunarsci.spectra.rows import (
     DECIMAL_COMMA,
@@ -45,7 +48,7 @@ from lunarsci.spectra.rows import (
 _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
 OPUS = ".dpt"
 """Data point tables of Bruker's OPUS: wavenumbers and ordinates without a head."""
-_COMMENTS_KEPT = 100
+_MOST_COMMENTS = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
 MOST_UNPACKED = 1 << 28
@@ -76,10 +79,10 @@ def read_excel(source: InputFile) -> SpectrumTable:
     if chosen is None:
         raise DataError(f"{source.name}: no sheet with more than one row and column; save the spectra as CSV")
     content = filled[chosen].to_csv(index=False, header=False).encode()
-    found = read_text(InputFile(source.name, content))
-    said = [f"sheet '{chosen}' of {len(sheets)}; save another as CSV"] if len(sheets) > 1 else []
-    about = {**found.metadata, "read_as": [*said, *found.metadata.get("read_as", ())]}
-    return replace(found, source=source, format="excel", metadata=about if about["read_as"] else found.metadata)
+    result = read_text(InputFile(source.name, content))
+    notes = [f"sheet '{chosen}' of {len(sheets)}; save another as CSV"] if len(sheets) > 1 else []
+    about = {**result.metadata, "read_as": [*notes, *result.metadata.get("read_as", ())]}
+    return replace(result, source=source, format="excel", metadata=about if about["read_as"] else result.metadata)
 
 
 def read_text(source: InputFile) -> SpectrumTable:
@@ -95,8 +98,8 @@ def read_text(source: InputFile) -> SpectrumTable:
         return _one_after_another(parts, source)
     table = text_table(lines, source.name)
     separator = table.separator
-    told = (*(comment for _, comment in comments), *table.about)
-    about: dict[str, Any] = {"comments": [one[:_COMMENT_LENGTH] for one in told[:_COMMENTS_KEPT] if one]}
+    notes = (*(comment for _, comment in comments), *table.about)
+    about: dict[str, Any] = {"comments": [one[:_COMMENT_LENGTH] for one in notes[:_MOST_COMMENTS] if one]}
     if keys := table.keys:
         about["keys"] = keys
     if in_rows := spectra_in_rows(table, source, about):
@@ -127,23 +130,15 @@ def read_text(source: InputFile) -> SpectrumTable:
     if names is None:
         first = replace(column(0), unit="cm-1" if Path(source.name).suffix.lower() == OPUS else None)
         return unnamed([first, *(column(k) for k in range(1, width))], source, places, about)
-    if groups := own_wavelengths(names):
+    if groups := wavelength_groups(names):
         return on_one_grid([[column(k) for k in group] for group in groups], source, about)
     if stacked := one_below_another(names, rows, separator, source.name):
         return on_one_grid(stacked, source, about, f"{len(stacked)} spectra one below another, by their names")
     texts = _texts(rows) if any(map(is_wavelength, names)) else []
     texts += [k for k, name in enumerate(names) if not name and np.isnan(column(k).values).all()]
     roles = assign_roles(names, source, left_out=texts)
-    return SpectrumTable(
-        source,
-        "text",
-        column(roles.wavelength),
-        tuple((column(r), None if s is None else column(s)) for r, s in roles.spectra),
-        places,
-        about,
-        roles.systematic_columns(column),
-        None if values is None else _block(values, [r for r, _ in roles.spectra]),
-    )
+    block = None if values is None else _block(values, [r for r, _ in roles.spectra])
+    return roles.table(source, "text", column, places, about, block)
 
 
 def _one_after_another(parts: Sequence[Lines], source: InputFile) -> SpectrumTable:
@@ -151,14 +146,14 @@ def _one_after_another(parts: Sequence[Lines], source: InputFile) -> SpectrumTab
     groups = list[list[Column]]()
     for part in parts:
         lines = [line for _, line in part]
-        found = read_text(InputFile(source.name, "\n".join(lines).encode()))
+        result = read_text(InputFile(source.name, "\n".join(lines).encode()))
         begin = next(k for k, line in enumerate(lines) if is_numeric(line))
         name = lines[begin - 2] if begin > 1 else f"table {len(groups) + 1}"
-        columns = [found.wavelength]
-        for k, (own, sigma) in enumerate(found.spectra):
-            title = name if len(found.spectra) == 1 else f"{name} {own.name or k + 1}"
-            unit = stated_unit(own)
-            columns.append(Column(title, own.values, 1 + len(columns) + sum(map(len, groups)), unit))
+        columns = [result.wavelength]
+        for k, (column, sigma) in enumerate(result.spectra):
+            title = name if len(result.spectra) == 1 else f"{name} {column.name or k + 1}"
+            unit = stated_unit(column)
+            columns.append(Column(title, column.values, 1 + len(columns) + sum(map(len, groups)), unit))
             columns += [] if sigma is None else [Column(f"{title}_sigma", sigma.values, sigma.position, unit)]
         groups.append(columns)
     return on_one_grid(groups, source, {}, f"{len(parts)} tables one after another, each a spectrum or more")

@@ -12,11 +12,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
-from lunarsci.spectra.photometry.correction import correction_factor, remarks
+from lunarsci.spectra.photometry import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channel_order import channel_doubts
-from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
+from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector, channel_doubts
 from lunarsci.spectra.vnis.detector import (
     IN_FLIGHT_VERSION,
     WAVELENGTHS,
@@ -209,28 +208,30 @@ def _lit_footprint(observation: Observation, settings: Settings, limit: float, n
     """Average the lit pixels, and say what was left out."""
     footprint = average_footprint(observation.cube, limit)
     inside, lit = int(footprint.inside.sum()), int(footprint.lit.sum())
-    if lit < _LEAST_LIT * inside:
-        raise DataError(
-            f"{observation.id}: {lit} of {inside} pixels of the footprint are lit and valid (reflectance at "
-            f"{SHADOW_BAND_NM:g} nm from {settings.shadow_limit:g} on); nothing to average, see `shadow`"
-        )
     shadowed = int(footprint.shadowed.sum())
-    if shadowed > _MOST_SHADOW * inside:
-        raise DataError(
-            f"{observation.id}: {100 * shadowed / inside:.0f} % of the footprint is in shadow; what is left of it says "
-            "little, leave the observation out"
-        )
+    share = f"{100 * shadowed / inside:.0f} % of the footprint is in shadow"
+    flat = lit > 0 and np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean)
+    for wrong, what in (
+        (
+            lit < _LEAST_LIT * inside,
+            f"{lit} of {inside} pixels of the footprint are lit and valid (reflectance at {SHADOW_BAND_NM:g} nm from "
+            f"{settings.shadow_limit:g} on); nothing to average, see `shadow`",
+        ),
+        (shadowed > _MOST_SHADOW * inside, f"{share}; what is left of it says little, leave the observation out"),
+        (
+            not 0 < footprint.dilution <= 1.5,
+            "no usable image from 900 nm on to tell how shadows dilute SWIR; fetch the cube again",
+        ),
+        (
+            flat,
+            "all images are equally bright, which sunlit ground is not; the axes of the cube are not band, line, "
+            "sample, fetch it again",
+        ),
+    ):
+        if wrong:
+            raise DataError(f"{observation.id}: {what}")
     if shadowed > _MUCH_SHADOW * inside:
-        notes.warn(f"{100 * shadowed / inside:.0f} % of the footprint is in shadow")
-    if not 0 < footprint.dilution <= 1.5:
-        raise DataError(
-            f"{observation.id}: no usable image from 900 nm on to tell how shadows dilute SWIR; fetch the cube again"
-        )
-    if np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean):
-        raise DataError(
-            f"{observation.id}: all images are equally bright, which sunlit ground is not; the axes of the cube are "
-            "not band, line, sample, fetch it again"
-        )
+        notes.warn(share)
     if shadowed:
         notes.add(f"SWIR radiance divided by {footprint.dilution:.4f} for the shadows it averages over")
     for count, what in (
@@ -315,8 +316,8 @@ def _measured(
         if outliers.any():
             count, name = int(outliers.sum()), detector.upper()
             notes.add(f"{count} {name} channels are no radiance of lit ground or far from their neighbours: masked")
-            kept = np.where(outliers, np.nan, radiance)
-            item = measure(detector, label, kept, mean_error, irradiance, correction)
+            retained = np.where(outliers, np.nan, radiance)
+            item = measure(detector, label, retained, mean_error, irradiance, correction)
     except ParameterError as error:
         raise DataError(f"{id}: {error}") from error
     check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)
@@ -329,15 +330,17 @@ def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
     """A spectrum must be as bright as lit lunar ground, whatever the correction."""
     level = float(np.nanmedian(item.observed)) if np.isfinite(item.observed).any() else np.nan
     name = item.detector.upper()
-    if not np.isfinite(level):
-        raise DataError(f"{id}: no {name} channel has a usable radiance; fetch the {label.name.kind} product again")
-    if level < _DARK:
-        raise DataError(f"{id}: {name} is dark (median reflectance {level:.2g}): shadow or no light; leave it out")
-    if level > _BRIGHT:
-        raise DataError(
-            f"{id}: {name} is brighter than any rock (median reflectance {level:.3g}); "
-            "radiance is not in W m-2 sr-1 nm-1, or the label's Sun is wrong; fetch the product again"
-        )
+    for wrong, what in (
+        (not np.isfinite(level), f"no {name} channel has a usable radiance; fetch the {label.name.kind} product again"),
+        (level < _DARK, f"{name} is dark (median reflectance {level:.2g}): shadow or no light; leave it out"),
+        (
+            level > _BRIGHT,
+            f"{name} is brighter than any rock (median reflectance {level:.3g}); radiance is not in W m-2 sr-1 nm-1, "
+            "or the label's Sun is wrong; fetch the product again",
+        ),
+    ):
+        if wrong:
+            raise DataError(f"{id}: {what}")
 
 
 def _spliced(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import as_label, headline, page
 from lunarsci.provenance import plain
-from lunarsci.spectra.photometry.phase import STANDARD
+from lunarsci.spectra.photometry import STANDARD
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.channels import FOOTPRINT, SPLICED_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum

@@ -3,7 +3,7 @@
 Also what a calibration can be told: irradiance, photometric model, shadow limit, factors.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -11,11 +11,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
-from lunarsci.spectra.photometry.phase import Geometry, PhaseFunction, SelenePhase, phase_function
-from lunarsci.spectra.rows import Row, check_widths, number, separator_of, split_fields, split_lines
+from lunarsci.spectra.photometry import TABLE as PHASE_TABLE
+from lunarsci.spectra.photometry import Geometry, PhaseFunction, SelenePhase, phase_function
+from lunarsci.spectra.rows import named_table
 from lunarsci.spectra.solar import (
     M3_TABLE,
     SOLAR_SPECTRA,
@@ -43,7 +42,7 @@ IN_FLIGHT_VERSION = 2.0
 """`version_id` of products whose radiance rests on the calibration target seen in flight, by the dates of products
 since 2019-07-09 (CNSA 2019, Lunar and Planetary Data Release System)."""
 
-_CHANNELS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
+WAVELENGTHS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 _FACTOR_RANGE = (0.2, 5.0)
 """A detector further off has failed; assumed."""
 
@@ -87,53 +86,21 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
 
     Raises DataError for other columns, missing or repeated channels, and factors outside 0.2 to 5.
     """
-    lines, _ = split_lines(inputs.text(source))
-    separator = separator_of(lines) if lines else ","
-    table = [Row(n, split_fields(line, separator, f"{source.name}: line {n}")) for n, line in lines]
-    names, rows = (table[0].fields, table[1:]) if table else ((), [])
-    places = _places(names, source.name)
-    if rows:
-        check_widths(rows, source.name, len(names))
-    found: dict[Detector, dict[float, float]] = {"vnir": {}, "swir": {}}
-    for row in rows:
-        name = row.fields[places["detector"]].lower()
-        wavelength, factor = (_number(row, places[key], key, source.name) for key in ("wavelength_nm", "factor"))
-        if name not in found:
-            raise DataError(f"{source.name}: line {row.line}: the detector is {name[:20]!r}; use vnir or swir")
-        if not _FACTOR_RANGE[0] <= factor <= _FACTOR_RANGE[1]:
-            raise DataError(f"{source.name}: line {row.line}: the factor {factor:g} is outside 0.2 to 5; correct it")
-        if wavelength in found[name]:
-            raise DataError(f"{source.name}: line {row.line}: {wavelength:g} nm of {name} appears twice; keep one")
-        found[name][wavelength] = factor
-    return ChannelFactors(source.name, *(_all_channels(found[key], key, source.name) for key in ("vnir", "swir")))
-
-
-def _places(names: Sequence[str], file: str) -> dict[str, int]:
-    """Column name to place."""
-    if len(set(names)) < len(names):
-        raise DataError(f"{file}: two columns have one name; give each its own")
-    lacking = {"detector", "wavelength_nm", "factor"} - set(names)
-    if lacking:
-        raise DataError(f"{file}: no column {', '.join(sorted(lacking))}; see `lunarsci spectra calibrate --help`")
-    return {name: place for place, name in enumerate(names)}
-
-
-def _number(row: Row, place: int, key: str, file: str) -> float:
-    value = number(row.fields[place])
-    if value is None or not np.isfinite(value):
-        raise DataError(f"{file}: line {row.line}: {key} is {row.fields[place][:20]!r}, not a number; correct it")
-    return value
-
-
-def _all_channels(found: dict[float, float], detector: Detector, file: str) -> FloatArray:
-    missing = [w for w in _CHANNELS[detector] if w not in found]
-    if missing or len(found) != _CHANNELS[detector].size:
-        what = f"{missing[0]:g} nm is missing" if missing else "there are other wavelengths"
-        count = _CHANNELS[detector].size
-        raise DataError(
-            f"{file}: {detector} has {count} channels, {len(found)} are given and {what}; complete the file"
-        )
-    return np.array([found[w] for w in _CHANNELS[detector]])
+    table = named_table(source, "detector", "wavelength_nm", "factor")
+    detector = np.array([cell.lower() for cell in table.cells("detector")])
+    wavelength, factor, (low, high) = table.numbers("wavelength_nm"), table.numbers("factor"), _FACTOR_RANGE
+    table.refuse(~np.isin(detector, ("vnir", "swir")), "detector", "the detector is vnir or swir")
+    table.refuse(~((factor >= low) & (factor <= high)), "factor", f"factors are numbers from {low:g} to {high:g}")
+    result = []
+    for name, channels in WAVELENGTHS.items():
+        order = np.flatnonzero(detector == name)[np.argsort(wavelength[detector == name])]
+        if not np.array_equal(wavelength[order], channels):
+            lacking = np.setdiff1d(channels, wavelength[order])
+            what = f"{lacking[0]:g} nm is missing" if lacking.size else "there are others, or some twice"
+            count = f"{name} has {channels.size} channels, {order.size} are given and {what}"
+            raise DataError(f"{source.name}: {count}; give each of them once")
+        result.append(factor[order])
+    return ChannelFactors(source.name, *result)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,8 +162,6 @@ Without excess the estimate itself scatters by 0.1 to 0.2."""
 _SUB_BANDS_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM, 1997.5)}
 """Where the filters change their sub-bands: see `SUB_BAND_STEP_NM`; that at 1997.5 nm only splits the scatter,
 assumed."""
-
-WAVELENGTHS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,31 +281,31 @@ def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         absurd = np.isfinite(reflectance) & ~((reflectance >= _RANGE[0]) & (reflectance <= _RANGE[1]))
         ln = np.log(np.where(absurd | ~(reflectance > 0), np.nan, reflectance))
-    known = np.flatnonzero(np.isfinite(ln))
-    if known.size < 2 * _NEIGHBOURS:
+    finite = np.flatnonzero(np.isfinite(ln))
+    if finite.size < 2 * _NEIGHBOURS:
         return absurd
     around = np.lib.stride_tricks.sliding_window_view(
-        np.pad(ln[known], _NEIGHBOURS, mode="reflect", reflect_type="odd"), 2 * _NEIGHBOURS + 1
+        np.pad(ln[finite], _NEIGHBOURS, mode="reflect", reflect_type="odd"), 2 * _NEIGHBOURS + 1
     )
     middles = (around[:, :_NEIGHBOURS] + around[:, :_NEIGHBOURS:-1]) / 2
     far = np.zeros_like(absurd)
-    off = np.abs(ln[known] - np.median(middles, axis=1))
-    beside = min(_SCATTER, known.size - 1)
+    off = np.abs(ln[finite] - np.median(middles, axis=1))
+    beside = min(_SCATTER, finite.size - 1)
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(off, beside, mode="reflect"), 2 * beside + 1)
-    far[known] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
+    far[finite] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
     return np.asarray(absurd | far, dtype=np.bool_)
 
 
 def check_jumps(id: str, name: str, wavelength_nm: FloatArray, reflectance: FloatArray) -> None:
     """Raise DataError where five channels and the next five differ by more than a third: blocks of another scale."""
-    known = np.flatnonzero(np.isfinite(reflectance))
-    if known.size < 2 * _SIDE:
+    finite = np.flatnonzero(np.isfinite(reflectance))
+    if finite.size < 2 * _SIDE:
         return
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[known]), _SIDE), axis=1)
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[finite]), _SIDE), axis=1)
     jump = np.abs(middle[_SIDE:] - middle[:-_SIDE])
     worst = int(jump.argmax())
     if jump[worst] > _JUMP:
-        place = wavelength_nm[known[worst + _SIDE]]
+        place = wavelength_nm[finite[worst + _SIDE]]
         share = 100 * (np.exp(jump[worst]) - 1)
         raise DataError(
             f"{id}: {name} jumps by {share:.0f} % near {place:g} nm, which no rock does; fetch its data file again"

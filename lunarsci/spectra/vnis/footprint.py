@@ -115,7 +115,7 @@ def shadow_limit_shift(cube: Cube, footprint: Footprint, shadow_radiance: float)
     if (low == high).all():
         return np.zeros(len(cube)), 0.0
     with np.errstate(invalid="ignore", divide="ignore"):
-        shift = np.log(_known_mean(cube[:, high]) / _known_mean(cube[:, low])) / 2
+        shift = np.log(_finite_mean(cube[:, high]) / _finite_mean(cube[:, low])) / 2
         dilution = np.log(_dilution(cube, candidates, high) / _dilution(cube, candidates, low)) / 2
     return shift, float(dilution)
 
@@ -137,14 +137,14 @@ def _dilution(cube: Cube, inside: BoolArray, lit: BoolArray) -> float:
     """NaN where nothing is lit, or no image from 900 nm on has a value; pixels without one are left out."""
     overlap = cube[VNIR_NM >= JOIN_NM]
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = _known_mean(overlap[:, inside]) / _known_mean(overlap[:, lit])
-    known = np.isfinite(ratio)
-    return float(np.median(ratio[known])) if known.any() else float("nan")
+        ratio = _finite_mean(overlap[:, inside]) / _finite_mean(overlap[:, lit])
+    finite = np.isfinite(ratio)
+    return float(np.median(ratio[finite])) if finite.any() else float("nan")
 
 
-def _known_mean(values: Cube) -> FloatArray:
-    known = np.isfinite(values)
-    mean: FloatArray = np.where(known, values, 0).sum(axis=1, dtype=np.float64) / known.sum(axis=1)
+def _finite_mean(values: Cube) -> FloatArray:
+    finite = np.isfinite(values)
+    mean: FloatArray = np.where(finite, values, 0).sum(axis=1, dtype=np.float64) / finite.sum(axis=1)
     return mean
 
 

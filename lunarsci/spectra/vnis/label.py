@@ -1,23 +1,93 @@
-"""The detached PDS4 label of a VNIS product: when, where, at which angles, and what the data file should look like.
-
-Why not `pdr`: version 1.4.4, tried on sound and on spoiled products, reads cube and short-wave table, but returns a
-table cut in half as 156 rows without a word, stops at the auxiliary table (the labels' record length leaves out the
-line end), finds no partners and does not compare labels with files. Those checks are most of the work here.
-"""
+"""File names of Chang'E spectrometer products, and what they say."""
 
 import math
+import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
+from lunarsci.spectra.photometry import Geometry, phase_angle_deg
 from lunarsci.spectra.rows import number
-from lunarsci.spectra.vnis.name import ProductName, product_name
 
-_REMEDY = "fetch it again"
+_NAME = re.compile(
+    r"(?P<synthetic>SYNTHETIC_)?(?P<mission>CE\d)[A-Z0-9-]*_[A-Z0-9]+_(?P<instrument>VNIS|LMS)-(?P<kind>[A-Z]+)[A-Z0-9-]*"
+    r"_(?P<role>SCI|AUX|CAL)_[A-Z]_(?P<start>\d{14})_(?P<stop>\d{14})_(?P<sequence>\d{4})_(?P<version>[A-Z])"
+    r"\.(?P<level>\d[A-Z])(?P<label>L?)",
+    re.IGNORECASE,
+)
+_LONGEST_NAME = 255
+
+
+@dataclass(frozen=True, slots=True)
+class ProductName:
+    """A name taken apart, letters in upper case.
+
+    Attributes
+    ----------
+    mission, instrument, kind, role : such as CE4, VNIS, VD (image cube) or SD (short-wave table), SCI or AUX.
+    start, stop : session times, 14 digits. sequence : 4 digits, the same for the parts of one observation.
+    version : letter of the processing. level : such as 2B. is_label : the detached label rather than the data.
+    synthetic : made by `lunarsci spectra simulate`.
+    """
+
+    mission: str
+    instrument: str
+    kind: str
+    role: str
+    start: str
+    stop: str
+    sequence: str
+    version: str
+    level: str
+    is_label: bool
+    synthetic: bool
+
+    @property
+    def is_read(self) -> bool:
+        """Whether it is a part of a Chang'E-4 level 2B observation."""
+        part = self.role == "SCI" and self.kind in ("VD", "SD")
+        return part and (self.mission, self.instrument, self.level) == ("CE4", "VNIS", "2B")
+
+    @property
+    def observation(self) -> str:
+        """Id of the observation that the product is a part of, such as CE4-0136."""
+        return f"{'SYNTHETIC-' if self.synthetic else ''}{self.mission}-{self.sequence}"
+
+
+def product_name(path: str) -> ProductName | None:
+    """The parts of a file's name, whatever the case of its letters; None for other names."""
+    name = Path(path).name
+    match = _NAME.fullmatch(name) if len(name) <= _LONGEST_NAME else None
+    if match is None:
+        return None
+    part = {key: (value or "").upper() for key, value in match.groupdict().items()}
+    texts = {
+        key: part[key] for key in ("mission", "instrument", "kind", "role", "start", "stop", "sequence", "version")
+    }
+    return ProductName(**texts, level=part["level"], is_label=part["label"] == "L", synthetic=bool(part["synthetic"]))
+
+
+def check_supported(name: ProductName, file: str) -> None:
+    """Raise DataError, with the reason, for products whose layout is not known well enough to read them."""
+    why = ""
+    if name.instrument == "LMS":
+        why = "of the lunar mineralogical spectrometer (LMS), whose wavelengths are not published; convert it to CSV"
+    elif name.mission != "CE4":
+        why = f"VNIS of {name.mission}, whose labels do not describe it: only Chang'E-4 is read; convert it to CSV"
+    elif name.level != "2B":
+        why = f"level {name.level}, radiance is in level 2B; fetch the file ending in .2B"
+    elif name.kind not in ("VD", "SD") or name.role == "CAL":
+        why = f"the product {name.kind}, not an image cube VD or a table SD; name one of these"
+    if why:
+        raise DataError(f"{file}: is {why}")
+
+
 _ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")
 _PHASE_TOLERANCE_DEG = 2.0
 """Labels of observation 136 agree with their own directions to 0.02 deg; what is tolerated is assumed."""
@@ -25,6 +95,7 @@ _YEARS = (2013, 2100)
 """No VNIS flew before Chang'E-3."""
 _LONGEST = timedelta(hours=3)
 """An observation takes about eight minutes; assumed."""
+_WHOLE = re.compile(r"[0-9]{0,15}")
 _UNSCALED = {"scaling_factor": 1.0, "value_offset": 0.0, "offset": 0.0}
 
 
@@ -76,14 +147,12 @@ def read_label(source: InputFile) -> Label:
     """Read and check a label. Raises DataError, one line with its name, for anything it lacks or contradicts."""
     root = xml_root(source.name, source.data)
     if root.tag != "product_observational":
-        found = root.tag[:40]
-        raise DataError(f"{source.name}: is no PDS4 product label (root element '{found}'); name the .2BL file")
+        elements = root.tag[:40]
+        raise DataError(f"{source.name}: is no PDS4 product label (root element '{elements}'); name the .2BL file")
     start, stop = (_time(root, f".//time_coordinates/{key}_date_time", source.name) for key in ("start", "stop"))
-    if stop < start:
-        raise DataError(f"{source.name}: the measurement stops before it starts; correct the label or fetch it again")
-    if stop - start > _LONGEST:
-        hours = (stop - start).total_seconds() / 3600
-        raise DataError(f"{source.name}: the measurement lasts {hours:.1f} hours, it takes minutes; correct the label")
+    if not timedelta() <= stop - start <= _LONGEST:
+        ends = f"from {start:%Y-%m-%dT%H:%M} to {stop:%Y-%m-%dT%H:%M}"
+        raise DataError(f"{source.name}: was measured {ends}; it takes minutes, correct the label or fetch it again")
     return Label(
         file=source.name,
         name=_name(root, source.name),
@@ -103,21 +172,13 @@ def _name(root: Element, file: str) -> ProductName:
         root, ".//identification_area/logical_identifier", file
     )
     inside = product_name(text.rpartition(":")[2]) if text else None
+    outside, sequence = product_name(file), _text(root, ".//mission_area/sequence_id", file)
     if inside is None:
         raise DataError(f"{file}: its product id {text[:80]!r} is no VNIS product name; fetch the label again")
-    outside = product_name(file)
-    if outside is not None and (inside.observation, inside.kind) != (outside.observation, outside.kind):
-        raise DataError(
-            f"{file}: describes the {inside.kind} product of {inside.observation}, its name says {outside.kind} of "
-            f"{outside.observation}; labels were swapped or renamed, fetch them again"
-        )
-    if outside is not None and replace(outside, is_label=False) != inside:
-        raise DataError(
-            f"{file}: describes {text[:100]!r}, a product of another version, level or session; fetch it again"
-        )
-    sequence = _text(root, ".//mission_area/sequence_id", file)
-    if sequence and sequence.zfill(4) != inside.sequence:
-        raise DataError(f"{file}: states sequence {sequence[:20]}, its product id {inside.sequence}; fetch it again")
+    same = outside is None or replace(outside, is_label=False) == inside
+    if not same or (sequence and sequence.zfill(4) != inside.sequence):
+        number = f" in sequence {sequence[:20]}" if same else ""
+        raise DataError(f"{file}: describes {text[:100]!r}{number}: swapped or another version; fetch it again")
     return inside
 
 
@@ -126,18 +187,14 @@ def _geometry(root: Element, file: str) -> Geometry:
     view = ".//angle_pointing_results/center_point/{}"
     incidence = _angle(root, sun.format("incidence_angle"), file)
     emission, azimuth, phase = (_angle(root, view.format(key), file) for key in _ANGLES)
-    if incidence >= 90:
-        raise DataError(f"{file}: the Sun stands {incidence:g} deg from the zenith, below the horizon; nothing is lit")
     try:
         geometry = Geometry(incidence, emission, phase)
     except ParameterError as error:
         raise DataError(f"{file}: {error}") from error
     expected = phase_angle_deg(incidence, emission, azimuth - _angle(root, sun.format("azimuth_angle"), file))
     if abs(expected - phase) > _PHASE_TOLERANCE_DEG:
-        raise DataError(
-            f"{file}: states a phase angle of {phase:g} deg, its directions of Sun and view give {expected:.1f}; "
-            "one of them is wrong, correct the label"
-        )
+        what = f"states a phase angle of {phase:g} deg, its directions of Sun and view give {expected:.1f}"
+        raise DataError(f"{file}: {what}; one of them is wrong, correct the label")
     return geometry
 
 
@@ -188,51 +245,52 @@ def _check_unscaled(area: Element, file: str) -> None:
 
 def _text(root: Element, path: str, file: str) -> str:
     """Text of the only element at a path, '' where there is none; one that comes twice decides nothing."""
-    found = root.findall(path)
-    if len(found) > 1 or (found and len(found[0])):
-        what = "holds other elements" if len(found) == 1 else f"appears {len(found)} times"
+    elements = root.findall(path)
+    if len(elements) > 1 or (elements and len(elements[0])):
+        what = "holds other elements" if len(elements) == 1 else f"appears {len(elements)} times"
         raise DataError(f"{file}: {path.lstrip('./')} {what}; fetch the label again")
-    return (found[0].text or "").strip() if found else ""
+    return (elements[0].text or "").strip() if elements else ""
 
 
-def _count(root: Element, path: str, file: str) -> int | None:
+def _parsed(root: Element, path: str, file: str, parse: Callable[[str], Any], what: str) -> Any:
+    """What the text at a path says. Raises DataError where `parse` gives None."""
     text = _text(root, path, file)
-    if not text:
-        return None
-    if not (text.isascii() and text.isdigit()) or len(text) > 15:
-        raise DataError(f"{file}: {path.rpartition('/')[2]} is {text[:40]!r}, not a count; fetch the label again")
-    return int(text)
-
-
-def _number(root: Element, path: str, file: str) -> float:
-    text, what = _text(root, path, file), path.lstrip("./")
-    if not text:
-        raise DataError(f"{file}: the label lacks {what}; fetch it again")
-    value = number(text)
-    if value is None or not math.isfinite(value):
-        raise DataError(f"{file}: {what} is {text[:40]!r}, not a number; correct the label or fetch it again")
+    if (value := parse(text)) is None:
+        elements = f"is {text[:40]!r}, not {what}" if text else "is missing"
+        raise DataError(f"{file}: {path.lstrip('./')} {elements}; correct the label or fetch it again")
     return value
 
 
+def _count(root: Element, path: str, file: str) -> int | None:
+    text = str(_parsed(root, path, file, lambda text: text if _WHOLE.fullmatch(text) else None, "a count"))
+    return int(text) if text else None
+
+
+def _number(root: Element, path: str, file: str) -> float:
+    return float(_parsed(root, path, file, _finite, "a number"))
+
+
+def _finite(text: str) -> float | None:
+    value = number(text)
+    return value if value is not None and math.isfinite(value) else None
+
+
 def _angle(root: Element, path: str, file: str) -> float:
-    value = _number(root, path, file)
-    found = root.find(path)
-    unit = "" if found is None else found.get("unit", "deg").strip().lower()
+    value, element = _number(root, path, file), root.find(path)
+    unit = "" if element is None else element.get("unit", "deg").strip().lower()
     if unit not in ("deg", "degree", "degrees", "°", ""):
         raise DataError(f"{file}: {path.lstrip('./')} is in {unit[:20]!r}, expected degrees; correct the label")
     return value
 
 
 def _time(root: Element, path: str, file: str) -> datetime:
-    text = _text(root, path, file)
+    moment: datetime = _parsed(root, path, file, _moment, "a time such as 2020-07-16T08:17:04Z")
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+
+
+def _moment(text: str) -> datetime | None:
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise DataError(
-            f"{file}: {path.lstrip('./')} is {text[:40]!r}, not a time such as 2020-07-16T08:17:04Z"
-        ) from error
-    if not _YEARS[0] <= moment.year < _YEARS[1]:
-        raise DataError(
-            f"{file}: {path.lstrip('./')} is in the year {moment.year}; correct the label or fetch it again"
-        )
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except ValueError:
+        return None
+    return moment if _YEARS[0] <= moment.year < _YEARS[1] else None

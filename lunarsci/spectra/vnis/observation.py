@@ -27,10 +27,9 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io import inputs
 from lunarsci.io.documents import LABEL_BYTES
 from lunarsci.io.inputs import InputFile, read_input
-from lunarsci.spectra.vnis.channel_order import equal_frames, repeated_rows
-from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
-from lunarsci.spectra.vnis.label import DataFile, Label, read_label
-from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
+from lunarsci.spectra.rows import NamedTable, Row, split_lines
+from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM, equal_frames, repeated_rows
+from lunarsci.spectra.vnis.label import Label, ProductName, check_supported, product_name, read_label
 from lunarsci.sun import sun_incidence_deg
 
 LANDING_SITE = (177.5991, -45.4446)
@@ -40,10 +39,10 @@ SUN_DEG, WRONG_SUN_DEG = 0.3, 3.0
 """An incidence further than the first from the Sun's is in doubt, than the second is wrong: the two labels of
 observation 136 agree with the Sun to 0.01 deg, which moves by 0.5 deg in an hour. 0.3 deg change the reflectance by 1 %
 at 64 deg and by 2 % at 77 deg. Assumed. [deg]"""
-_SESSION_SLACK = timedelta(minutes=10)
+_SLACK = timedelta(minutes=10)
 _WRONG_SESSION = timedelta(days=1)
 """A product's name has the times of the session that it was measured in; the one public observation whose times are
-known lies within it. Slack and what is wrong are assumed."""
+known lies within it; the first row of a scan may precede its label. Slack and what is wrong are assumed."""
 
 
 def doubts_of(label: Label) -> list[str]:
@@ -56,13 +55,13 @@ def doubts_of(label: Label) -> list[str]:
 
 def _of_sun(label: Label) -> str:
     stated = label.geometry.incidence_deg
-    known = math.isfinite(label.longitude_deg) and math.isfinite(label.latitude_deg)
-    place = (label.longitude_deg, label.latitude_deg) if known else LANDING_SITE
-    found = sun_incidence_deg(label.start + (label.stop - label.start) / 2, *place)
-    if abs(stated - found) <= SUN_DEG:
+    stated_place = math.isfinite(label.longitude_deg) and math.isfinite(label.latitude_deg)
+    place = (label.longitude_deg, label.latitude_deg) if stated_place else LANDING_SITE
+    true = sun_incidence_deg(label.start + (label.stop - label.start) / 2, *place)
+    if abs(stated - true) <= SUN_DEG:
         return ""
-    says = f"{label.file}: states the Sun {stated:.2f} deg from the vertical; then and there it stood {found:.2f} deg"
-    if abs(stated - found) > WRONG_SUN_DEG:
+    says = f"{label.file}: states the Sun {stated:.2f} deg from the vertical; then and there it stood {true:.2f} deg"
+    if abs(stated - true) > WRONG_SUN_DEG:
         raise DataError(f"{says}: angle, time or place is wrong, fetch the label again")
     return f"{says} from it"
 
@@ -75,7 +74,7 @@ def _of_session(label: Label) -> str:
     except ValueError:
         return f"{label.file}: its name has {label.name.start} to {label.name.stop}, which are no times"
     outside = max(first - label.start, label.stop - last)
-    if outside <= _SESSION_SLACK:
+    if outside <= _SLACK:
         return ""
     says = f"{label.file}: was measured at {label.start:%Y-%m-%dT%H:%M}, outside the {first:%Y-%m-%dT%H:%M} to "
     says += f"{last:%Y-%m-%dT%H:%M} of its name"
@@ -103,10 +102,15 @@ def read_cube(source: InputFile, label: Label) -> Cube:
     described = next((file for file in label.files if file.axes), None)
     if described is None:
         raise DataError(f"{label.file}: describes no image array; fetch the label of the VD product again")
-    _check_description(described, label.file)
+    axes = " x ".join(f"{elements} {name}" for name, elements in described.axes)
+    expected = f"a cube has 100 band x 256 line x 256 sample, IEEE754LSBSingle, {CUBE_BYTES} bytes"
+    alike = described.axes == _AXES and described.size in (None, CUBE_BYTES)
+    if not alike or (described.data_type or "").lower() not in _TYPES:
+        stated = f"{axes[:80]} of type {described.data_type!r}, {described.size} bytes"
+        raise DataError(f"{label.file}: states {stated}; {expected}; fetch data and label again")
     if len(source.data) != CUBE_BYTES:
         short = "truncated; " if len(source.data) < CUBE_BYTES else ""
-        raise DataError(f"{source.name}: {len(source.data)} bytes, a cube has {CUBE_BYTES}; {short}fetch it again")
+        raise DataError(f"{source.name}: {len(source.data)} bytes; {expected}; {short}fetch it again")
     kind = _TYPES[(described.data_type or "").lower()]
     cube = np.frombuffer(source.data, kind).reshape(CUBE_SHAPE)
     if _implausible(cube):
@@ -117,16 +121,6 @@ def read_cube(source: InputFile, label: Label) -> Cube:
         one, other = (f"{VNIR_NM[band]:g}" for band in equal)
         raise DataError(f"{source.name}: the images at {one} and {other} nm have the same numbers; fetch it again")
     return cube.astype(np.float32, copy=False)
-
-
-def _check_description(described: DataFile, label: str) -> None:
-    if described.axes != _AXES:
-        stated = " x ".join(f"{elements} {name}" for name, elements in described.axes)
-        raise DataError(f"{label}: states {stated[:80]}, a cube has 100 band x 256 line x 256 sample; fetch it again")
-    if (described.data_type or "").lower() not in _TYPES:
-        raise DataError(f"{label}: states numbers of type {described.data_type!r}; a cube has IEEE754LSBSingle")
-    if described.size not in (None, CUBE_BYTES):
-        raise DataError(f"{label}: states {described.size} bytes, a cube has {CUBE_BYTES}; fetch data and label again")
 
 
 def _implausible(cube: npt.NDArray[np.floating]) -> bool:
@@ -140,10 +134,6 @@ def _implausible(cube: npt.NDArray[np.floating]) -> bool:
 
 _SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radiance", "quality")
 _VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
-_CLOCK_SLACK = timedelta(minutes=10)
-"""The first row of a scan may precede the time its label states; assumed."""
-_NUMBER = re.compile(r"[+-]?(\d++\.?+\d*+|\.\d++)([eEdD][+-]?\d{1,3})?", re.ASCII)
-_NO_NUMBER = {"NAN", "+NAN", "-NAN", "INF", "+INF", "-INF"}
 _CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
 
 
@@ -163,17 +153,16 @@ def read_swir_table(source: InputFile, label: Label) -> SwirTable:
 
     Raises DataError, with the line, for other counts, repeated or missing channels, or times outside the label's.
     """
-    rows = _rows(source, SWIR_NM.size, _SWIR_COLUMNS)
+    table = _table(source, label, SWIR_NM.size, _SWIR_COLUMNS)
     stated = [file.records for file in label.files if file.fields]
     if stated and stated[0] not in (None, SWIR_NM.size):
         raise DataError(f"{label.file}: states {stated[0]} rows, the table has {SWIR_NM.size}; fetch it again")
-    _check_times(rows, source.name, label)
-    _check_integration(rows, source.name)
-    radiance = np.array([_radiance(row[4], line, source.name) for line, row in enumerate(rows, 1)])
+    radiance = table.numbers("radiance")
+    radiance[~np.isfinite(radiance)] = np.nan
     if (twice := repeated_rows(radiance)) is not None:
         first, again = (row + 1 for row in twice)
         raise DataError(f"{source.name}: three numbers from row {first} come again from row {again}; fetch it again")
-    return SwirTable(radiance, _flags(rows, source.name))
+    return SwirTable(radiance, _flags(table))
 
 
 def read_vnir_flags(source: InputFile, label: Label) -> BoolArray:
@@ -181,88 +170,47 @@ def read_vnir_flags(source: InputFile, label: Label) -> BoolArray:
 
     Raises DataError as `read_swir_table` does.
     """
-    rows = _rows(source, VNIR_NM.size, _VNIR_COLUMNS)
-    _check_times(rows, source.name, label)
-    _check_integration(rows, source.name)
-    return _flags(rows, source.name)
+    return _flags(_table(source, label, VNIR_NM.size, _VNIR_COLUMNS))
 
 
-def _rows(source: InputFile, count: int, columns: Sequence[str]) -> list[list[str]]:
-    lines = [line for line in inputs.text(source).splitlines() if line.strip()]
-    rows = [line.split() for line in lines]
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(columns):
-            what = f"{len(row)} columns, expected {len(columns)} ({', '.join(columns)})"
-            end = "; truncated? fetch it again" if number == len(rows) else "; correct it or fetch it again"
-            raise DataError(f"{source.name}: row {number} has {what}{end}")
-    if len(rows) != count:
-        raise DataError(f"{source.name}: {len(rows)} rows, one per channel makes {count}; truncated? fetch it again")
-    _check_channels([_index(row[1], number, source.name) for number, row in enumerate(rows, 1)], source.name)
-    return rows
+def _table(source: InputFile, label: Label, count: int, columns: Sequence[str]) -> NamedTable:
+    """A row for each channel, at times within the label's that do not go back: one is measured after the other."""
+    rows = tuple(Row(n, tuple(line.split())) for n, line in split_lines(inputs.text(source))[0])
+    if len(rows) != count or {len(row.fields) for row in rows} != {len(columns)}:
+        odd = next((row for row in rows if len(row.fields) != len(columns)), None)
+        what = f"line {odd.line} has {len(odd.fields)} columns" if odd else f"{len(rows)} rows"
+        wanted = f"{count} rows of {len(columns)} columns ({', '.join(columns)})"
+        raise DataError(f"{source.name}: {what}, a table has {wanted}; truncated? fetch it again")
+    table = NamedTable(source.name, tuple(columns), rows, decimal_comma=False)
+    band, moments = table.numbers("band"), np.array([_moment(cell) for cell in table.cells("time")])
+    table.refuse(band != np.arange(count) + (band[0] == 1), "band", "channels count up from 0 or 1; fetch it again")
+    low, high = (label.start - _SLACK).timestamp(), (label.stop + _SLACK).timestamp()
+    span = f"a time of its label, {label.start:%Y-%m-%dT%H:%M} to {label.stop:%H:%M}"
+    table.refuse(~((moments >= low) & (moments <= high)), "time", f"rows have {span}; fetch both again")
+    table.refuse(np.diff(moments, prepend=low) < 0, "time", "times do not go back: rows are mixed, fetch it again")
+    table.refuse(~(table.numbers("integration time") > 0), "integration time", "it is above 0; fetch it again")
+    return table
 
 
-def _check_channels(found: list[int], file: str) -> None:
-    """The identifiers count up by one, from 0 as the labels say; a table that counts from 1 is taken too."""
-    expected = range(found[0], found[0] + len(found))
-    if found[0] not in (0, 1) or found != list(expected):
-        first = next((k for k, (a, b) in enumerate(zip(found, expected, strict=True), 1) if a != b), 1)
-        raise DataError(f"{file}: row {first} has the channel {found[first - 1]} out of order; fetch it again")
+def _moment(text: str) -> float:
+    """Seconds of a time, UTC; NaN for none. [s]"""
+    try:
+        return datetime.fromisoformat(text if text[-1:] in "Zz" else text + "Z").timestamp()
+    except ValueError:
+        return math.nan
 
 
-def _index(text: str, line: int, file: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 10):
-        raise DataError(f"{file}: row {line}: the channel {text[:20]!r} is no number; correct it or fetch it again")
-    return int(text)
-
-
-def _radiance(text: str, line: int, file: str) -> float:
-    if text.upper() in _NO_NUMBER:
-        return float("nan")
-    if not _NUMBER.fullmatch(text):
-        raise DataError(f"{file}: row {line}: the radiance {text[:20]!r} is no number; fetch it again")
-    value = float(text.upper().replace("D", "E"))
-    return value if np.isfinite(value) else float("nan")
-
-
-def _flags(rows: Sequence[Sequence[str]], file: str) -> BoolArray:
-    codes: list[int] = []
-    for line, row in enumerate(rows, 1):
-        if not _CODE.fullmatch(row[-1]):
-            what = f"the quality code {row[-1][:20]!r} is not hexadecimal"
-            raise DataError(f"{file}: row {line}: {what}; correct it or fetch it again")
-        codes.append(int(row[-1], 16))
-    flagged: BoolArray = np.array(codes) != 0
-    return flagged
-
-
-def _check_times(rows: Sequence[Sequence[str]], file: str, label: Label) -> None:
-    """Within the label's, and not going back: the channels are measured one after the other."""
-    before = label.start - _CLOCK_SLACK
-    for line, row in enumerate(rows, 1):
-        try:
-            moment = datetime.fromisoformat(row[0] if row[0][-1:] in "Zz" else row[0] + "Z")
-        except ValueError as error:
-            raise DataError(f"{file}: row {line}: {row[0][:40]!r} is no time; correct it or fetch it again") from error
-        if not label.start - _CLOCK_SLACK <= moment <= label.stop + _CLOCK_SLACK:
-            raise DataError(
-                f"{file}: row {line} was measured at {row[0][:24]}, its label states {label.start:%Y-%m-%dT%H:%M} to "
-                f"{label.stop:%H:%M}; table and label do not belong together"
-            )
-        if moment < before:
-            raise DataError(f"{file}: row {line} was measured before row {line - 1}; rows are mixed, fetch it again")
-        before = moment
-
-
-def _check_integration(rows: Sequence[Sequence[str]], file: str) -> None:
-    for line, row in enumerate(rows, 1):
-        if not (_NUMBER.fullmatch(row[2]) and float(row[2].upper().replace("D", "E")) > 0):
-            raise DataError(f"{file}: row {line}: the integration time {row[2][:20]!r} is not above 0; fetch it again")
+def _flags(table: NamedTable) -> BoolArray:
+    codes = table.cells("quality")
+    wrong = np.array([_CODE.fullmatch(code) is None for code in codes])
+    table.refuse(wrong, "quality", "quality codes are hexadecimal; correct it or fetch it again")
+    return np.array([int(code, 16) != 0 for code in codes])
 
 
 _APART = timedelta(hours=24)
 """The two scans follow each other within minutes; assumed wide."""
-_SAME_DEG, _SUN_DEG_PER_HOUR = 0.3, 0.6
-"""The Sun moves by 360 deg in 29.5 days, 0.51 deg an hour; the rest is assumed for rounding."""
+_SUN_DEG_PER_HOUR = 360.0 / (29.530589 * 24)
+"""By the mean synodic month, 29.530589 days: Chapront et al. (2002), 10.1051/0004-6361:20020420. [deg/h]"""
 _TABLE_BYTES = 1_000_000
 _AWAY_DEG = 0.001
 """30 m on the Moon; assumed."""
@@ -331,8 +279,8 @@ def find_parts(path: str) -> Parts:
         raise DataError(f"{path}: is no VNIS product name (such as CE4_GRAS_VNIS-SD_SCI_N_..._0136_B.2BL)")
     check_supported(name, path)
     folder = Path(path).parent
-    found = [(other, str(folder / other)) for other in _names(folder)]
-    same = [(other, p) for p, other in ((p, product_name(o)) for o, p in found) if other and _same(other, name)]
+    result = [(other, str(folder / other)) for other in _names(folder)]
+    same = [(other, p) for p, other in ((p, product_name(o)) for o, p in result) if other and _same(other, name)]
     cube_label, cube = (_one(same, "VD", is_label, name, folder) for is_label in (True, False))
     table_label, table = (_one(same, "SD", is_label, name, folder) for is_label in (True, False))
     wanted = ("AUX", "VD", name.version, False)
@@ -431,7 +379,7 @@ def _check_pair(cube: Label, table: Label) -> None:
 def _check_same_sun(cube: Label, table: Label) -> None:
     """Both look the same way; the Sun moves on by half a degree an hour."""
     hours = abs(cube.start - table.start).total_seconds() / 3600
-    for name, limit in (("incidence", _SAME_DEG + _SUN_DEG_PER_HOUR * hours), ("emission", _SAME_DEG)):
+    for name, limit in (("incidence", SUN_DEG + _SUN_DEG_PER_HOUR * hours), ("emission", SUN_DEG)):
         one, other = (getattr(label.geometry, f"{name}_deg") for label in (cube, table))
         if abs(one - other) > limit:
             raise DataError(

@@ -15,8 +15,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.photometry.correction import model_spread
-from lunarsci.spectra.photometry.phase import Geometry
+from lunarsci.spectra.photometry import Geometry, model_spread
 from lunarsci.spectra.solar import M3_TABLE, solar_spectrum
 from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM, SWIR_NM, VNIR_NM, VNIR_SUB_BANDS_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, irradiance_at
@@ -116,7 +115,7 @@ def usual_gains(gains: Sequence[float]) -> list[float | None]:
 
 _OVERLAP_NM: FloatArray = np.intersect1d(VNIR_NM, SWIR_NM)
 _VNIR_OVERLAP, _SWIR_OVERLAP = np.isin(VNIR_NM, _OVERLAP_NM), np.isin(SWIR_NM, _OVERLAP_NM)
-_KEPT = VNIR_NM < JOIN_NM
+_BELOW_JOIN = VNIR_NM < JOIN_NM
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +142,7 @@ class Splice:
     def join(self, vnir: FloatArray, swir: FloatArray) -> FloatArray:
         """The 390 channels from 100 of VNIR and 300 of SWIR."""
         first = self.gain * (_below(VNIR_NM, self.vnir_steps) if self.vnir_steps_removed else 1.0) * vnir
-        return np.concatenate([first[_KEPT], _below(SWIR_NM, [self.step]) * swir])
+        return np.concatenate([first[_BELOW_JOIN], _below(SWIR_NM, [self.step]) * swir])
 
     def modes(self, spliced: FloatArray) -> dict[str, FloatArray]:
         """What one standard error of each factor shifts, shape (390,) each; correlated over all channels.
@@ -214,13 +213,13 @@ def find_splice(
 
 
 def _vnir_steps(vnir: FloatArray, sigma: FloatArray) -> tuple[Step, ...]:
-    found = []
+    result = []
     for site in VNIR_STEPS:
         try:
-            found.append(find_step(site, VNIR_NM, vnir, sigma))
+            result.append(find_step(site, VNIR_NM, vnir, sigma))
         except DataError:  # masked channels: this one stays as it is, and the modes say so
             continue
-    return tuple(found)
+    return tuple(result)
 
 
 CALIBRATION = {"vnir": 0.05, "swir": 0.07}

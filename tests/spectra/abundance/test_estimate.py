@@ -40,7 +40,7 @@ from lunarsci.spectra.abundance.mixing import (
 )
 from lunarsci.spectra.abundance.result import MineralFraction
 from lunarsci.spectra.abundance.shares import CalibratedShares, Mixed
-from lunarsci.spectra.library.end_member import EndMember
+from lunarsci.spectra.readers.library import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(460.0, 2441.0, 20.0)

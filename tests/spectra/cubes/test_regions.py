@@ -12,8 +12,7 @@ from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
 
 from .conftest import spectra
-from .test_envi_cubes import backplane, m3
-from .test_raster_cubes import tiff
+from .test_rasters import backplane, m3, tiff
 
 pytest.importorskip("rasterio")
 CUBE = spectra(40, 30, np.linspace(500, 2500, 6)).astype("f4")
@@ -33,7 +32,7 @@ def upright(folder: Path) -> Any:
 
 
 def kept(cube: Any, region: Any) -> Any:
-    return region.kept(cube, range(region.shape[0]))
+    return region.wanted(cube, range(region.shape[0]))
 
 
 def test_boxes(envi: Any) -> None:

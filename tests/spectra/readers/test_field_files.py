@@ -19,9 +19,9 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.guide.info import info
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.batch import SpectraBatch, read_batch
+from lunarsci.spectra.readers.columns import of_kubelka_munk
 from lunarsci.spectra.readers.dispatch import read_spectra
-from lunarsci.spectra.readers.markers import markers_of
-from lunarsci.spectra.readers.quantities import of_kubelka_munk
+from lunarsci.spectra.readers.likely import markers_of
 from lunarsci.spectra.spectrum import Spectrum
 
 NM = np.arange(400.0, 2501.0, 10.0)

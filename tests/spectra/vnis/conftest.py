@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from lunarsci.spectra.vnis.simulation.instrument import simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Scene
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 
 @pytest.fixture(scope="session")

@@ -1,14 +1,34 @@
-"""The joining of the detectors: exact on smooth spectra, errors against repeated noise, the step of laboratory ones."""
+"""Joining of the detectors, and errors that all channels share."""
 
 import csv
+import functools
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.spectra.vnis.channels import fixed_pattern, random_noise
+from lunarsci.io.inputs import InputFile
+from lunarsci.spectra.bands import measure_bands
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import constrained, mgm_model
+from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.photometry import PhaseFunction, phase_function
+from lunarsci.spectra.solar import solar_spectrum
+from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.calibrate import calibrate
+from lunarsci.spectra.vnis.calibration import Calibration
+from lunarsci.spectra.vnis.channels import SPLICED_NM, fixed_pattern, footprint_mask, random_noise
+from lunarsci.spectra.vnis.detector import default_settings
+from lunarsci.spectra.vnis.label import read_label
+from lunarsci.spectra.vnis.observation import Observation, SwirTable
+from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
+from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files
 from lunarsci.spectra.vnis.splice import Splice, Step, find_splice
 
 VNIR = 450 + 5.0 * np.arange(100)
@@ -44,24 +64,6 @@ def test_step_and_gain_come_back_exactly(step: float, gain: float) -> None:
     assert found.gain == pytest.approx(gain, rel=1e-12)
     assert found.overlap_rms == pytest.approx(0, abs=1e-12)
     assert found.join(*measured(step, gain)) == pytest.approx(smooth(JOINED), rel=1e-12)
-
-
-def test_the_level_is_that_of_the_last_sub_band() -> None:
-    vnir, swir = measured(1.1, 0.9)
-    joined = find_splice(vnir, swir, vnir / 100, swir / 100).join(vnir, swir)
-    assert joined.shape == (390,)
-    assert np.array_equal(joined[JOINED >= 1380], swir[SWIR >= 1380])
-    assert joined[JOINED == 1375][0] == pytest.approx(1.1 * swir[SWIR == 1375][0])
-    assert joined[JOINED == 900][0] == pytest.approx(1.1 * swir[0])
-    assert joined[JOINED == 895][0] == pytest.approx(0.9 * vnir[VNIR == 895][0])
-
-
-def test_a_scaled_pair_is_joined_in_the_same_way() -> None:
-    vnir, swir = measured(1.04, 0.95)
-    found = find_splice(3 * vnir, 3 * swir, 0.03 * vnir, 0.03 * swir)
-    one = find_splice(vnir, swir, 0.01 * vnir, 0.01 * swir)
-    assert (found.gain, found.gain_sigma) == pytest.approx((one.gain, one.gain_sigma), rel=1e-12)
-    assert (found.step.factor, found.step.sigma) == pytest.approx((one.step.factor, one.step.sigma), rel=1e-12)
 
 
 def test_missing_channels_are_left_out() -> None:
@@ -113,13 +115,6 @@ def test_errors_are_those_of_repeated_noise() -> None:
         assert {one.at_nm for one in steps} == {at_nm}
         stated = np.sqrt(np.mean([one.sigma**2 for one in steps]) - model**2)
         assert np.std(np.log([one.factor for one in steps])) == pytest.approx(stated, rel=0.03)
-
-
-def test_the_error_of_the_gain_is_that_of_a_weighted_mean() -> None:
-    """Ten channels, 3 % in VNIR and 4 % in SWIR: hypot(3, 4) / sqrt(10) %, whatever the spectrum."""
-    vnir, swir = measured(1.0, 1.0)
-    found = find_splice(vnir, swir, 0.03 * vnir, 0.04 * swir)
-    assert found.gain_sigma == pytest.approx(0.05 / math.sqrt(10), rel=1e-9)
 
 
 def test_noisy_channels_have_little_weight() -> None:
@@ -250,3 +245,314 @@ def test_a_step_without_channels_beside_it_is_refused(channels: slice) -> None:
         DataError, match=r"too few valid channels from 1317\.5 to 1437\.5 nm to find the step at 1377\.5 nm"
     ):
         find_splice(vnir, swir, vnir / 100, swir / 100)
+
+
+Write = Callable[[Mapping[str, bytes]], Path]
+WITHOUT_MODEL = {
+    *("calibration_swir", "irradiance_shape", "irradiance_detail", "registration"),
+    *("splice_gain", "splice_overlap", "splice_step", "vnir_step_632", "vnir_step_758"),
+}
+WITH_MODEL = WITHOUT_MODEL | {"photometry_1", "photometry_2", "phase_edge"}
+MAFIC = Material(SceneComposition(0.3, 0.35, 0.35, 0.0), albedo=0.1, red_slope=0.4, contrast=1.5)
+
+
+@functools.cache
+def observation(soil: Material | None = None, noise: float = 1.0) -> Observation:
+    scene = Scene(rock=SceneRock(), solar="g173") if soil is None else Scene(soil=soil, solar="g173")
+    made = simulate(scene, Instrument(noise=noise), seed=7)
+    files = product_files(made)
+    vd, sd = (
+        read_label(next(InputFile(n, c) for n, c in files.items() if f"-{kind}_SCI" in n and n.endswith("L")))
+        for kind in ("VD", "SD")
+    )
+    table = SwirTable(made.swir, np.zeros(300, bool))
+    return Observation(vd.name.observation, True, vd, sd, made.vnir, None, table, {})
+
+
+def found(changes: Mapping[str, Any] | None = None, vnir: float = 1.0, swir: float = 1.0) -> Calibration:
+    """The observation, its radiances scaled, under changed settings."""
+    source = observation()
+    scaled = replace(
+        source,
+        cube=source.cube * np.float32(vnir),
+        table=replace(source.table, radiance=source.table.radiance * swir),
+    )
+    return calibrate(scaled, replace(default_settings(), **(changes or {})))
+
+
+@functools.cache
+def mafic(noise: float) -> Spectrum:
+    """Deep bands, under the photometry and the Sun that the scene obeys."""
+    obeyed = replace(
+        default_settings(),
+        solar=solar_spectrum("g173"),
+        other_solar=solar_spectrum("e490"),
+        photometry="akimov",
+        phase=phase_function("sp-high"),
+    )
+    return calibrate(observation(MAFIC, noise), obeyed).to_spectrum()
+
+
+@pytest.fixture(scope="module")
+def base() -> Calibration:
+    return found()
+
+
+def test_names_and_shapes(base: Calibration) -> None:
+    assert set(base.systematic) == WITH_MODEL
+    for mode in base.systematic.values():
+        assert mode.shape == (390,)
+        assert np.isfinite(mode).all()
+    assert base.systematic_total == pytest.approx(np.sqrt(sum(mode**2 for mode in base.systematic.values())))
+
+
+def test_without_photometry_there_is_no_error_of_its_model() -> None:
+    assert set(found({"photometry": "none"}).systematic) == WITHOUT_MODEL
+
+
+def test_the_calibration_of_swir_is_7_percent_of_everything(base: Calibration) -> None:
+    relative = base.systematic["calibration_swir"] / base.reflectance
+    assert relative == pytest.approx(np.full(390, relative[0]), rel=1e-9)
+    assert relative[0] == pytest.approx(0.07, rel=2e-3)
+
+
+def test_swir_read_7_percent_higher_is_the_mode(base: Calibration) -> None:
+    again = found(swir=math.exp(0.07))
+    assert again.reflectance - base.reflectance == pytest.approx(base.systematic["calibration_swir"], rel=0.04)
+
+
+def test_vnir_read_5_percent_higher_changes_nothing(base: Calibration) -> None:
+    """It is scaled to SWIR: its calibration is no error of the result, and is not listed."""
+    assert found(vnir=math.exp(0.05)).reflectance == pytest.approx(base.reflectance, rel=1e-6)
+    assert "calibration_vnir" not in base.systematic
+
+
+def test_a_pixel_of_registration_scales_everything(base: Calibration) -> None:
+    """What the field of view sees, moved by a pixel in four directions; the table's level goes with it."""
+    lines, samples = np.nonzero(footprint_mask())
+    brightness = observation().cube[90:].mean(axis=0, dtype=float)
+    here, *moved = (
+        brightness[lines + down, samples + right].mean() for down, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+    )
+    wanted = np.sqrt(np.mean([(there / here - 1) ** 2 for there in moved]))
+    relative = base.systematic["registration"] / base.reflectance
+    assert relative == pytest.approx(np.full(390, wanted), rel=1e-3)
+
+
+def test_the_detail_of_the_irradiance_is_the_difference_of_two_calibrations(base: Calibration) -> None:
+    other = found({"solar": solar_spectrum("g173"), "other_solar": solar_spectrum("e490")})
+    mode = base.systematic["irradiance_detail"]
+    assert other.reflectance - base.reflectance == pytest.approx(mode, abs=0.03 * np.abs(mode).max())
+    assert 0.002 < np.std(mode / base.reflectance) < 0.02
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize(("solar", "tolerance"), [("e490", 0.008), ("g173", 0.015)])
+def test_the_shape_of_the_irradiance_is_that_to_the_sun_of_m3(
+    reference_data: Path, solar: str, tolerance: float
+) -> None:
+    """Channel by channel of M3, 40 nm wide, and averaged over 120 nm; where the splice changes nothing.
+
+    G173 departs from E490 by up to 4 % around 1815 nm, which other averages see differently.
+    """
+    with (reference_data / "spectra/lunar/m3_solar_spec.csv").open() as file:
+        m3 = np.array([[float(cell) for cell in row] for row in list(csv.reader(file))[1:]])
+    used = solar_spectrum(solar)
+    result = found({"solar": used, "other_solar": solar_spectrum("g173" if solar == "e490" else "e490")})
+    shape = result.systematic["irradiance_shape"] / result.reflectance
+    for center in range(1500, 2301, 100):
+        wanted = [
+            math.log(used.irradiance[np.abs(used.wavelength_nm - w) <= 20].mean() / (e / 1000))
+            for w, e in m3
+            if abs(w - center) <= 60
+        ]
+        assert shape[(center - 450) // 5] == pytest.approx(np.mean(wanted), abs=tolerance), center
+    assert np.std(shape) > 0.005
+
+
+class GoingOn:
+    """A SELENE phase function whose parabola is not held at its ends: through three values of it within."""
+
+    name, source = "going on", "a test"
+
+    def __init__(self, held: PhaseFunction) -> None:
+        self.held = held
+
+    def log_ratio(self, phase_deg: float, wavelength_nm: np.ndarray) -> np.ndarray:
+        at = np.array([600.0, 1200.0, 1900.0])
+        return np.polyval(np.polyfit(at, self.held.log_ratio(phase_deg, at), 2), wavelength_nm)
+
+    def edge_shift(self, phase_deg: float, wavelength_nm: np.ndarray) -> np.ndarray:
+        return np.zeros(wavelength_nm.shape)
+
+    def remark(self, phase_deg: float, wavelength_nm: np.ndarray) -> str:
+        return ""
+
+
+def test_the_edge_of_the_phase_function_is_that_of_letting_it_go_on(base: Calibration) -> None:
+    other = found({"phase": GoingOn(phase_function("sp-mid"))})
+    mode = base.systematic["phase_edge"]
+    assert other.reflectance - base.reflectance == pytest.approx(mode, abs=0.02 * np.abs(mode).max())
+    within = (SPLICED_NM > 515) & (SPLICED_NM < 2050)
+    assert np.abs(mode[within]).max() < 0.02 * np.abs(mode).max()
+
+
+def test_the_limit_of_shadows_is_half_the_difference_of_two_limits() -> None:
+    """Twilight: light falls to nothing over the right half of the field of view."""
+    source = observation()
+    light = np.ones(256, dtype=np.float32)
+    light[100:] = np.maximum(0.003, np.linspace(1.0, -2.0, 156))
+    of_all = light[np.nonzero(footprint_mask())[1]].mean()
+    table = replace(source.table, radiance=source.table.radiance * of_all)
+    dusk = replace(source, cube=source.cube * light, table=table)
+    low, middle, high = (
+        calibrate(dusk, replace(default_settings(), shadow_limit=limit)) for limit in (0.01, 0.02, 0.03)
+    )
+    assert low.footprint.lit.sum() > middle.footprint.lit.sum() > high.footprint.lit.sum()
+    mode = middle.systematic["shadow_limit"]
+    assert mode == pytest.approx((high.reflectance - low.reflectance) / 2, abs=0.02 * np.abs(mode).max())
+    assert np.abs(mode / middle.reflectance).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("disk", "phase"), [("lommel-seeliger", "sp-mid"), ("akimov", "sp-high"), ("mcewen", "sp-low")]
+)
+def test_the_modes_of_photometry_are_the_spread_of_nine_calibrations(disk: str, phase: str) -> None:
+    used = found({"photometry": disk, "phase": phase_function(phase)})
+    models = [
+        found({"photometry": other, "phase": phase_function(name)})
+        for other in ("lommel-seeliger", "akimov", "mcewen")
+        for name in ("sp-low", "sp-mid", "sp-high")
+    ]
+    apart = np.log([model.reflectance / used.reflectance for model in models])
+    modes = [used.systematic[f"photometry_{k}"] for k in (1, 2)]
+    shifts = np.arcsinh([mode / used.reflectance for mode in modes])  # half of e^x - e^-x each
+    assert np.sqrt((shifts**2).sum(axis=0)) == pytest.approx(np.sqrt((apart**2).mean(axis=0)), rel=0.05)
+    # And between channels: how 700, 1000 and 1500 nm move together.
+    at = [50, 110, 210]
+    assert shifts.T[at] @ shifts[:, at] == pytest.approx(apart.T[at] @ apart[:, at] / 9, rel=0.1)
+
+
+def test_no_mode_where_a_channel_is_not_used() -> None:
+    source = observation()
+    radiance = source.table.radiance.copy()
+    radiance[150] = np.nan
+    made = calibrate(replace(source, table=replace(source.table, radiance=radiance)))
+    assert np.isnan(made.reflectance[240])
+    assert all(mode[240] == 0 for mode in made.systematic.values())
+    assert made.to_spectrum().mask.sum() == 1  # type: ignore[union-attr]
+
+
+def spectrum(**changes: Any) -> Spectrum:
+    given = {"wavelength_nm": np.array([500.0, 600.0, 700.0]), "reflectance": np.array([0.1, np.nan, 0.2])}
+    return Spectrum("x", **(given | changes))
+
+
+def test_a_spectrum_keeps_shifts_and_clears_unusable_channels() -> None:
+    made = spectrum(systematic={"level": np.array([0.01, np.nan, 0.02])})
+    assert made.systematic["level"].tolist() == [0.01, 0.0, 0.02]
+    with pytest.raises(ValueError, match="read-only"):
+        made.systematic["level"][0] = 1
+    assert spectrum().systematic == {}
+
+
+@pytest.mark.parametrize(
+    ("shift", "message"),
+    [
+        ([0.01, 0.0], r"systematic 'level' is not known in every usable channel \(2 values for 3 channels\)"),
+        ([np.nan, 0.0, 0.0], "systematic 'level' is not known in every usable channel"),
+        ([np.inf, 0.0, 0.0], "systematic 'level' is not known in every usable channel"),
+    ],
+)
+def test_shifts_that_do_not_fit_are_refused(shift: list[float], message: str) -> None:
+    with pytest.raises(DataError, match=f"^x: {message}"):
+        spectrum(systematic={"level": np.array(shift)})
+
+
+BANDS = {"center_nm": "center_calibration_nm", "depth": "depth_calibration", "area_nm": "area_calibration_nm"}
+
+
+def shifted(source: Spectrum, name: str, share: float) -> Spectrum:
+    """The spectrum with a share of one standard deviation of an error."""
+    return replace(source, id=f"{name} {share:+g}", reflectance=source.reflectance + share * source.systematic[name])
+
+
+@pytest.mark.parametrize("continuum", ["conic", "hull", "linear"])
+def test_errors_of_bands_are_those_of_measuring_shifted_spectra(continuum: str) -> None:
+    """The share is small, so that the continuum keeps its tie points."""
+    share = 1e-4
+    source = mafic(0.1)
+
+    def measured(of: Spectrum) -> Any:
+        return measure_bands(of, continuum_name=continuum).bands  # type: ignore[arg-type]
+
+    base = measured(source)
+    pairs = [[measured(shifted(source, name, sign * share)) for sign in (1, -1)] for name in source.systematic]
+    for key, band in base.items():
+        assert band.center_nm is not None
+        for quantity, stated in BANDS.items():
+            slopes = [(getattr(up[key], quantity) - getattr(down[key], quantity)) / (2 * share) for up, down in pairs]
+            assert getattr(band, stated) == pytest.approx(float(np.linalg.norm(slopes)), rel=0.05)
+            assert getattr(band, stated) > 0
+
+
+def test_bands_of_a_spectrum_without_shared_errors_say_nothing_about_them() -> None:
+    source = replace(mafic(0.1), systematic={})
+    for band in measure_bands(source).bands.values():
+        assert band.center_nm is not None
+        assert [getattr(band, stated) for stated in BANDS.values()] == [None] * 3
+
+
+def test_a_level_moves_no_band() -> None:
+    """A grey error is divided out by the continuum: centre, depth and area of a ratio stay."""
+    source = mafic(0.1)
+    grey = replace(source, systematic={"level": 0.07 * source.reflectance})
+    for band in measure_bands(grey).bands.values():
+        assert [getattr(band, stated) for stated in BANDS.values()] == pytest.approx([0, 0, 0], abs=1e-8)
+
+
+def fitted(spectra: list[Spectrum]) -> list[MgmFit]:
+    """Without the pyroxenes' weak bands at 1.2 um, which the simulated surfaces do not have."""
+    model = constrained(mgm_model("OL-OPX-CPX"), fixed=["opx_m1_strength=0", "cpx_m1_strength=0"])
+    fits = fit_spectra(spectra, model)
+    assert all(isinstance(fit, MgmFit) for fit in fits)
+    return fits  # type: ignore[return-value]
+
+
+@pytest.mark.slow
+def test_errors_of_fits_are_those_of_fitting_shifted_spectra() -> None:
+    """All bands are deep, so that none ends on a bound. Centres and widths move by little, and not quite linearly."""
+    share = 0.1
+    source = mafic(0.0)
+    names = list(source.systematic)
+    base, *moved = fitted([source, *(shifted(source, name, f * share) for name in names for f in (1, -1))])
+    assert not any(band.at_bound for band in base.bands)
+    pairs = list(zip(moved[::2], moved[1::2], strict=True))
+
+    def response(value: Callable[[MgmFit], float]) -> float:
+        return float(np.linalg.norm([(value(up) - value(down)) / (2 * share) for up, down in pairs]))
+
+    for k, band in enumerate(base.bands):
+        assert band.strength_calibration == pytest.approx(response(lambda f, k=k: f.bands[k].strength), rel=0.1)
+        assert band.center_calibration_nm == pytest.approx(response(lambda f, k=k: f.bands[k].center_nm), rel=0.3)
+        assert band.fwhm_calibration_nm == pytest.approx(response(lambda f, k=k: f.bands[k].fwhm_nm), rel=0.3)
+    ratio = base.nbsr["um2"]
+    assert ratio is not None
+    assert ratio.calibration == pytest.approx(response(lambda f: f.nbsr["um2"].opx), rel=0.1)  # type: ignore[union-attr]
+
+
+def test_fits_of_a_spectrum_without_shared_errors_say_nothing_about_them() -> None:
+    source = replace(mafic(0.0), systematic={})
+    [fit] = fitted([source])
+    assert all(band.strength_calibration is None for band in fit.bands)
+    assert all(ratio is None or ratio.calibration is None for ratio in fit.nbsr.values())
+
+
+def test_a_level_changes_no_mineral() -> None:
+    """ln R moves by a constant, which the continuum takes up, as nearly as the fit stands at its minimum."""
+    source = mafic(0.0)
+    [fit] = fitted([replace(source, systematic={"level": 0.07 * source.reflectance})])
+    assert [band.strength_calibration for band in fit.bands] == pytest.approx([0] * len(fit.bands), abs=1e-4)
+    ratio = fit.nbsr["um2"]
+    assert ratio is not None
+    assert ratio.calibration == pytest.approx(0, abs=1e-4)

@@ -154,16 +154,25 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     "table empty": (in_table(lambda rows: []), "holds only blanks"),
     "table truncated in a row": (
         in_table(lambda rows: [*rows[:199], rows[199][:40]]),
-        r"row 200 has 4 columns, expected 6.*truncated",
+        r"line 200 has 4 columns, a table has 300 rows of 6.*truncated",
     ),
-    "table without its last rows": (in_table(lambda rows: rows[:250]), "250 rows, one per channel makes 300"),
-    "table with an extra column": (in_table(lambda rows: [f"{r} 1" for r in rows]), "row 1 has 7 columns, expected 6"),
-    "table with a channel twice": (in_table(column(1, 150, "149")), "row 151 has the channel 149 out of order"),
-    "table with a word for a channel": (in_table(column(1, 9, "ten")), "row 10: the channel 'ten' is no number"),
-    "table with a word for a radiance": (in_table(column(4, 9, "n/a")), "row 10: the radiance 'n/a' is no number"),
-    "table with a word for a quality": (in_table(column(5, 9, "good")), "row 10: the quality code 'good'"),
-    "table of another time": (in_table(column(0, 0, "2021-01-01T00:00:00.000Z")), "row 1 was measured at 2021-01-01"),
-    "table without times": (in_table(column(0, 0, "yesterday")), "'yesterday' is no time"),
+    "table without its last rows": (in_table(lambda rows: rows[:250]), "250 rows, a table has 300 rows of 6"),
+    "table with an extra column": (
+        in_table(lambda rows: [f"{r} 1" for r in rows]),
+        "line 1 has 7 columns",
+    ),
+    "table with a channel twice": (in_table(column(1, 150, "149")), "line 151, column 'band': '149'; channels count"),
+    "table with a word for a channel": (in_table(column(1, 9, "ten")), "line 10, column 'band': 'ten' is not a number"),
+    "table with a word for a radiance": (
+        in_table(column(4, 9, "dark")),
+        "line 10, column 'radiance': 'dark' is",
+    ),
+    "table with a word for a quality": (
+        in_table(column(5, 9, "good")),
+        "line 10, column 'quality': 'good'; q",
+    ),
+    "table of another time": (in_table(column(0, 0, "2021-01-01T00:00:00.000Z")), "line 1, column 'time': '2021-01-01"),
+    "table without times": (in_table(column(0, 0, "yesterday")), "column 'time': 'yesterday'; rows have a time"),
     "table binary": (
         lambda files: files.__setitem__(key(files, "SD", False), bytes(range(256)) * 67 + bytes(248)),
         "binary file",
@@ -183,14 +192,14 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
         "no plain file name; do not trust",
     ),
     "label names another file": (in_label("VD", r"<file_name>[^<]*", "<file_name>x.2B"), r"describes x\.2B.*, not"),
-    "labels swapped": (swap_labels, "describes the SD product of SYNTHETIC-CE4-.*name says VD"),
+    "labels swapped": (swap_labels, "VD_.*describes '.*VNIS-SD_.*swapped"),
     "label of another observation": (
         in_label("SD", r"_(\d{4})_B\.2B</product_id>", "_0999_B.2B</product_id>"),
-        "describes the SD product of .*0999",
+        "describes '.*_0999_.*another version",
     ),
     "label with another sequence": (
         in_label("SD", r"<sequence_id>\d+", "<sequence_id>0007"),
-        "states sequence 0007, its product id",
+        "in sequence 0007: ",
     ),
     "label without a product id": (
         in_label("SD", r"<(product_id|logical_identifier)>[^<]*", r"<\1>rock", 2),
@@ -208,9 +217,9 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     "label of other numbers": (in_label("VD", "IEEE754LSBSingle", "IEEE754LSBDouble"), "type 'IEEE754LSBDouble'"),
     "label with a wrong size": (in_label("VD", "26214400", "26214401"), "its label states 26214401"),
     "label with a word for a size": (in_label("VD", ">26214400<", ">large<"), "file_size is 'large', not a count"),
-    "sun below the horizon": (in_label("SD", ANGLE, r"\g<1>95.0"), "95 deg from the zenith, below the horizon"),
+    "sun below the horizon": (in_label("SD", ANGLE, r"\g<1>95.0"), "incidence angle 95 deg: .* not lit"),
     "sun without a number": (in_label("SD", ANGLE, r"\g<1>nan"), "solar/incidence_angle is 'nan', not a number"),
-    "sun left out": (in_label("SD", r"<solar>.*?</solar>", ""), "lacks angle_pointing_results/solar/incidence_angle"),
+    "sun left out": (in_label("SD", r"<solar>.*?</solar>", ""), "solar/incidence_angle is missing"),
     "sun in radians": (
         in_label("SD", r'(<solar>\s*<incidence_angle) unit="deg"', r'\1 unit="rad"'),
         "is in 'rad', expected degrees",
@@ -225,7 +234,7 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     ),
     "stop before start": (
         in_label("SD", r"(<stop_date_time>)[^<]*", r"\g<1>2019-01-01T00:00:00Z"),
-        "stops before it starts",
+        "was measured from .* to 2019-01",
     ),
     "start no time": (in_label("SD", r"(<start_date_time>)[^<]*", r"\g<1>noon"), "'noon', not a time such as"),
     "image of another day": (
@@ -234,7 +243,7 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     ),
     "calibration version left out": (
         in_label("SD", r"<version_id>[^<]*</version_id>", ""),
-        "lacks identification_area",
+        "identification_area/version_id is missing",
     ),
     "rover off the Moon": (in_label("VD", r"(<latitude[^>]*>)[^<]*", r"\g<1>-145.0"), "latitude is -145 deg"),
     "cube with a hole of zeros": (in_cube(lambda c: hole(c)), "no usable image from 900 nm on|VNIR .* no usable"),
@@ -245,14 +254,20 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
         "SWIR jumps by",
     ),
     "table upside down": (in_table(lambda rows: reversed_radiance(rows)), "SWIR|cannot be spliced"),
-    "table with digits of another script": (in_table(column(4, 9, "٤.٤")), "row 10: the radiance '٤.٤' is no number"),
-    "table with an underscore": (in_table(column(4, 9, "1_0.0")), "row 10: the radiance '1_0.0' is no number"),
+    "table with digits of another script": (
+        in_table(column(4, 9, "٤.٤")),
+        "column 'radiance': '٤.٤' is not a number",
+    ),
+    "table with an underscore": (
+        in_table(column(4, 9, "1_0.0")),
+        "column 'radiance': '1_0.0' is not a number",
+    ),
     "sun at another place than for the image": (
         in_label("SD", r"(<solar>.*?<incidence_angle[^>]*>)[^<]*", r"\g<1>60.0"),
         "phase|states incidence 60",
     ),
-    "scan of half a year": (in_label("SD", r"(<stop_date_time>)2020", r"\g<1>2021"), "lasts 8760.* hours"),
-    "year 1": (in_label("SD", r"(<start_date_time>)2020", r"\g<1>0001"), "is in the year 1;"),
+    "scan of half a year": (in_label("SD", r"(<stop_date_time>)2020", r"\g<1>2021"), "was measured from .* to 2021-07"),
+    "year 1": (in_label("SD", r"(<start_date_time>)2020", r"\g<1>0001"), "is '0001.*not a time"),
     "an angle twice": (
         in_label("SD", r"(<solar>)", r'\1<incidence_angle unit="deg">10.0</incidence_angle>'),
         "appears 2 times",
@@ -264,11 +279,11 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     ),
     "label of another version": (
         in_label("SD", r"_B\.2B</product_id>", "_A.2B</product_id>"),
-        "another version, level",
+        "describes '.*_A.2B': swapped",
     ),
     "quality codes of another day": (
         lambda files: files.update({n: c.replace(b"2020-07", b"2021-07") for n, c in files.items() if "_AUX_" in n}),
-        "row 1 was measured at 2021-07",
+        "line 1, column 'time': '2021-07",
     ),
     "image that tells shadows flagged": (
         lambda files: files.update(
@@ -307,7 +322,7 @@ def test_each_refusal_is_its_own() -> None:
     ("name", "message"),
     [
         ("CE5-L_GRAS_LMS-N-C000_SCI_N_20201202000000_20201202001000_0019_A.2BL", "lunar mineralogical spectrometer"),
-        ("CE3_BMYK_VNIS-SD_SCI_N_20131223021320_20131223021320_0005_A.2A", "VNIS of CE3: .* only Chang'E-4 is read"),
+        ("CE3_BMYK_VNIS-SD_SCI_N_20131223021320_20131223021320_0005_A.2A", "VNIS of CE3, .* only Chang'E-4 is read"),
         ("CE4_GRAS_VNIS-SD_SCI_N_20200716031001_20200716100000_0136_B.2A", "is level 2A, radiance is in level 2B"),
         ("CE4_GRAS_VNIS-CC_SCI_N_20200716031001_20200716100000_0136_B.2B", "is the product CC"),
         ("notes.txt", "is no VNIS product name"),

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry.correction import correction_factor
-from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.photometry import Geometry, correction_factor, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum, sun_moon_distance_au
 from lunarsci.spectra.vnis.channels import (
     CUBE_SHAPE,
@@ -329,9 +328,9 @@ def _channel_gain(instrument: Instrument, seed: int, wavelength_nm: FloatArray, 
     pattern_seed = seed if instrument.pattern_seed is None else instrument.pattern_seed
     random = instrument.noise * instrument.random * random_noise(wavelength_nm, detector)
     pattern = instrument.noise * instrument.pattern * fixed_pattern(wavelength_nm, detector)
-    own = generator(seed, f"random {detector}").standard_normal(wavelength_nm.size)
+    drawn = generator(seed, f"random {detector}").standard_normal(wavelength_nm.size)
     shared = generator(pattern_seed, f"pattern {detector}").standard_normal(wavelength_nm.size)
-    gain: FloatArray = (1 + random * own) * (1 + pattern * shared)
+    gain: FloatArray = (1 + random * drawn) * (1 + pattern * shared)
     return gain
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
-from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
+from lunarsci.spectra.photometry import Geometry, phase_angle_deg
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
 from lunarsci.sun import sun_in_moon_frame, sun_incidence_deg, upward
 

@@ -8,11 +8,10 @@ import pandas as pd
 import pytest
 
 import lunarsci
-from lunarsci.spectra.bands import BandArrays, measure_batch
-from lunarsci.spectra.jobs.other_causes import other_cause
-from lunarsci.spectra.jobs.verdicts import bands_verdict
+from lunarsci.spectra.band_status import BAND_SHARE, BandArrays, narrow_absorptions
+from lunarsci.spectra.bands import measure_batch
+from lunarsci.spectra.jobs.verdicts import bands_verdict, other_cause
 from lunarsci.spectra.mgm.assemblages import standing, verdict
-from lunarsci.spectra.narrow import OWN_SHARE, narrow_absorptions
 from lunarsci.spectra.spectrum import Spectrum
 
 VOLUMES = ["vol_opx", "vol_cpx"]
@@ -117,7 +116,7 @@ def test_a_fit_does_not_call_water_a_sure_pyroxene() -> None:
 
 @pytest.mark.reference
 def test_narrow_absorptions_of_laboratory_and_rover_spectra(reference_data: Path) -> None:
-    """What stands in `OWN_SHARE`: on the suites that were not looked at for it, and on Chang'E-4."""
+    """What stands in `BAND_SHARE`: on the suites that were not looked at for it, and on Chang'E-4."""
     counts = {"pyroxene": [0, 0], "none": [0, 0]}
     folders = [reference_data / "spectra" / name for name in ("relab", "minerals", "meteorites")]
     manifests = [pd.read_csv(folder / "manifest.csv").set_index("id")[VOLUMES].fillna(0.0) for folder in folders]
@@ -132,6 +131,6 @@ def test_narrow_absorptions_of_laboratory_and_rover_spectra(reference_data: Path
             if (np.isfinite(centre) or np.isfinite(narrow)) and not 0 < share < 0.1:
                 counts[kind][0] += np.isnan(centre)
                 counts[kind][1] += 1
-    assert counts == {"pyroxene": [1, 80], "none": [15, 25]}, f"a share of {OWN_SHARE} or more"
+    assert counts == {"pyroxene": [1, 80], "none": [15, 25]}, f"a share of {BAND_SHARE} or more"
     rover = lunarsci.bands(str(reference_data / "spectra/ce4/reflectance_factor.csv")).to_dict()["spectra"]
     assert len(rover) == 88 and not any("narrow" in record["band2000_status"] for record in rover)

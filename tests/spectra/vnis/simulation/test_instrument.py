@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry.correction import correction_factor
-from lunarsci.spectra.photometry.phase import Geometry, phase_function
+from lunarsci.spectra.photometry import Geometry, correction_factor, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.simulation.instrument import (
@@ -23,9 +22,8 @@ from lunarsci.spectra.vnis.simulation.instrument import (
     scene_radiance,
     simulate,
 )
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
-from lunarsci.spectra.vnis.simulation.template import HALF_IMAGE, _views
+from lunarsci.spectra.vnis.simulation.template import HALF_IMAGE, _views, product_files
 
 EXACT = Instrument(noise=0)
 PLAIN = Scene(texture=0, disk=None)

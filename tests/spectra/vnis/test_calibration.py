@@ -18,8 +18,8 @@ from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.calibration import Calibration, columns, to_ecsv, to_fits
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import simulate
-from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Scene, SceneRock
+from lunarsci.spectra.vnis.simulation.template import product_files
 
 PROVENANCE = {"command": "lunarsci spectra calibrate", "inputs": [{"path": "a.2BL", "sha256": "0" * 64}], "seed": None}
 WRITERS = {"ecsv": to_ecsv, "fits": to_fits}

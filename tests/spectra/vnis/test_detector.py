@@ -137,27 +137,27 @@ def put(line: int, column: int, text: str) -> Callable[[Rows], Rows]:
 
 
 SPOILED: dict[str, tuple[Callable[[Rows], Rows], str]] = {
-    "no factor": (lambda rows: [row[:2] for row in rows], "no column factor; see .*--help"),
-    "no wavelength": (put(1, 1, "wave"), "no column wavelength_nm; see"),
-    "nothing but a header": (lambda rows: rows[:1], "vnir has 100 channels, 0 are given and 450 nm is missing"),
-    "another detector": (put(7, 0, "cmos"), "line 7: the detector is 'cmos'; use vnir or swir"),
-    "no detector": (put(7, 0, ""), "line 7: the detector is ''"),
-    "a word": (put(9, 2, "one"), "line 9: factor is 'one', not a number"),
-    "a wavelength in words": (put(9, 1, "red"), "line 9: wavelength_nm is 'red', not a number"),
+    "no factor": (lambda rows: [row[:2] for row in rows], "no column 'factor'"),
+    "no wavelength": (put(1, 1, "wave"), "no column 'wavelength_nm'"),
+    "nothing but a header": (lambda rows: rows[:1], "0 rows below the header"),
+    "another detector": (put(7, 0, "cmos"), "line 7, column 'detector': 'cmos'; the detector is vnir or swir"),
+    "no detector": (put(7, 0, ""), "line 7, column 'detector': ''"),
+    "a word": (put(9, 2, "one"), "line 9, column 'factor': 'one' is not a number"),
+    "a wavelength in words": (put(9, 1, "red"), "line 9, column 'wavelength_nm': 'red' is not a number"),
     "a short row": (
         lambda rows: [row[:2] if n == 8 else row for n, row in enumerate(rows)],
         "line 9 has 2 fields",
     ),
-    "a factor of 0": (put(4, 2, "0"), r"line 4: the factor 0 is outside 0\.2 to 5"),
-    "a huge factor": (put(4, 2, "6.5"), r"line 4: the factor 6\.5 is outside"),
-    "not a number": (put(4, 2, "nan"), "line 4: factor is 'nan', not a number"),
-    "per cent": (put(4, 2, "94.5"), r"line 4: the factor 94\.5 is outside"),
-    "twice": (put(5, 1, "460"), "line 5: 460 nm of vnir appears twice; keep one"),
+    "a factor of 0": (put(4, 2, "0"), r"line 4, column 'factor': '0'; factors are numbers from 0\.2 to 5"),
+    "a huge factor": (put(4, 2, "6.5"), r"line 4, column 'factor': '6\.5'"),
+    "not a number": (put(4, 2, "nan"), "line 4, column 'factor': 'nan'; factors are numbers"),
+    "per cent": (put(4, 2, "94.5"), r"line 4, column 'factor': '94\.5'"),
+    "twice": (put(5, 1, "460"), "vnir has 100 channels, 100 are given and 465 nm is missing"),
     "a channel left out": (lambda rows: rows[:50] + rows[51:], "vnir has 100 channels, 99 are given and 695 nm is m"),
     "swir left out": (lambda rows: rows[:101], "swir has 300 channels, 0 are given and 900 nm is missing"),
     "a channel too many": (
         lambda rows: [*rows, ["vnir", "950", "1.0"]],
-        "vnir has 100 channels, 101 are given and there are other wavelengths",
+        "vnir has 100 channels, 101 are given and there are others",
     ),
 }
 

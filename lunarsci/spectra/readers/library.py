@@ -8,8 +8,9 @@ by id.
 import io
 import math
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,15 +20,14 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.figure import LINE_STYLES, as_label, page
 from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import plain
-from lunarsci.spectra.readers.columns import assign_roles
+from lunarsci.spectra.readers.columns import assign_roles, rows_by_id
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.rows import number, quoted
+from lunarsci.spectra.spectrum import Spectrum, channel_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other")
 CHEMISTRY = {
     "olivine": ("fo",),
@@ -54,10 +54,10 @@ def mineral_named(name: str) -> str | None:
     word = name.strip().casefold()
     if not word:
         return None
-    found = _ALIASES.get(word, word)
-    if found not in MINERALS:
+    result = _ALIASES.get(word, word)
+    if result not in MINERALS:
         raise DataError(f"mineral {name!r} is not known; use one of {', '.join(MINERALS)}")
-    return found
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,44 +95,33 @@ class EndMember:
     specimen: str = ""
 
     def __post_init__(self) -> None:
-        if not self.id.strip():
-            raise DataError("an end member has no id; name its column")
-        if self.mineral is not None and self.mineral not in MINERALS:
-            raise DataError(f"{self.id}: mineral {self.mineral!r} is not known; use one of {', '.join(MINERALS)}")
-        for name in ("wavelength_nm", "reflectance"):
-            values = np.array(getattr(self, name), dtype=float)
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
-        self._check_channels()
+        if not self.id.strip() or (self.mineral is not None and self.mineral not in MINERALS):
+            what = f"mineral {self.mineral!r}, or an empty id; minerals are {', '.join(MINERALS)}"
+            raise DataError(f"{self.id}: {what}")
+        wavelength, reflectance = channel_arrays(self.id, self.wavelength_nm, self.reflectance)
+        if not np.isfinite(reflectance).all():
+            raise DataError(f"{self.id}: a reflectance is not finite; leave that channel out")
+        object.__setattr__(self, "wavelength_nm", wavelength)
+        object.__setattr__(self, "reflectance", reflectance)
         self._check_sample()
 
-    def _check_channels(self) -> None:
-        wavelength, reflectance = self.wavelength_nm, self.reflectance
-        if wavelength.ndim != 1 or wavelength.size == 0 or wavelength.shape != reflectance.shape:
-            raise DataError(f"{self.id}: {wavelength.shape} wavelengths and {reflectance.shape} reflectances; give one "
-                            "of each per channel, and at least one channel")  # fmt: skip
-        if not (np.isfinite(wavelength).all() and np.isfinite(reflectance).all()):
-            raise DataError(f"{self.id}: a wavelength or reflectance is not finite; leave that channel out")
-        if wavelength[0] <= 0 or not (np.diff(wavelength) > 0).all():
-            raise DataError(f"{self.id}: wavelengths are not above 0 and strictly ascending; sort them")
-
     def _check_sample(self) -> None:
-        for name in ("fo", "fs", "en", "wo", "an"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value <= 1:
-                raise DataError(f"{self.id}: {name} = {value:g} is no mole fraction; give 0 to 1, not per cent")
-        for name in ("min_um", "max_um"):
-            value = getattr(self, name)
-            if value is not None and not (value >= 0 and math.isfinite(value)):
-                raise DataError(f"{self.id}: {name} = {value:g} is no grain size; give um, 0 or more")
+        for names, most, what in (
+            (("fo", "fs", "en", "wo", "an"), 1.0, "no mole fraction; give 0 to 1, not per cent"),
+            (("min_um", "max_um"), 1e9, "no grain size; give um, 0 or more"),
+        ):
+            for name in names:
+                value = getattr(self, name)
+                if value is not None and not 0 <= value <= most:
+                    raise DataError(f"{self.id}: {name} = {value:g} is {what}")
         if self.min_um is not None and self.max_um is not None and self.min_um > self.max_um:
             raise DataError(f"{self.id}: grain sizes run from {self.min_um:g} down to {self.max_um:g} um; swap them")
 
     def sample(self) -> dict[str, Any]:
         """Everything but the id and the spectrum, as plain values."""
         names = ("mineral", "fo", "fs", "en", "wo", "an", "min_um", "max_um", "source")
-        found = {name: getattr(self, name) for name in names}
-        return found | ({"specimen": self.specimen} if self.specimen else {})
+        result = {name: getattr(self, name) for name in names}
+        return result | ({"specimen": self.specimen} if self.specimen else {})
 
 
 FORMAT = "lunarsci-library/1"
@@ -190,9 +179,9 @@ def end_member(spectrum: Spectrum, sample: Any, *, id: str | None = None) -> End
         mineral = mineral_named(str(sample.get("mineral") or ""))
     except DataError as error:
         raise DataError(f"{name}: {error}") from error
-    told: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
-    told |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
-    return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **told)
+    notes: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
+    notes |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
+    return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **notes)
 
 
 def _number(value: Any, what: str) -> float | None:
@@ -276,10 +265,10 @@ def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     for place, (member, share) in enumerate((group[k], shares[k]) for k in order):
         # Dashes and widths tell in grey what one colour does not.
         color = "0.4" if share is None else colormaps["viridis"](0.9 * share)
-        known = "" if share is None else f", {key.capitalize()} {100 * share:.0f}"
+        share_text = "" if share is None else f", {key.capitalize()} {100 * share:.0f}"
         dashes = LINE_STYLES[place % len(LINE_STYLES)]["linestyle"] if len(group) <= MOST_NAMES else "-"
         width = 1.0 + 0.8 * (place // len(LINE_STYLES) % 2) if len(group) <= MOST_NAMES else 0.8
-        look: Any = {"linestyle": dashes, "linewidth": width, "label": f"{as_label(member.id, 24)}{known}"}
+        look: Any = {"linestyle": dashes, "linewidth": width, "label": f"{as_label(member.id, 24)}{share_text}"}
         panel.plot(member.wavelength_nm, member.reflectance, color=color, **look)
     by = f", dark to bright by {key.capitalize()}" if any(share is not None for share in shares) else ""
     panel.set_title(f"{mineral or 'mineral not stated'}: {len(group)}{by}")
@@ -289,3 +278,167 @@ def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     panel.set_ylim(0, 1.05 * min(max(top, 0.05), 1.5))
     if len(group) <= MOST_NAMES:
         panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False, ncols=2 if len(group) > 3 else 1)
+
+
+MIXTURE = "mixture"
+"""What stands for the mineral of a sample that is none."""
+PURE = 0.95
+"""Share of the volume from which a sample is taken as an end member of its mineral; assumed."""
+_MODES = {"vol_ol": "olivine", "vol_opx": "orthopyroxene", "vol_cpx": "clinopyroxene", "vol_plg": "plagioclase"}
+_PREFIXES = {"orthopyroxene": "opx_", "clinopyroxene": "cpx_"}
+
+
+def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
+    """Description of each id, for `end_member`; `mineral` is `MIXTURE` where no mode reaches `PURE`.
+
+    Chemistry that the mineral does not have is left out: tables often fill it with zeros. Raises DataError for a table
+    without ids, an id that comes twice, or a cell that is no number.
+    """
+    return {id: _description(row, f"{source.name}: line {line}") for id, (line, row) in rows_by_id(source).items()}
+
+
+def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:
+    mineral = _mineral(row, place)
+    prefix = _PREFIXES.get(mineral or "", "")
+    wanted = CHEMISTRY.get(mineral, ()) if mineral else ("fo", "fs", "en", "wo", "an")
+    result: dict[str, Any] = {"mineral": mineral, "source": row.get("source", "")}
+    for key in _NUMBERS:
+        if key in wanted or key.endswith("_um"):
+            cell = row.get(prefix + key) or row.get(key, "")
+            result[key] = _value(cell, f"{place}, column {key}")
+    if not result["max_um"]:  # no grain is 0 um: such tables mean that nobody knows
+        result["min_um"] = result["max_um"] = None
+    return result
+
+
+def _mineral(row: Mapping[str, str], place: str) -> str | None:
+    stated = row.get("mineral", "")
+    if stated.casefold() == MIXTURE:
+        return MIXTURE
+    if stated:
+        try:
+            return mineral_named(stated)
+        except DataError as error:
+            raise DataError(f"{place}: {error}") from error
+    modes = {
+        mineral: _value(row[key], f"{place}, column {key}") or 0.0 for key, mineral in _MODES.items() if key in row
+    }
+    total = sum(modes.values())
+    if not modes or total <= 0:
+        return None
+    mineral = max(modes, key=lambda name: modes[name])
+    return mineral if modes[mineral] >= PURE * total else MIXTURE
+
+
+def _value(cell: str, place: str) -> float | None:
+    value = number(cell)
+    if value is None or math.isinf(value):
+        raise DataError(f"{place}: {quoted(cell)} is not a number; correct it, or leave it blank if unknown")
+    return None if math.isnan(value) else value
+
+
+def with_description(member: EndMember, notes: Mapping[str, Any]) -> EndMember:
+    """The end member with what a table says of it; what it leaves open stays. Raises DataError as `EndMember` does."""
+    stated = {key: value for key, value in notes.items() if value not in (None, "")}
+    if stated.get("mineral") not in (None, member.mineral):
+        # The chemistry of another mineral would contradict it.
+        member = replace(member, fo=None, fs=None, en=None, wo=None, an=None)
+    return replace(member, **stated)
+
+
+FEWEST_CHANNELS = 20
+"""As many as it takes to measure a band (`lunarsci.spectra.bands`)."""
+HIGHEST = 1.2
+"""Reflectance factors of bright powders exceed 1, hardly this; assumed."""
+SUM_TOLERANCE = 0.02
+"""Fs + En + Wo may differ from 1 by this: analyses leave out Mn, Na, Al; assumed."""
+GAP_NM, GAP_STEPS = 50.0, 5.0
+"""A step between channels is a gap if it is this wide and this many times the median step; assumed."""
+NEEDED_NM = (700.0, 2400.0)
+"""What a spectrum should cover to describe both bands; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryFinding:
+    """One thing found in one end member.
+
+    `must_mend` is False where the spectrum can be used but with less than one might expect; `text` says what and where.
+    """
+
+    must_mend: bool
+    text: str
+
+
+def check_library(members: Sequence[EndMember]) -> list[tuple[LibraryFinding, ...]]:
+    """What is found in each end member, in their order; first what must be mended."""
+    counts = Counter(member.id for member in members)
+    return [
+        (
+            *(LibraryFinding(True, text) for text in _duplicates(counts[member.id])),
+            *(LibraryFinding(True, text) for text in _faults(member)),
+            *(LibraryFinding(False, text) for text in _remarks(member)),
+        )
+        for member in members
+    ]
+
+
+def _duplicates(count: int) -> list[str]:
+    return [f"{count} end members have this id; rename all but one"] if count > 1 else []
+
+
+def _faults(member: EndMember) -> list[str]:
+    texts = []
+    size = member.wavelength_nm.size
+    if size < FEWEST_CHANNELS:
+        texts.append(f"{size} channels; {FEWEST_CHANNELS} are needed")
+    outside = ~((member.reflectance > 0) & (member.reflectance < HIGHEST))
+    if outside.any():
+        first = int(np.flatnonzero(outside)[0])
+        texts.append(
+            f"{outside.sum()} channels not between 0 and {HIGHEST:g}, first {member.reflectance[first]:.4g} at "
+            f"{member.wavelength_nm[first]:.6g} nm; delete them, or correct the unit"
+        )
+    if member.mineral is None:
+        texts.append("no mineral; import it again with --mineral or --metadata")
+        return texts
+    return texts + _chemistry_faults(member)
+
+
+def _chemistry_faults(member: EndMember) -> list[str]:
+    wanted = CHEMISTRY.get(member.mineral or "", ())
+    texts = [
+        f"{key} = {getattr(member, key):g} in a mineral without it ({member.mineral}); delete it"
+        for key in ("fo", "fs", "en", "wo", "an")
+        if key not in wanted and getattr(member, key) is not None
+    ]
+    if "fs" in wanted:
+        parts = [getattr(member, key) for key in ("fs", "en", "wo")]
+        stated = [part for part in parts if part is not None]
+        if len(stated) == len(parts) and abs(sum(stated) - 1) > SUM_TOLERANCE:
+            texts.append(f"fs + en + wo = {sum(stated):.3f}, not 1; correct the analysis")
+        elif sum(stated) > 1 + SUM_TOLERANCE:
+            texts.append(f"fs, en, wo, as far as known, add up to {sum(stated):.3f}, more than 1; correct the analysis")
+    return texts
+
+
+def _remarks(member: EndMember) -> list[str]:
+    wavelength = member.wavelength_nm
+    texts = [f"no {key}" for key in CHEMISTRY.get(member.mineral or "", ()) if getattr(member, key) is None]
+    texts = [f"{', '.join(texts)}: composition unknown"] if texts else []
+    if wavelength[0] > NEEDED_NM[0] or wavelength[-1] < NEEDED_NM[1]:
+        texts.append(
+            f"covers {wavelength[0]:.6g}-{wavelength[-1]:.6g} nm, not all of {NEEDED_NM[0]:g}-{NEEDED_NM[1]:g} nm"
+        )
+    texts += [f"gap of {high - low:.4g} nm after {low:.6g} nm" for low, high in gaps(member)]
+    if member.max_um is None:
+        texts.append("grain size unknown")
+    return texts
+
+
+def gaps(member: EndMember) -> list[tuple[float, float]]:
+    """Pairs of neighbouring channels that are too far apart. [nm]"""
+    steps = np.diff(member.wavelength_nm)
+    if steps.size < 2:
+        return []
+    wide = np.flatnonzero((steps > GAP_NM) & (steps > GAP_STEPS * np.median(steps)))
+    return [(float(member.wavelength_nm[k]), float(member.wavelength_nm[k + 1])) for k in wide]

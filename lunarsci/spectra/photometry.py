@@ -1,21 +1,21 @@
-"""Angles of one observation, and phase functions f(g): how the radiance factor falls with the phase angle.
+"""Photometric correction: angles of an observation, phase functions f(g), disk functions D(i, e, g), how models differ.
 
-The disk function is divided out of it.
+The radiance factor RADF = pi I / E0 is cos i times the reflectance factor, and RADF = D(i, e, g) f(g). A disk function
+matters only as a ratio between two geometries; the three here are scaled differently.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from math import acos, cos, degrees, isfinite, radians, sin
-from typing import Protocol
+from math import acos, atan2, cos, degrees, isfinite, pi, pow, radians, sin
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, separator_of, split_fields, split_lines
+from lunarsci.spectra.rows import named_table, number
 
 _LIMITS_DEG = {"incidence": 90.0, "emission": 90.0, "phase": 180.0}
 _ROUNDING_DEG = 0.5  # assumed: labels round the angles, or give them at slightly different points
@@ -76,8 +76,6 @@ def phase_angle_deg(incidence_deg: float, emission_deg: float, azimuth_differenc
 
 STANDARD = Geometry(30.0, 0.0, 30.0)
 """The geometry that lunar reflectances are usually reduced to, as those of M3 (Besse et al. 2013, Icarus 222, 229)."""
-
-
 TABLE = "selene_sp_phase.csv"
 PHASE_FUNCTIONS = ("flat", "sp-low", "sp-mid", "sp-high")
 FITTED_DEG = (5.0, 85.0)
@@ -90,39 +88,35 @@ _SHORTEST_NM = 100.0
 """Below it a wavelength is one in um; assumed."""
 
 
-class PhaseFunction(Protocol):
+class PhaseFunction:
     """f(g) relative to the standard geometry, at the wavelengths asked for."""
 
-    @property
-    def name(self) -> str:
-        """How results call it."""
-
-    @property
-    def source(self) -> str:
-        """What to cite, or the file it came from."""
+    name: str
+    """How results call it."""
+    source: str
+    """What to cite, or the file it came from."""
 
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """ln f(g) / f(30 deg), shape of `wavelength_nm`. [-]"""
+        raise NotImplementedError
 
     def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """What ln R would gain where the curve went on beyond its last wavelengths instead of being held there. [-]"""
+        return np.zeros(np.shape(wavelength_nm))
 
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """What to know when it is used beyond where it was established; '' within."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class FlatPhase:
+class FlatPhase(PhaseFunction):
     """f = 1: the disk function alone."""
 
     name: str = "flat"
     source: str = "none: f = 1"
 
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
-        """Zeros, shape of `wavelength_nm`. [-]"""
-        return np.zeros(np.shape(wavelength_nm))
-
-    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """Zeros, shape of `wavelength_nm`. [-]"""
         return np.zeros(np.shape(wavelength_nm))
 
@@ -134,7 +128,7 @@ class FlatPhase:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SelenePhase:
+class SelenePhase(PhaseFunction):
     """Phase function of one albedo group of the Moon from the SELENE (Kaguya) Spectral Profiler.
 
     The tabulated parameters scatter from channel to channel and jump between detectors (944/955 nm) and where the table
@@ -183,17 +177,17 @@ class SelenePhase:
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside 5-85 deg, and the count of channels beyond the wavelengths."""
         low, high = FITTED_DEG
-        found = []
+        result = []
         if not low <= phase_deg <= high:
             unchecked = f", and beyond {COMPARED_DEG:g} deg nothing checks it" if phase_deg > COMPARED_DEG else ""
-            found.append(
+            result.append(
                 f"phase {phase_deg:.1f} deg extrapolates the formula fitted to {low:g}-{high:g} deg{unchecked}"
             )
-        return _said(self.name, [*found, _beyond(wavelength_nm, self.wavelength_nm)])
+        return _remark_of(self.name, [*result, _beyond(wavelength_nm, self.wavelength_nm)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TablePhase:
+class TablePhase(PhaseFunction):
     """A tabulated phase function, linear in ln f between its nodes, its edge values held beyond them.
 
     Attributes
@@ -218,17 +212,13 @@ class TablePhase:
             return np.full(np.shape(wavelength_nm), (at - standard)[0])
         return np.asarray(np.interp(wavelength_nm, self.wavelength_nm, at - standard), dtype=np.float64)
 
-    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
-        """0: nothing is known beyond a table's wavelengths. [-]"""
-        return np.zeros(np.shape(wavelength_nm))
-
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside the table, and the count of channels beyond its wavelengths."""
         low, high = self.phase_deg[0], self.phase_deg[-1]
-        found = []
+        result = []
         if not low <= phase_deg <= high:
-            found.append(f"phase {phase_deg:.1f} deg lies outside its {low:g}-{high:g} deg; the edge value is held")
-        return _said(self.name, [*found, _beyond(wavelength_nm, self.wavelength_nm)])
+            result.append(f"phase {phase_deg:.1f} deg lies outside its {low:g}-{high:g} deg; the edge value is held")
+        return _remark_of(self.name, [*result, _beyond(wavelength_nm, self.wavelength_nm)])
 
 
 def _held(wavelength_nm: FloatArray, channels_nm: FloatArray) -> FloatArray:
@@ -247,7 +237,7 @@ def _beyond(wavelength_nm: FloatArray, channels_nm: FloatArray) -> str:
     return f"{count} of {asked.size} {lie} outside its {edges}, where the edge value is held"
 
 
-def _said(name: str, parts: list[str]) -> str:
+def _remark_of(name: str, parts: list[str]) -> str:
     text = "; ".join(part for part in parts if part)
     return f"phase function {name}: {text}" if text else ""
 
@@ -283,8 +273,8 @@ def phase_function(name: str) -> PhaseFunction:
     Raises ParameterError for an unknown name.
     """
     if name not in PHASE_FUNCTIONS:
-        known = ", ".join(PHASE_FUNCTIONS)
-        raise ParameterError(f"phase function '{name}' is unknown; choose one of: {known}, or give a table")
+        names = ", ".join(PHASE_FUNCTIONS)
+        raise ParameterError(f"phase function '{name}' is unknown; choose one of: {names}, or give a table")
     return FlatPhase() if name == "flat" else _selene(name.removeprefix("sp-"))
 
 
@@ -308,60 +298,179 @@ def read_phase_function(source: InputFile) -> TablePhase:
     DataError for another header, text or blanks among the numbers, f not above 0, angles that do not ascend or do not
     reach 30 deg, or fewer than two rows.
     """
-    lines, _ = split_lines(inputs.text(source))
-    if not lines:
-        raise DataError(f"{source.name}: holds only comments; check how it was made or downloaded")
-    separator = separator_of(lines)
-    header, *rows = [Row(n, split_fields(line, separator, f"{source.name}: line {n}")) for n, line in lines]
-    wavelength = _wavelengths(header.fields, source.name)
-    if len(rows) < 2:
-        raise DataError(f"{source.name}: {len(rows)} rows below the header; a phase function needs two or more")
-    check_widths(rows, source.name, len(header.fields))
-    decimal_comma = separator == ";"
-    columns = [numbers(rows, k, quoted(n), source.name, decimal_comma) for k, n in enumerate(header.fields)]
-    _check_phase(columns[0], rows, source.name)
-    for name, column in zip(header.fields[1:], columns[1:], strict=True):
-        _check_values(column, rows, name, source.name)
-    return TablePhase(source.stem, source.name, columns[0], wavelength, np.log(np.column_stack(columns[1:])))
-
-
-def _wavelengths(names: tuple[str, ...], file: str) -> FloatArray:
-    """Wavelengths in the header, shape (n,); empty for the one column `f`."""
-    expected = "the header must be phase_deg,f or phase_deg and wavelengths in nm (phase_deg,750,1500)"
-    if names[0].casefold() != "phase_deg" or len(names) < 2:
-        raise DataError(f"{file}: the first column is {quoted(names[0])}; {expected}")
-    if len(names) == 2 and names[1].casefold() == "f":
-        return np.empty(0)
-    found = [number(name) for name in names[1:]]
-    for name, value in zip(names[1:], found, strict=True):
-        if value is None or not np.isfinite(value) or value <= 0:
-            raise DataError(f"{file}: column {quoted(name)} is no wavelength; {expected}")
-        if value < _SHORTEST_NM:
-            raise DataError(f"{file}: column {quoted(name)} would be {value:g} nm; write wavelengths in nm, not um")
-    values = np.array(found, dtype=float)
-    if not (np.diff(values) > 0).all():
-        raise DataError(f"{file}: the wavelengths in the header do not ascend; sort the columns and keep one of each")
-    return values
-
-
-def _check_phase(phase: FloatArray, rows: list[Row], file: str) -> None:
-    for row, angle in zip(rows, phase, strict=True):
-        if not 0 <= angle < 180:
-            what = "is missing" if np.isnan(angle) else f"is {angle:g} deg"
-            raise DataError(f"{file}: line {row.line}: phase_deg {what}; it must lie from 0 to below 180 deg")
-    backward = np.flatnonzero(np.diff(phase) <= 0)
-    if backward.size:
-        line = rows[int(backward[0]) + 1].line
-        raise DataError(f"{file}: line {line}: phase_deg does not ascend; sort the rows and keep one of each")
+    table, expected = named_table(source, "phase_deg", least=2), "name them phase_deg,f or phase_deg,750,1500 (nm)"
+    names = table.names[1:]
+    wavelength = np.empty(0) if names == ("f",) else np.array([number(name) or np.nan for name in names], float)
+    ascend = (wavelength >= _SHORTEST_NM) & np.isfinite(wavelength) & (np.diff(wavelength, prepend=0.0) > 0)
+    if table.names[0] != "phase_deg" or not names or not ascend.all():
+        listed = ", ".join(table.names[:5])
+        raise DataError(f"{source.name}: its columns ({listed}) are no phase_deg and ascending wavelengths; {expected}")
+    phase, *curves = (table.numbers(name) for name in table.names)
+    table.refuse(~((phase >= 0) & (phase < 180)), "phase_deg", "phase angles lie from 0 to below 180 deg")
+    table.refuse(np.diff(phase, prepend=-1.0) <= 0, "phase_deg", "phase angles ascend; sort the rows, keep one of each")
     if not phase[0] <= STANDARD.phase_deg <= phase[-1]:
-        raise DataError(
-            f"{file}: phase_deg runs from {phase[0]:g} to {phase[-1]:g}; it must contain {STANDARD.phase_deg:g} deg, "
-            "to which reflectances are reduced"
+        ends = f"{phase[0]:g} to {phase[-1]:g}"
+        raise DataError(f"{source.name}: phase_deg runs from {ends}; it must contain {STANDARD.phase_deg:g} deg")
+    for name, curve in zip(names, curves, strict=True):
+        table.refuse(~(np.isfinite(curve) & (curve > 0)), name, "f is a number above 0 everywhere")
+    return TablePhase(source.stem, source.name, phase, wavelength, np.log(np.column_stack(curves)))
+
+
+LOMMEL_SEELIGER_INCIDENCE_DEG = 65.0
+"""Above, Lommel-Seeliger counts as too slow; assumed, within the 57-77 deg at which `lommel_seeliger` says that it
+is."""
+MCEWEN_PHASE_DEG = 103.9
+"""Where the polynomial of `mcewen_weight` goes through zero: McEwen (1996), Lunar Planet. Sci. XXVII, 841. [deg]"""
+GRAZING_DEG = 80.0
+"""Above, no disk function was compared with measurements; assumed."""
+
+
+def lommel_seeliger(geometry: Geometry) -> float:
+    """Lommel-Seeliger: D = mu0 / (mu0 + mu). [-]
+
+    Light scattered once in a dark, flat, infinitely deep layer. Without shadows of relief it falls too slowly towards
+    the terminator: on 23 Chang'E-4 spectra of two patches (lunar day 10, incidence 57-77 deg) it leaves 6-7 % between
+    geometries of one patch whatever the phase function is.
+
+    Hapke (2012), Theory of Reflectance and Emittance Spectroscopy, 10.1017/CBO9781139025683.
+    """
+    return geometry.cos_incidence / (geometry.cos_incidence + geometry.cos_emission)
+
+
+def akimov(geometry: Geometry) -> float:
+    """Akimov's disk function without parameters, of an extremely rough surface. [-]
+
+    D = cos(g/2) cos[pi / (pi - g) (gamma - g/2)] (cos beta)^(g / (pi - g)) / cos gamma, with the photometric longitude
+    and latitude from mu = cos beta cos gamma and mu0 = cos beta cos(gamma - g). At g = 0, where gamma is undetermined,
+    D = 1. For a surface that is rough at every angle of view: not within some 10 deg of limb or terminator.
+
+    A phase angle outside the triangle of the other two (`Geometry` lets 0.5 deg pass) is moved to its edge.
+
+    Shkuratov et al. (2011), Planet. Space Sci. 59, 1326, 10.1016/j.pss.2011.06.011.
+    """
+    low, high = geometry.phase_range_deg
+    phase = radians(min(max(geometry.phase_deg, low), high))
+    longitude = atan2(geometry.cos_incidence - geometry.cos_emission * cos(phase), geometry.cos_emission * sin(phase))
+    cos_latitude = min(geometry.cos_emission / cos(longitude), 1.0)
+    stretch = pi / (pi - phase)
+    rough = pow(cos_latitude, phase / (pi - phase))
+    return cos(phase / 2) * cos(stretch * (longitude - phase / 2)) * rough / cos(longitude)
+
+
+def mcewen(geometry: Geometry) -> float:
+    """Lunar-Lambert: D = 2 L mu0 / (mu0 + mu) + (1 - L) mu0 with L from `mcewen_weight`. [-]
+
+    McEwen (1996), A precise lunar photometric function, Lunar Planet. Sci. XXVII, 841.
+    """
+    weight = mcewen_weight(geometry.phase_deg)
+    return 2 * weight * lommel_seeliger(geometry) + (1 - weight) * geometry.cos_incidence
+
+
+def mcewen_weight(phase_deg: float) -> float:
+    """Share of Lommel-Seeliger in `mcewen`: L = 1 - 0.019 g + 2.42e-4 g^2 - 1.46e-6 g^3, not below 0. [-]
+
+    phase_deg : 0 to 180. Above 103.9 deg the polynomial is negative and D could be; as in the reduction of the SELENE
+    Spectral Profiler (Kouyama et al. 2016, 10.1016/j.pss.2016.02.003), L is 0 there: Lambert's law.
+    """
+    return max(1 - 0.019 * phase_deg + 2.42e-4 * phase_deg**2 - 1.46e-6 * phase_deg**3, 0.0)
+
+
+DISKS: dict[str, Callable[[Geometry], float]] = {
+    "lommel-seeliger": lommel_seeliger,
+    "akimov": akimov,
+    "mcewen": mcewen,
+}
+
+
+def disk_function(name: str) -> Callable[[Geometry], float]:
+    """The disk function of that name. Raises ParameterError for an unknown one."""
+    if name not in DISKS:
+        raise ParameterError(f"disk function '{name}' is unknown; choose one of: {', '.join(DISKS)}")
+    return DISKS[name]
+
+
+def outside(name: str, geometry: Geometry) -> str:
+    """What to know when a disk function is used beyond where it is good; '' within."""
+    disk_function(name)
+    if name == "lommel-seeliger" and geometry.incidence_deg > LOMMEL_SEELIGER_INCIDENCE_DEG:
+        return (
+            f"incidence {geometry.incidence_deg:.1f} deg: above {LOMMEL_SEELIGER_INCIDENCE_DEG:g} deg Lommel-Seeliger, "
+            "which knows no shadows of relief, leaves differences of 6-7 % between geometries; compare with akimov"
         )
+    if name == "mcewen" and geometry.phase_deg > MCEWEN_PHASE_DEG:
+        return (
+            f"phase {geometry.phase_deg:.1f} deg: the weight L of McEwen's polynomial would be negative above "
+            f"{MCEWEN_PHASE_DEG:g} deg and is held at 0 (Lambert)"
+        )
+    if name == "akimov" and max(geometry.incidence_deg, geometry.emission_deg) > GRAZING_DEG:
+        return (
+            f"incidence {geometry.incidence_deg:.1f} and emission {geometry.emission_deg:.1f} deg: Akimov's function "
+            f"is not good above {GRAZING_DEG:g} deg, near terminator and limb"
+        )
+    return ""
 
 
-def _check_values(values: FloatArray, rows: list[Row], name: str, file: str) -> None:
-    for row, value in zip(rows, values, strict=True):
-        if not (np.isfinite(value) and value > 0):
-            what = "is missing" if np.isnan(value) else f"is {value:g}"
-            raise DataError(f"{file}: line {row.line}, column {quoted(name)}: f {what}; it must be above 0")
+SPREAD_PHASES = ("sp-low", "sp-mid", "sp-high")
+_MOST_MODES = 2
+_NEGLIGIBLE = 1e-6
+_GRAZING = 1e6
+
+
+def correction_factor(geometry: Geometry, wavelength_nm: FloatArray, disk: str, phase: PhaseFunction) -> FloatArray:
+    """Factor from a reflectance factor (REFF) at some geometry to that at 30, 0, 30 deg, shape (n,). [-]
+
+    cos i / cos 30 * D(30, 0, 30) / D(i, e, g) * f(30) / f(g), where RADF = REFF cos i = D f. For Lommel-Seeliger this
+    is (cos i + cos e) / (cos 30 + 1) * f(30) / f(g): unlike the form for RADF it has no ratio of cosines of i.
+
+    Parameters
+    ----------
+    geometry : of the observation.
+    wavelength_nm : shape (n,). [nm]
+    disk : `lommel-seeliger`, `akimov` or `mcewen`; `remarks` says where each is good.
+    phase : the phase function, itself established with one disk function (SELENE: `mcewen`) and used with any.
+
+    Raises
+    ------
+    ParameterError for an unknown disk function, or where it vanishes (incidence or emission within 0.1 deg of 90).
+
+    Besse et al. (2013), Icarus 222, 229 (Lommel-Seeliger); Yokota et al. (2011), Icarus 215, 639.
+    """
+    function = disk_function(disk)
+    here, standard = function(geometry), function(STANDARD)
+    if not here * _GRAZING > geometry.cos_incidence:
+        raise ParameterError(
+            f"{disk} vanishes at incidence {geometry.incidence_deg:g}, emission {geometry.emission_deg:g}, phase "
+            f"{geometry.phase_deg:g} deg; nothing seen so flat can be corrected"
+        )
+    level = geometry.cos_incidence / STANDARD.cos_incidence * standard / here
+    return level * np.exp(-phase.log_ratio(geometry.phase_deg, wavelength_nm))
+
+
+def remarks(geometry: Geometry, wavelength_nm: FloatArray, disk: str, phase: PhaseFunction) -> list[str]:
+    """What a reader of the corrected spectrum should know: use of a model beyond where it is good."""
+    result = (outside(disk, geometry), phase.remark(geometry.phase_deg, wavelength_nm))
+    return [remark for remark in result if remark]
+
+
+def model_spread(geometry: Geometry, wavelength_nm: FloatArray, disk: str, phase: PhaseFunction) -> FloatArray:
+    """How far nine models of the correction lie from the one used: modes of ln factor, shape (k, n), k <= 2. [-]
+
+    d_m = ln(factor_m / factor) for each of three disk functions with each of three SELENE phase functions, and
+    C = mean of d_m d_m^T about the model used, not about their mean. A mode is an eigenvector of C times the root of
+    its eigenvalue: one standard deviation that all channels share. The two largest hold more than 99 % of the trace of
+    C; the second is kept however small its share, since the first is little but a level and the second is what bends
+    bands (0.3-5 % where the level is 1-50 %). None are returned where all models agree (at 30, 0, 30 deg). The channel
+    where a mode is largest has the positive sign.
+
+    This is the spread between models in use, a stand-in for the unknown error of any one of them: it is not its
+    statistical error, and the nine are no sample of anything. Parameters and errors as for `correction_factor`.
+    """
+    used = correction_factor(geometry, wavelength_nm, disk, phase)
+    phases = [phase_function(name) for name in SPREAD_PHASES]
+    models = [correction_factor(geometry, wavelength_nm, name, each) for name in DISKS for each in phases]
+    distance = np.log(np.array(models) / used)
+    _, size, shape = np.linalg.svd(distance / np.sqrt(len(models)), full_matrices=False)
+    modes = (size[:, None] * shape)[:_MOST_MODES]
+    modes = modes[np.abs(modes).max(axis=1) > _NEGLIGIBLE]
+    largest = np.take_along_axis(modes, np.abs(modes).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(modes * np.sign(largest), dtype=np.float64)

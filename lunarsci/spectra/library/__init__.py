@@ -1,1 +1,0 @@
-"""Libraries of end-member spectra: reading, writing, describing and checking them."""
