@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from lunarsci.cli import main
 
+from lunarsci.arrays import spans
 from lunarsci.errors import ParameterError, SchedulerError
 from lunarsci.parallel.blocks import computing, run_blocks
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.parallel.dask_cluster import _Crew
 
 distributed = pytest.importorskip("distributed")

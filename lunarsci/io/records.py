@@ -24,9 +24,8 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, IntArray
+from lunarsci.arrays import BoolArray, IntArray, spans
 from lunarsci.compiled import compiled
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain, to_text
 

@@ -52,8 +52,8 @@ def build() -> tuple[str, str]:
 
     whole = hashlib.sha256()
     folders = [Path(__file__).parents[1], Path(str(files("lunarsci.spectra_data")))]
-    found = {path for folder in folders for path in folder.rglob("*.*") if path.suffix in KINDS}
-    for path in sorted(path for path in found if "cli" not in path.parts[-3:]):
+    paths = {path for folder in folders for path in folder.rglob("*.*") if path.suffix in KINDS}
+    for path in sorted(path for path in paths if "cli" not in path.parts[-3:]):
         whole.update(path.name.encode() + path.read_bytes())
     return f"{installed_version('lunarsci')} ({whole.hexdigest()[:12]})", str(llvm.get_host_cpu_name())
 
@@ -128,11 +128,11 @@ class _Crew:
         if self.lost(future):
             raise SchedulerError(f"scheduler {self.name}: workers died over one block; give them more memory")
         (version, processor), result = future.result()
-        own_version, own_processor = build()
-        if version != own_version:
-            text = f"scheduler {self.name}: a worker has lunarsci {version}, here is {own_version}; install the same"
+        version_here, processor_here = build()
+        if version != version_here:
+            text = f"scheduler {self.name}: a worker has lunarsci {version}, here is {version_here}; install the same"
             raise SchedulerError(text)
-        if processor != own_processor:
-            text = f"a worker's processor is another ({processor}, here {own_processor}): last digits may differ"
+        if processor != processor_here:
+            text = f"a worker's processor is another ({processor}, here {processor_here}): last digits may differ"
             warnings.warn(text, LunarSciWarning, stacklevel=2)
         return result

@@ -19,7 +19,7 @@ from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, choose, highest, load, root, spread, store
 from lunarsci.errors import DataError
 from lunarsci.io import records
-from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
+from lunarsci.parallel.blocks import arrays_in_blocks, rows_in_memory, saved_rows
 from lunarsci.spectra.band_polynomial import (
     AREA,
     COEFFICIENTS,
@@ -736,7 +736,7 @@ def measure_batch(
             found = arrays_in_blocks(
                 partial(_judged, wanted=continuum_name, smoothing=used),
                 len(own),
-                rows_in_memory(64.0 * channels.size, most=kept_rows(len(own), BLOCK_ROWS)),
+                rows_in_memory(64.0 * channels.size, most=saved_rows(len(own), BLOCK_ROWS)),
                 stage="bands",
                 about=lambda own=own: {"spectra": own.digest(), "continuum": continuum_name, "smoothing": repr(used)},
                 fetch=lambda block, own=own: own[block.start : block.stop].arrays(),

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, spans
 from lunarsci.errors import DataError
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.collection import SpectrumRows
 
 LARGE_ERROR = 0.3

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.arrays import FloatArray, IntArray, spans
 from lunarsci.heights.no_data import far_ends
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 
 DELETED_BELOW = -1e30
