@@ -24,7 +24,7 @@ from lunarsci.guide.rover_files import (
     states_named_otherwise,
     telemetry_named_otherwise,
 )
-from lunarsci.heights.netcdf import NETCDF, holds_heights
+from lunarsci.heights.grids import NETCDF, holds_heights
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json, text
 from lunarsci.io.tables import separator_of

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.heights.no_data import without_markers
+from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, without_markers
 from lunarsci.heights.projections import LARGEST_STRETCH, NO_RASTERIO, MapProjection, local_projection, moved, name_of
 from lunarsci.io.inputs import unheard
 
@@ -285,3 +285,31 @@ def _band(raster: Any, number: int) -> tuple[FloatArray, str]:
     values, said = without_markers(raster.read(number, masked=True).astype(float).filled(np.nan))
     scale, offset = raster.scales[number - 1], raster.offsets[number - 1]
     return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset), said
+
+
+def grid_of_raster(found: HeightRaster, *, onto: str, values: bool) -> HeightGrid:
+    """The grid of a raster, on square cells of metres; `values` that are no heights are not interpolated."""
+    raster, done = found.in_metres(onto, nearest=values)
+    bands, across = dict(raster.bands), raster.transform
+    y0 = across.f + 0.5 * across.e
+    if across.e < 0:
+        bands = {name: band[::-1] for name, band in bands.items()}
+        y0 += across.e * (raster.shape[0] - 1)
+    height = bands.pop(HEIGHT)
+    for name in bands if raster is not found else ():
+        if name not in ERROR_LAYERS:
+            bands[name] = np.where(np.isnan(height), np.nanmedian(bands[name]), bands[name])
+    return HeightGrid(
+        name=Path(raster.path).stem,
+        x0_m=across.c + 0.5 * across.a,
+        y0_m=y0,
+        spacing_m=float(across.a),
+        height_m=height,
+        layers=bands,
+        synthetic=raster.synthetic,
+        crs=raster.crs,
+        crs_of_file=found.crs,
+        unit=raster.unit,
+        read_as=tuple(filter(None, (raster.said, done))),
+        beside=raster.beside,
+    )

@@ -15,11 +15,9 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError
-from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
-from lunarsci.heights.no_data import without_markers
+from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, metres_in, spacing_of, without_markers
 from lunarsci.heights.projections import NO_RASTERIO
-from lunarsci.heights.rasters import EVEN, HEIGHT, HeightRaster, check_count
-from lunarsci.heights.units import metres_in
+from lunarsci.heights.rasters import EVEN, HEIGHT, HeightRaster, check_count, grid_of_raster
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of

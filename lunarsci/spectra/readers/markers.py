@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray, IntArray, spans
-from lunarsci.heights.no_data import far_ends
+from lunarsci.heights.grid import far_ends
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 
 DELETED_BELOW = -1e30

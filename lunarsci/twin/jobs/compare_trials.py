@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, RequestError
-from lunarsci.heights.units import HeightUnit
+from lunarsci.heights.grid import HeightUnit
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.soil import read_soil

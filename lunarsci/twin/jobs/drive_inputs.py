@@ -7,7 +7,7 @@ from typing import Any
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.heights.units import HeightUnit
+from lunarsci.heights.grid import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.provenance import sha256

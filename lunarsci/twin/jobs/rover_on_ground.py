@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from lunarsci.heights.units import HeightUnit
+from lunarsci.heights.grid import HeightUnit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

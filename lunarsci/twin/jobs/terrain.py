@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
+from lunarsci.heights.grid import HeightUnit
 from lunarsci.heights.projections import lonlat_of, told_of
-from lunarsci.heights.units import HeightUnit
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.provenance import sha256
