@@ -5,11 +5,9 @@ from typing import Annotated
 
 import typer
 
-from lunarsci.regolith.identify import UNITS, Estimate, Identification
+from lunarsci.regolith.identify import LABELS, UNITS, Estimate, Identification, Sensitivity
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest
 from lunarsci.regolith.jobs.identify import identify as identify_soil
-from lunarsci.regolith.sensitivity import Sensitivity
-from lunarsci.regolith.states_agreement import LABELS
 
 from ..shared.command import command
 from ..shared.options import Output, option

@@ -6,9 +6,8 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.belief_history import BeliefDistance, parameter_rows
-from lunarsci.regolith.written_names import ground_name
+from lunarsci.regolith.belief import BeliefDistance, SoilBelief, parameter_rows
+from lunarsci.regolith.columns import ground_name
 from lunarsci.twin.jobs.history import BeliefHistory, HistoryRequest
 
 from ..shared.command import command

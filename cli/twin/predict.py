@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lunarsci.regolith.written_names import short_name
+from lunarsci.regolith.columns import short_name
 from lunarsci.twin.figures.animation import FORMATS, check_format
 from lunarsci.twin.jobs import predict as job
 from lunarsci.twin.jobs.predict import PredictedDrives, PredictRequest

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lunarsci.regolith.belief_history import parameter_rows
-from lunarsci.regolith.written_names import short_name
+from lunarsci.regolith.belief import parameter_rows
+from lunarsci.regolith.columns import short_name
 from lunarsci.twin.assimilation.segments import Segment
 from lunarsci.twin.assimilation.update import SURPRISING
 from lunarsci.twin.jobs import update as job

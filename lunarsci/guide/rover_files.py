@@ -65,7 +65,7 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
 
 def states_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
-    from lunarsci.regolith.written_columns import QUANTITIES, of_name
+    from lunarsci.regolith.columns import QUANTITIES, of_name
 
     found = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
     own = [one.column for one in QUANTITIES if one.column in columns]

@@ -17,11 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, numbers_of, read_csv_table, without_repeats
-from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
-from lunarsci.regolith.questions import SLIPS as SLIPS_OF_UNITS
-from lunarsci.regolith.questions import Question, question
-from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
-from lunarsci.regolith.written_columns import (
+from lunarsci.regolith.columns import (
     FORCES,
     LENGTHS,
     OPTION,
@@ -31,9 +27,12 @@ from lunarsci.regolith.written_columns import (
     NamedColumns,
     by_rim,
     by_travel,
+    check_written_for,
     named_columns,
 )
-from lunarsci.regolith.written_names import check_written_for
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law, Question, question
+from lunarsci.regolith.prior import SLIPS as SLIPS_OF_UNITS
+from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -309,7 +308,7 @@ def read_state_table(
 
     Columns: those of `COLUMNS`, `NAME_sigma` for the standard deviation of NAME (else that of `errors`), `valid`, and
     what tells states apart (`IDENTIFIERS`); or the same by other names and in other units, as
-    `lunarsci.regolith.written_columns` says, and by `units`, with a warning. Any other one that is nearly one of them
+    `lunarsci.regolith.columns` says, and by `units`, with a warning. Any other one that is nearly one of them
     is refused: a slip of the pen. Rows that are there twice count once, with a warning, where `time_s` and `wheel`
     tell.
 

@@ -98,7 +98,7 @@ def widened(found: Mode, free: slice = slice(None)) -> np.ndarray:
 
 
 def test_copies_of_states_narrow_no_interval(mode: Mode) -> None:
-    assert mode.kept.all() and mode.alike > 3.0
+    assert mode.inliers.all() and mode.alike > 3.0
     assert mode.covariance == pytest.approx(widened(mode), rel=1e-3, abs=1e-5 * float(mode.covariance.max()))
 
 

@@ -68,7 +68,7 @@ def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -
     mixture = np.concatenate(parts)
     assert half.mean == pytest.approx(mixture.mean(axis=0), abs=0.01)
     assert half.covariance == pytest.approx(np.cov(mixture.T), abs=0.02)
-    with pytest.raises(ParameterError, match="all is kept"):
+    with pytest.raises(ParameterError, match="a share from 0 to 1"):
         belief.inflated(1.5)
 
 
@@ -79,7 +79,7 @@ def test_a_bad_file_is_one_line_that_names_it(belief: SoilBelief, tmp_path: Path
     cases = {
         belief.to_json()[:300]: "is the file complete",
         "{}": "schema",
-        json.dumps(good | {"order": good["order"][::-1]}): "parameters are not",
+        json.dumps(good | {"order": good["order"][::-1]}): "a belief needs laws",
         json.dumps(good | {"mean": [1.0]}): "mean",
         json.dumps(good | {"mean": [float("nan")] * 8}): "NaN",
         json.dumps(good | {"covariance": (-belief.covariance).tolist()}): "positive definite",

@@ -242,7 +242,7 @@ def test_priors_of_a_file_take_the_place_of_the_default_ones() -> None:
     [
         (b"[cohesion_pa\n", "not valid TOML"),
         (b"[colour]\nmedian = 1\nsd = 1\n", "'colour' is not a soil parameter"),
-        (b"[cohesion_pa]\nmedian = -1\nsd = 1\n", "median of a prior is -1"),
+        (b"[cohesion_pa]\nmedian = -1\nsd = 1\n", "prior's median is -1"),
         (b"[cohesion_pa]\nmedian = 1\n", "cohesion_pa"),
         (b"[friction_angle_deg]\nmedian = 95\nsd = 1\n", "below 90 deg"),
         (b"[cohesion_pa]\nof = 'sqrt'\nmedian = 1\nsd = 1\n", "unknown"),

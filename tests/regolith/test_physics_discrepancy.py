@@ -10,12 +10,14 @@ from scipy.stats import t
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import read_input
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.belief_history import (
+from lunarsci.regolith.belief import (
     OTHER_PHYSICS,
+    SoilBelief,
+    first_belief,
     ground_intervals,
     ground_moments,
     past_beliefs,
+    read_belief,
     rolled_back,
     with_drive,
 )

@@ -5,8 +5,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.regolith.identify import Assumptions
-from lunarsci.regolith.sensitivity import sensitivities
+from lunarsci.regolith.identify import Assumptions, sensitivities
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import read_wheel
 

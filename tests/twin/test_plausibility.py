@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.regolith.prior import Law
-from lunarsci.regolith.questions import SLIPS, question
+from lunarsci.regolith.prior import SLIPS, Law, question
 from lunarsci.regolith.soil import known_soils
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.unresolved import terrain_questions

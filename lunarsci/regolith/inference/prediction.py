@@ -20,10 +20,9 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.regolith.inference.misfit import misfit_at
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
-from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours
+from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, misfit_at, neighbours
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
 from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel

@@ -12,14 +12,21 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.identify import UNITS, Assumptions, Identification
+from lunarsci.regolith.columns import NamedBy, rover_of_states
+from lunarsci.regolith.identify import (
+    LABELS,
+    UNITS,
+    Assumptions,
+    Identification,
+    Sensitivity,
+    StatesAgreement,
+    agreement,
+    sensitivities,
+)
 from lunarsci.regolith.identify import identify as identify_soil
-from lunarsci.regolith.questions import Question
-from lunarsci.regolith.sensitivity import Sensitivity, sensitivities
+from lunarsci.regolith.prior import Question
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
-from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
 from lunarsci.regolith.wheel import PAPER, ShearSign, Wheel, left_to_defaults, read_wheel
-from lunarsci.regolith.written_names import NamedBy, rover_of_states
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, called, read_rover
 

@@ -138,7 +138,7 @@ class InferredSoil(IdentifiedSoil):
     def figures(self) -> "Iterator[Figure]":
         """Prior and posterior of each parameter, then what each state allows by itself."""
 
-        from lunarsci.regolith.belief_figure import posterior_figure
+        from lunarsci.regolith.figure import posterior_figure
 
         found = self.posterior
         title = f"all states together: {found.verdict.model} law, {len(found.residuals)} states"

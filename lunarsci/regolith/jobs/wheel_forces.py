@@ -10,6 +10,7 @@ import numpy as np
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.provenance import sha256
+from lunarsci.regolith.columns import written_for
 from lunarsci.regolith.forces import MOST_COHESION, WheelForces, cohesion_share, warn_of_shear_sign
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.inversion import reece_stiffness
@@ -27,7 +28,6 @@ from lunarsci.regolith.wheel import (
     Wheel,
     read_wheel,
 )
-from lunarsci.regolith.written_names import written_for
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.rovers import read_rover
 

@@ -14,9 +14,9 @@ from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
-from lunarsci.regolith.questions import Question, asked_in
+from lunarsci.regolith.columns import GROUND, ground_name, short_name, written_in
+from lunarsci.regolith.prior import Question, asked_in
 from lunarsci.regolith.states import StateTable
-from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record

@@ -12,8 +12,7 @@ from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
-from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.questions import Question, asked_in
+from lunarsci.regolith.prior import Question, asked_in, prior_hash
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash, unusual
 from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
