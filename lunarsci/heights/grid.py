@@ -62,8 +62,10 @@ def spacing_of(x: FloatArray, y: FloatArray) -> float:
             raise ValueError(f"{name} must ascend in even steps; sort it, or interpolate the heights to even ones")
         steps.append(step)
     if abs(steps[1] - steps[0]) > 1e-4 * steps[0]:
-        told = f"cells must be square: steps are {steps[0]:g} m in x_m and {steps[1]:g} m in y_m"
-        raise ValueError(f"{told}; interpolate the heights to nodes {max(steps):g} m apart in both")
+        sides = f"{steps[0]:g} m in x_m and {steps[1]:g} m in y_m"
+        raise ValueError(
+            f"cells must be square: steps are {sides}; interpolate the heights to nodes {max(steps):g} m apart in both"
+        )
     return steps[0]
 
 
@@ -117,23 +119,15 @@ def without_markers(heights: FloatArray) -> tuple[FloatArray, str]:
     A marker is a usual one, the lowest or highest number of all, and farther from the next one than that is from the
     others: a gap that is wider than all of the ground is high.
     """
-    found = np.where(np.isinf(heights) | (np.abs(heights) > BEYOND), np.nan, heights)
-    said = [f"{_of(value)}" for value in np.unique(heights[~np.isnan(heights) & np.isnan(found)])[:1]]
-    while (marker := _marker(found)) is not None:
-        said.append(_of(marker))
-        found = np.where(found == marker, np.nan, found)
-    lost = int(np.isnan(found).sum() - np.isnan(heights).sum())
-    return found, f"{lost} nodes of {' and '.join(said)} {USUALLY}" if said else ""
-
-
-def _of(value: float) -> str:
-    return f"{value:g}" if math.isfinite(value) else "infinity"
-
-
-def _marker(heights: FloatArray) -> float | None:
-    """A height has no natural 0, so that only usual marks are looked for."""
-    ends = far_ends(heights.reshape(1, -1), times=1.0, from_zero=False)
-    return next((one.value for one in ends if one.value in MARKERS), None)
+    values = np.where(np.isinf(heights) | (np.abs(heights) > BEYOND), np.nan, heights)
+    markers = np.unique(heights[~np.isnan(heights) & np.isnan(values)])[:1].tolist()
+    # A height has no natural 0, so that only usual marks are looked for.
+    while ends := [end for end in far_ends(values.reshape(1, -1), 1.0, from_zero=False) if end.value in MARKERS]:
+        markers.append(ends[0].value)
+        values = np.where(values == ends[0].value, np.nan, values)
+    lost = int(np.isnan(values).sum() - np.isnan(heights).sum())
+    names = [f"{value:g}" if math.isfinite(value) else "infinity" for value in markers]
+    return values, f"{lost} nodes of {' and '.join(names)} {USUALLY}" if names else ""
 
 
 class FarEnd(NamedTuple):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import NOT_NEGATIVE, DataError, LunarSciWarning, check_ranges
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.regolith.columns import (
@@ -40,22 +40,19 @@ if TYPE_CHECKING:
 
 LOAD_UNITS = {"kN": FORCES["kn"], "mN": FORCES["mn"]}
 """In newtons, by definition; a kilogram and a pound of force make loads that other wheels of that size have."""
-PULL_OVER_LOAD = Law("ln", 0.25, 0.7, "0.1 to 0.5 at slips of 0.2 and more (Wong 2008, ISBN 978-0-470-17038-0)")
-"""Largest drawbar pull of a wheel test, as a share of the load; the width is assumed."""
-PULLING = 0.2
-"""Slip from which a wheel test shows what a wheel pulls; assumed."""
+PULL_OVER_LOAD, PULLING = Law("ln", 0.25, 0.7, "Wong 2008, ISBN 978-0-470-17038-0; width assumed"), 0.2
+"""Largest drawbar pull of a wheel test, as a share of the load: 0.1 to 0.5 from such a slip on. [-]"""
 SINKAGE = Law("ln", 0.12, 0.8, "5 to 40 % of wheels' radii; assumed")
-"""Median sinkage over the radius; assumed."""
 SLIPS: Mapping[str, Law] = {
     "%": Law("ln", 25.0, 1.0, "wheel tests go from 5 to 80 %; assumed"),
     TRAVEL: Law("ln", 0.4, 1.0, "the same as r w / v - 1; assumed"),
 }
-"""Median of slips that are no ratios from -1 to 1, as they are written; assumed."""
+USUAL_SLIP = 0.3
+"""Priors of a median sinkage over the radius, and of the median of slips that are no ratios from -1 to 1, as they are
+written; the middle of what wheel tests try; assumed."""
 ROUND, OFF, SURELY_ROUND = 0.05, 0.02, 1e4
 """Step of the slips that wheel tests are set to, how far off one a round number is at most, in steps, and the odds from
 which they are taken for set ones; assumed."""
-USUAL_SLIP = 0.3
-"""Middle of what wheel tests try; assumed."""
 
 
 def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | None]:
@@ -78,14 +75,12 @@ def another_unit(median: float, wheel: Wheel) -> str:
 
 def likely_slip(slip: FloatArray) -> str:
     """The definition, or unit, of slips (n,) that are no ratios from -1 to 1; '' where they are."""
-    known = slip[np.isfinite(slip)]
-    if not known.size:
-        return ""
-    if (np.abs(known) <= 1).all():
-        return TRAVEL if _set_by_travel(known) else ""
-    if known.max() <= 1:
+    slip = slip[np.isfinite(slip)]
+    if (np.abs(slip) <= 1).all():
+        return TRAVEL if _set_by_travel(slip) else ""
+    if slip.max() <= 1:
         return "rim"
-    middle = float(np.median(known[known > 0]))
+    middle = float(np.median(slip[slip > 0]))
     return max(SLIPS, key=lambda unit: SLIPS[unit].ln_density(middle))
 
 
@@ -103,8 +98,8 @@ def _set_by_travel(slip: FloatArray) -> bool:
 def slip_question(slip: FloatArray, unit: str) -> Question:
     """What to ask of slips that are read in another unit or definition than their name says."""
     worst = float(slip[np.nanargmax(np.abs(slip))])
-    told = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
-    return Question("slip_ratio", worst, USUAL_SLIP, told, f"{OPTION} slip_ratio={unit}")
+    meaning = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
+    return Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
 
 
 def force_questions(
@@ -152,29 +147,23 @@ def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
     of_load = {f"{unit} (the load)": 1.0 / FORCES[unit.lower()] for unit in ("kN", "kgf", "lbf")}
-    found = question(
+    asked = question(
         "largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, LOAD_UNITS | {share: load} | of_load
     )
-    if found is None:
+    if asked is None:
         return None
-    unit = OVER_LOAD if found.likely_unit == share else found.likely_unit.partition(" ")[0] or "N"
-    column = "normal_force_n" if found.likely_unit in of_load else "drawbar_pull_n"
-    return replace(found, option=f"{OPTION} {column}={unit}")
+    unit = OVER_LOAD if asked.likely_unit == share else asked.likely_unit.partition(" ")[0] or "N"
+    column = "normal_force_n" if asked.likely_unit in of_load else "drawbar_pull_n"
+    return replace(asked, option=f"{OPTION} {column}={unit}")
 
 
 def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:
     named = "normal_force_n" not in unitless
     units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
-    found = question("median normal_force_n", middle, law, units)
-    if found is None and not named:
-        found = Question("median normal_force_n", middle, law.median, "N", OPTION)
-    return found and replace(found, option=f"{OPTION} normal_force_n={found.likely_unit or 'N'}")
-
-
-def converted_slip(slip: FloatArray, unit: str) -> FloatArray:
-    """lunarsci's slip ratio from slips of a unit or definition."""
-
-    return by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
+    asked = question("median normal_force_n", middle, law, units)
+    if asked is None and not named:
+        asked = Question("median normal_force_n", middle, law.median, "N", OPTION)
+    return asked and replace(asked, option=f"{OPTION} normal_force_n={asked.likely_unit or 'N'}")
 
 
 REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
@@ -206,9 +195,7 @@ class MeasurementErrors:
     side_slip_relative: float = 0.04 / 3
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ParameterError(f"error of {name} is {getattr(self, name)}; give 0 or more")
+        check_ranges("error of", self, dict.fromkeys(self.__slots__, NOT_NEGATIVE))
 
     def of(self, column: str, values: FloatArray) -> FloatArray:
         """Standard deviation of a column, in the column's unit; shape of `values`."""
@@ -285,7 +272,7 @@ class StateTable:
         """Name of the wheel of each row."""
         return tuple(self.table["wheel"].fillna("").str.strip())
 
-    def kept(self, rows: BoolArray) -> "StateTable":
+    def subset(self, rows: BoolArray) -> "StateTable":
         """Some of the rows."""
         table = self.table[rows].reset_index(drop=True)
         return replace(self, table=table, values=self.values[rows], sigmas=self.sigmas[rows], valid=self.valid[rows])
@@ -391,16 +378,16 @@ def _valid(file: str, cells: Any) -> BoolArray:
 
 def _check_scale(file: str, values: FloatArray, radius_m: float) -> None:
     """Refuse values that are mostly of a wrong sign or unit."""
-    for column, low, high, said in (
+    for column, low, high, rule in (
         ("sinkage_m", 0.0, radius_m, f"it is in metres, down is positive, and the wheel's radius is {radius_m:g} m"),
         ("slip_ratio", -1.0, 1.0, "it is a ratio from -1 to 1, no percentage"),
         ("side_slip_deg", -90.0, 90.0, "it lies within -90 to 90 deg"),
         ("normal_force_n", 0.0, np.inf, "the ground presses upwards, which is positive"),
     ):
-        known = values[np.isfinite(values[:, COLUMNS.index(column)]), COLUMNS.index(column)]
-        middle = float(np.median(known)) if known.size else np.nan
+        measured = values[np.isfinite(values[:, COLUMNS.index(column)]), COLUMNS.index(column)]
+        middle = float(np.median(measured)) if measured.size else np.nan
         if middle < low or middle > high or (column == "sinkage_m" and middle in (low, high)):
-            raise DataError(f"{file}: {column} has a median of {middle:.3g}; {said}")
+            raise DataError(f"{file}: {column} has a median of {middle:.3g}; {rule}")
 
 
 def _sigmas(file: str, table: "pd.DataFrame", values: FloatArray, errors: MeasurementErrors) -> FloatArray:
@@ -430,68 +417,73 @@ def read_states(
     """
     import pandas as pd
 
-    found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
-    found, questions = _with_slip(found)
-    found, asked = _with_sinkage(found, wheel)
-    questions += asked
-    if found.unused:
+    read = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
+    read, asked_of_slip = _with_slip(read)
+    read, asked = _with_sinkage(read, wheel)
+    frame, named, rows = read.table, read.named, _complete_rows(read)
+    if read.unused:
         # An error under another name than NAME_sigma would go unread.
-        stems = [name.rpartition("_")[0] for name in found.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
+        stems = [name.rpartition("_")[0] for name in read.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
         hint = "; did you mean " + ", ".join(f"{stem}_sigma" for stem in stems) + "?" if stems else ""
-        warnings.warn(f"{found.file}: columns not used: {', '.join(found.unused)}{hint}", LunarSciWarning, stacklevel=2)
-    keep, frame = _kept_rows(found), found.table
-    values = found.values[keep]
-    _check_values(found.file, values, np.flatnonzero(keep), wheel)
+        warnings.warn(f"{read.file}: columns not used: {', '.join(read.unused)}{hint}", LunarSciWarning, stacklevel=2)
+    values = read.values[rows]
+    _check_values(read.file, values, np.flatnonzero(rows), wheel)
     numbered = pd.Series([str(n) for n in range(1, len(frame) + 1)])
     ids = frame["id"].fillna(numbered) if "id" in frame else numbered
     stated = any(f"{name}_sigma" in frame for name in COLUMNS[3:])
-    alike = "forces_from" in frame and bool((frame["forces_from"][keep] == FROM_MOTION).all())
-    sigmas = np.where(np.isfinite(values), found.sigmas[keep], 0.0)
-    wheels = tuple(sorted(set(found.wheels))) if "wheel" in frame else ()
-    unstated = tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame)
-    questions += found.named.questions + force_questions(values, wheel, found.named.unitless, found.named.answered)
-    told = found.named.read_as
-    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels, unstated, told, questions)
+    return WheelStates(
+        tuple(ids[rows].astype(str)),
+        values,
+        np.where(np.isfinite(values), read.sigmas[rows], 0.0),
+        stated=stated,
+        alike="forces_from" in frame and bool((frame["forces_from"][rows] == FROM_MOTION).all()),
+        wheels=tuple(sorted(set(read.wheels))) if "wheel" in frame else (),
+        unstated=tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame),
+        read_as=named.read_as,
+        questions=(
+            *(*asked_of_slip, *asked, *named.questions),
+            *force_questions(values, wheel, named.unitless, named.answered),
+        ),
+    )
 
 
-def _with_sinkage(found: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Question, ...]]:
+def _with_sinkage(read: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Question, ...]]:
     """A table with sinkages of wheels that are not above their heads, and what to ask where they were."""
-    known = found.values[found.valid & np.isfinite(found.values[:, 0]), 0]
-    if not known.size or (middle := float(np.median(known))) < wheel.radius_m:
-        return found, ()
+    measured = read.values[read.valid & np.isfinite(read.values[:, 0]), 0]
+    if not measured.size or (middle := float(np.median(measured))) < wheel.radius_m:
+        return read, ()
     if not (unit := another_unit(middle, wheel)):
-        return found, ()
-    usual, size = SINKAGE.median * wheel.radius_m, LENGTHS[unit]
-    values, sigmas = found.values.copy(), found.sigmas.copy()
-    values[:, 0] *= size
-    sigmas[:, 0] *= size if "sinkage_m_sigma" in found.table else 1.0
+        return read, ()
+    values, sigmas = read.values.copy(), read.sigmas.copy()
+    values[:, 0] *= LENGTHS[unit]
+    sigmas[:, 0] *= LENGTHS[unit] if "sinkage_m_sigma" in read.table else 1.0
+    usual = SINKAGE.median * wheel.radius_m
     asked = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
-    return replace(found, values=values, sigmas=sigmas), (asked,)
+    return replace(read, values=values, sigmas=sigmas), (asked,)
 
 
-def _with_slip(found: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
+def _with_slip(read: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
     """A table with slips as ratios from -1 to 1, and what to ask where they were none."""
-    slip = found.values[:, 1]
-    if "slip_ratio" in found.named.answered or not (unit := likely_slip(slip[found.valid])):
-        return found, ()
-    values = found.values.copy()
-    values[:, 1] = converted_slip(slip, unit)
-    return replace(found, values=values), (slip_question(slip[found.valid], unit),)
+    slip = read.values[:, 1]
+    if "slip_ratio" in read.named.answered or not (unit := likely_slip(slip[read.valid])):
+        return read, ()
+    values = read.values.copy()
+    values[:, 1] = by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
+    return replace(read, values=values), (slip_question(slip[read.valid], unit),)
 
 
-def _kept_rows(found: StateTable) -> BoolArray:
-    complete = np.isfinite(found.values[:, [COLUMNS.index(name) for name in REQUIRED]]).all(axis=1)
-    keep = complete & found.valid
-    if not keep.any():
-        raise DataError(f"{found.file}: no row has all of {', '.join(REQUIRED)}; fill them in")
-    if not keep.all():
+def _complete_rows(read: StateTable) -> BoolArray:
+    rows = np.isfinite(read.values[:, [COLUMNS.index(name) for name in REQUIRED]]).all(axis=1) & read.valid
+    if not rows.any():
+        raise DataError(f"{read.file}: no row has all of {', '.join(REQUIRED)}; fill them in")
+    if not rows.all():
         warnings.warn(
-            f"{found.file}: {(~keep).sum()} of {keep.size} rows left out (a required value missing, or marked not "
+            f"{read.file}: {(~rows).sum()} of {rows.size} rows left out (a required value missing, or marked not "
             "valid)",
             LunarSciWarning,
             stacklevel=3,
         )
-    return keep
+    return rows
 
 
 def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
