@@ -29,7 +29,7 @@ from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
 from lunarsci.regolith.prior import Question
 from lunarsci.regolith.wheel import Wheel, read_wheel
-from lunarsci.rovers import known_rovers, known_wheels, read_rover
+from lunarsci.rovers import read_rover, rover_names, wheel_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -328,7 +328,7 @@ def ground_kinship(written: str, ground: str) -> Literal["same", "changed", "oth
 @cache
 def _asked_for() -> dict[str, str]:
     """Names in the files of lunarsci's rovers, and how they are asked for."""
-    return {read_rover(name).name: name for name in known_rovers()}
+    return {read_rover(name).name: name for name in rover_names()}
 
 
 def size_of(wheel: Wheel) -> str:
@@ -355,7 +355,7 @@ def rover_of_states(source: InputFile, rover: str | None, default: str) -> tuple
     written = written_in(source.name, read_csv_table(source))
     if not written:
         return default, "default"
-    for name in (*known_rovers(), *known_wheels()):
+    for name in (*rover_names(), *wheel_names()):
         description = read_rover(name)
         if written == written_for(description.name, read_wheel(description)):
             return name, "table"

@@ -305,12 +305,9 @@ def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) 
         ("sinkage_m", z, (z >= LEAST_SINKAGE_M) & (z < radius), f"above 1e-7 and below the wheel radius of {radius} m"),
         ("slip_ratio", s, np.abs(s) <= 1, "within -1 to 1"),
         ("side_slip_deg", beta, np.abs(beta) <= 90, "within -90 to 90 deg"),
-    ):
+        ("side_slip_deg", beta, (s != 1) | (np.abs(beta) != 90), "below 90 deg at slip 1, which leaves it open how "
+         "fast the wheel slides sideways beside its rim"),
+    ):  # fmt: skip
         if not good.all():
             first = int(np.argmin(good))
             raise ParameterError(f"{name} is {values[first]:g} in state {first + 1}; it must lie {rule}")
-    if (open_ := (s == 1) & (np.abs(beta) == 90)).any():
-        raise ParameterError(
-            f"state {int(np.argmax(open_)) + 1} has slip 1 and side slip 90 deg, which leave open how fast the wheel "
-            "slides sideways beside its rim; give a side slip or a slip a little smaller"
-        )

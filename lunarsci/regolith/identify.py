@@ -490,10 +490,10 @@ def sensitivities(
     return sorted(shares, key=lambda share: [*LABELS].index(share.parameter))
 
 
-def _variance(found: Identification, name: str) -> float | None:
+def _variance(result: Identification, name: str) -> float | None:
     """Mean over the states that have a solution; of several assumed K_y the first."""
-    parts = [row[name] for row in found.observations if name in row]
+    parts = [row[name] for row in result.observations if name in row]
     if name == "external_friction_angle_deg":
-        parts = [row["corners"][0][name] for row in found.observations if row["corners"]]
+        parts = [row["corners"][0][name] for row in result.observations if row["corners"]]
     sigmas = [part.sigma for part in parts if part.sigma is not None]
     return float(np.mean(np.square(sigmas))) if sigmas else None

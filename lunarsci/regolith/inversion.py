@@ -111,8 +111,8 @@ def _normal_force(
     reading: ShearSign,
     model: ContactModel | None,
 ) -> float:
-    found = forces_by(model, wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading)
-    return float(found.normal_force_n)
+    forces = forces_by(model, wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading)
+    return float(forces.normal_force_n)
 
 
 def settle_under_load(
@@ -132,10 +132,10 @@ def settle_under_load(
     Parameters as in `sinkage_under_load`; law as in `slip_sinkage`, None for none.
     """
     still = slip_ratio if law is None else 0.0
-    found = sinkage_under_load(wheel, soil, load_n, still, side_slip_deg, reading=reading, model=model)
+    still_deep = sinkage_under_load(wheel, soil, load_n, still, side_slip_deg, reading=reading, model=model)
     if law is None:
-        return found, soil
-    deep = float(slip_sinkage(found, slip_ratio, law))
+        return still_deep, soil
+    deep = float(slip_sinkage(still_deep, slip_ratio, law))
     soft = stiffness_under_load(wheel, soil, load_n, deep, slip_ratio, side_slip_deg, reading=reading, model=model)
     return deep, soil.replace(stiffness_kpa_m_n=soft)
 

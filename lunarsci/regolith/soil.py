@@ -94,14 +94,14 @@ class Soil:
         return dataclasses.replace(self, **changes)
 
 
-def known_soils() -> dict[str, dict[str, Any]]:
+def soil_tables() -> dict[str, dict[str, Any]]:
     """The soils that come with lunarsci, name to table (parameters and `source`)."""
     return tomllib.loads((files(__package__) / "soils.toml").read_text("utf-8"))
 
 
 def soil_hash(soil: str) -> tuple[dict[str, str], dict[str, str]]:
     """Where a soil comes from, for the provenance: (user's file, own table) to SHA-256, one of them empty."""
-    if soil in known_soils():
+    if soil in soil_tables():
         return {}, table_hashes("soils.toml", package=__package__)
     return {soil: sha256(Path(soil).read_bytes())}, {}
 
@@ -111,7 +111,7 @@ def read_soil(soil: str) -> Soil:
 
     Warns with LunarSciWarning of values of a file that no lunar soil is known to have.
     """
-    tables = known_soils()
+    tables = soil_tables()
     if soil in tables:
         return _soil(tables[soil], soil)
     try:

@@ -173,7 +173,7 @@ IDENTIFIERS = (
     *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
     *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
 )
-KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
+EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"
 """In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
 LEAST_SINKAGE_M = 1e-6
@@ -323,7 +323,7 @@ def read_state_table(
             f"{file}: no column normal_force_n: states of a drive without forces; `lunarsci twin update` learns the "
             "soil from them, `lunarsci twin loads --motion motion.csv --states states.csv` adds forces"
         )
-    unused = check_columns(file, columns, KNOWN, (*(("time_s", "wheel") if wheels else ()), *needed))
+    unused = check_columns(file, columns, EVERY_COLUMN, (*(("time_s", "wheel") if wheels else ()), *needed))
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
     if not any_wheel:
@@ -343,12 +343,12 @@ def read_state_table(
 def _named(source: InputFile, wheel: Wheel, units: str) -> NamedColumns:
     """The columns under their own names; a sinkage without a unit in the one that makes it likely under this wheel."""
     table = read_csv_table(source)
-    named = named_columns(source.name, table, KNOWN, units)
+    named = named_columns(source.name, table, EVERY_COLUMN, units)
     if "sinkage_m" not in named.unitless:
         return named
     written = _numbers(source.name, named.table, "sinkage_m")
     unit, asked = likely_sinkage_unit(float(np.median(written[np.isfinite(written)])), wheel)
-    again = named_columns(source.name, table, KNOWN, ",".join(filter(None, (units, f"sinkage_m={unit}"))))
+    again = named_columns(source.name, table, EVERY_COLUMN, ",".join(filter(None, (units, f"sinkage_m={unit}"))))
     return replace(again, questions=() if asked is None else (asked,))
 
 
@@ -427,7 +427,13 @@ def read_states(
         hint = "; did you mean " + ", ".join(f"{stem}_sigma" for stem in stems) + "?" if stems else ""
         warnings.warn(f"{read.file}: columns not used: {', '.join(read.unused)}{hint}", LunarSciWarning, stacklevel=2)
     values = read.values[rows]
-    _check_values(read.file, values, np.flatnonzero(rows), wheel)
+    check_values(read.file, values, np.flatnonzero(rows), wheel, REQUIRED)
+    if fast := int((np.abs(values[:, 1]) > MAX_VALID_SLIP).sum()):
+        warnings.warn(
+            f"{read.file}: |slip_ratio| above {MAX_VALID_SLIP} in {fast} rows, where the model is no longer accurate",
+            LunarSciWarning,
+            stacklevel=2,
+        )
     numbered = pd.Series([str(n) for n in range(1, len(frame) + 1)])
     ids = frame["id"].fillna(numbered) if "id" in frame else numbered
     stated = any(f"{name}_sigma" in frame for name in COLUMNS[3:])
@@ -488,31 +494,23 @@ def _complete_rows(read: StateTable) -> BoolArray:
 
 def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
     """What could be wrong with sinkages that no wheel has, and the option that says so."""
-    if (least := float(np.nanmin(sinkage_m))) >= LEAST_SINKAGE_M:
+    if not (least := float(np.nanmin(sinkage_m, initial=np.inf))) < LEAST_SINKAGE_M:
         return f"is it in another unit ({OPTION} sinkage_m=mm)?"
     return f"is its zero off ({OPTION} sinkage_m={math.ceil(1e3 * (1e-3 - least)) / 1e3:+.3g})?"
 
 
-def _check_values(name: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> None:
-    z, s, beta, load = values[:, 0], values[:, 1], values[:, 2], values[:, 3]
-    for column, bad, rule in (
-        (
-            "sinkage_m",
-            ~((z >= LEAST_SINKAGE_M) & (z < wheel.radius_m)),
-            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m; {_doubt_of_sinkage(z)}",
-        ),
-        ("slip_ratio", np.abs(s) > 1, "within -1 to 1"),
-        ("side_slip_deg", np.abs(beta) > 90, "within -90 to 90 deg"),
-        ("normal_force_n", ~(load > 0), "above 0 N"),
-    ):
+def check_values(file: str, values: FloatArray, rows: IndexArray, wheel: Wheel, required: Collection[str]) -> None:
+    """Raise DataError for a value in the order of `COLUMNS` that no wheel can have, or a blank that is required."""
+    depth, under = values[:, 0], f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m"
+    rules = (
+        ((depth >= LEAST_SINKAGE_M) & (depth < wheel.radius_m), f"{under}; {_doubt_of_sinkage(depth)}"),
+        (np.abs(values[:, 1]) <= 1, "within -1 to 1"),
+        (np.abs(values[:, 2]) <= 90, "within -90 to 90 deg"),
+        (values[:, 3] > 0, "above 0 N"),
+    )
+    for k, (good, rule) in enumerate(rules):
+        bad = ~good & (np.isfinite(values[:, k]) | (COLUMNS[k] in required))
         if bad.any():
             first = int(np.argmax(bad))
-            value = values[first, COLUMNS.index(column)]
-            raise DataError(f"{name}, row {rows[first] + 1}, {column}: {value:g} is impossible; it must lie {rule}")
-    fast = int((np.abs(s) > MAX_VALID_SLIP).sum())
-    if fast:
-        warnings.warn(
-            f"{name}: |slip_ratio| above {MAX_VALID_SLIP} in {fast} rows, where the model is no longer accurate",
-            LunarSciWarning,
-            stacklevel=3,
-        )
+            text = f"{values[first, k]:g} is impossible; it must lie {rule}"
+            raise DataError(f"{file}, row {rows[first] + 1}, {COLUMNS[k]}: {text}")

@@ -8,7 +8,7 @@ import pytest
 import lunarsci
 from lunarsci.errors import LunarSciWarning
 from lunarsci.io.tables import table_rows
-from lunarsci.regolith.soil import Soil, known_soils, read_soil, unusual
+from lunarsci.regolith.soil import Soil, read_soil, soil_tables, unusual
 
 PACKAGE = "lunarsci.regolith"
 WIDTH_M = 0.15
@@ -38,12 +38,12 @@ def test_no_lunar_soil_is_told_and_two_clays_are() -> None:
     for row in table_rows("lateral_soils.csv", package=PACKAGE):
         names = ("lateral_modulus_mm", "external_friction_angle_deg")
         assert not unusual(typical.replace(**{name: float(row[name]) for name in names}))
-    assert not any(unusual(read_soil(name)) for name in known_soils())
+    assert not any(unusual(read_soil(name)) for name in soil_tables())
 
 
 def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
     file = tmp_path / "soil.toml"
-    text = "\n".join(f"{k} = {v}" for k, v in known_soils()["longji"].items() if k not in ("source", "assumed"))
+    text = "\n".join(f"{k} = {v}" for k, v in soil_tables()["longji"].items() if k not in ("source", "assumed"))
     file.write_text(text.replace("friction_angle_deg = 42.0", "friction_angle_deg = 0.733"))
     with pytest.warns(LunarSciWarning, match=r"friction_angle_deg is 0\.733, where .* usual; is it in rad\?$") as told:
         read_soil(str(file))

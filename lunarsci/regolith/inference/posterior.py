@@ -561,8 +561,9 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
     laws = {name: mode.problem.prior[name] for name in mode.problem.names}
     reasons += strange(laws, mode.point, np.sqrt(np.diag(mode.covariance)))
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and not outliers and not reasons
-    turned = [] if good or states.questions else suspects(mode, units=bool(reasons))
-    zero = [] if states.questions or states.alike else other_zero(mode)
+    explained = good or bool(states.questions)
+    turned = [] if explained else suspects(mode, units=bool(reasons))
+    zero = [] if explained or states.alike else other_zero(mode)
     # Five published tests of real wheels agree better with another zero, too: alone it makes no doubt.
     turned = sorted([*turned, *(zero if reasons else ())], key=lambda suspect: -suspect.gain)
     if turned:

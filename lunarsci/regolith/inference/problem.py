@@ -229,8 +229,8 @@ def problem_of(
     return JointProblem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error, contact)
 
 
-def part_of(problem: JointProblem, kept: BoolArray | IndexArray) -> JointProblem:
-    parts = {name: getattr(problem, name)[kept] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
+def part_of(problem: JointProblem, rows: BoolArray | IndexArray) -> JointProblem:
+    parts = {name: getattr(problem, name)[rows] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
     return replace(problem, **parts)
 
 

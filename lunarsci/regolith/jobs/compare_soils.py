@@ -51,11 +51,11 @@ class _GivenSite:
     left_open: OpenSite | None = None
 
     @classmethod
-    def of(cls, found: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> "_GivenSite":
+    def of(cls, result: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> "_GivenSite":
         """Of the result of `identify` or `infer`."""
 
-        site, curves = site_of(found)
-        left = open_site(found) if "joint" in found else None
+        site, curves = site_of(result)
+        left = open_site(result) if "joint" in result else None
         return cls(site=site, curves=curves, inputs=inputs, wheel=wheel, left_open=left)
 
 
@@ -118,8 +118,8 @@ class ComparedSoils(Result):
             "name": self.called,
             "width_m": self.width_m,
             "undetermined": {
-                aspect: [{"parameter": name, "left_of_prior": share} for name, share in own.items()]
-                for aspect, own in self.undetermined.items()
+                aspect: [{"parameter": name, "left_of_prior": share} for name, share in parameters.items()]
+                for aspect, parameters in self.undetermined.items()
             },
             "remarks": list(self.remarks),
             "soils": self.rows(),
@@ -195,20 +195,20 @@ def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) 
         )
         return _GivenSite(site=site)
     if isinstance(result, IdentifiedSoil):
-        found = result.to_dict()
-        return _GivenSite.of(found, result.made_from.inputs, found["wheel"])
+        document_result = result.to_dict()
+        return _GivenSite.of(document_result, result.made_from.inputs, document_result["wheel"])
     file = read_input(result)
     content = text(file)
     try:
         document = json_document(content)
         if isinstance(document, dict) and document.get("schema") == SCHEMA:
             belief = read_belief(file).soil
-            if told := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
-                warnings.warn(f"{file.name}: a doubtful belief: {told}", LunarSciWarning, stacklevel=3)
+            if why := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
+                warnings.warn(f"{file.name}: a doubtful belief: {why}", LunarSciWarning, stacklevel=3)
             left = OpenSite(belief, belief.sd_ratio)
             return _GivenSite(site=site_of_belief(belief), inputs={file.name: file.sha256}, left_open=left)
-        found = document["result"]
-        return _GivenSite.of(found, {file.name: file.sha256}, found.get("wheel"))
+        document_result = document["result"]
+        return _GivenSite.of(document_result, {file.name: file.sha256}, document_result.get("wheel"))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ParameterError | DataError):
             raise

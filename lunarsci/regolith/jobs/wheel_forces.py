@@ -243,11 +243,11 @@ class ForcesOnWheel(Result):
 
     def _row(self, state: LoadedState) -> dict[str, Any]:
         there = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
-        own: dict[str, Any] = {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
+        forces: dict[str, Any] = {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
         if self.traction is not None and self.request.load is not None:
-            own["pull_per_weight"] = own["drawbar_pull_n"] / self.request.load
-            own["tractive_efficiency"] = state.efficiency(self.wheel)
-        return there | own
+            forces["pull_per_weight"] = forces["drawbar_pull_n"] / self.request.load
+            forces["tractive_efficiency"] = state.efficiency(self.wheel)
+        return there | forces
 
     def figures(self) -> "Iterator[Figure]":
 
@@ -312,8 +312,8 @@ def _states(
     model = asked.model
     if asked.load is None:
         sinkage = float(asked.sinkage or 0.0)
-        found = [forces_by(model, wheel, soil, sinkage, slip, asked.side_slip, asked.reading) for slip in slips]
-        return [LoadedState(slip, sinkage, soil, forces) for slip, forces in zip(slips, found, strict=True)], None
+        results = [forces_by(model, wheel, soil, sinkage, slip, asked.side_slip, asked.reading) for slip in slips]
+        return [LoadedState(slip, sinkage, soil, forces) for slip, forces in zip(slips, results, strict=True)], None
     loaded = LoadedWheel(
         wheel=wheel,
         soil=soil,
