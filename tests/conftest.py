@@ -45,8 +45,9 @@ no worker is left with one at the end."""
 
 QUICK = {
     "tests": "inputs tables tempering",
-    "regolith": "bearing belief belief_history compare forces identify integrals model_error "
-    "physics_discrepancy wheels",
+    "regolith": "belief compare forces identify integrals inversion physics_discrepancy states",
+    "inference": "problem",
+    "rovers": "rovers",
     "spectra": "continuum noise_rows smoothing_and_noise solar solar_table spectrum sun",
     "mgm": "covariance lanes",
     "abundance": "hapke known_modes",

@@ -3,8 +3,7 @@
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.regolith.forces import closed_form_forces
-from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
+from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.rovers import read_rover, rover_names, wheel_names
@@ -34,10 +33,3 @@ def test_wheels_are_no_rovers() -> None:
         read_rover("lrv").table("mass")
     with pytest.raises(DataError, match="cmu-grouser"):
         read_rover("nothing")
-
-
-def test_the_stiffness_under_a_load_is_the_one_that_carries_it() -> None:
-    wheel, soil = read_wheel("yutu2"), read_soil("lunar-typical")
-    stiffness = stiffness_under_load(wheel, soil, 36.0, 0.012, 0.2)
-    found = closed_form_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), 0.012, 0.2)
-    assert float(found.normal_force_n) == pytest.approx(36.0, rel=1e-9)
