@@ -109,7 +109,8 @@ def test_sampled_intervals_and_profiles_are_widened_alike() -> None:
     sigma = float(np.sqrt(widened(mode_with_errors(problem(states, laws)), slice(1))[0, 0]))
     assert sigma < 0.3 * PRIOR["stiffness_kpa_m_n"].width
     for options in ({}, {"profile": True}, {"sample": True}):
-        _, *ends = infer_soil(states, WHEEL, laws, draws=400, **options).intervals()["stiffness_kpa_m_n"]  # type: ignore[arg-type]
-        ends = np.log(ends)
+        posterior = infer_soil(states, WHEEL, laws, draws=400, **options)  # type: ignore[arg-type]
+        assert posterior.how == next(iter(options), "normal")
+        ends = np.log(posterior.intervals()["stiffness_kpa_m_n"][1:])
         # The widths of 400 draws scatter by 5 %.
         assert [ends[1] - ends[0], (ends[3] - ends[2]) / 1.96] == pytest.approx([2 * sigma] * 2, rel=0.15), options
