@@ -104,8 +104,6 @@ def _in_metres(grid: HeightGrid, unit: str | None) -> HeightGrid:
     try:
         factor = metres_in(grid.unit if unit is None else unit)
     except ParameterError as error:
-        if unit is not None:
-            raise
         raise DataError(f"unit of heights: {error}; say which it is by `height_unit`") from error
     if unit is not None:
         note = f"heights are in {unit}, as asked" + (f"; the file says {grid.unit}" if grid.unit else "")

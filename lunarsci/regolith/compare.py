@@ -113,7 +113,7 @@ class SoilComparison:
 
     def to_dict(self, width_m: float) -> dict[str, Any]:
         """Plain values; the stiffness is that for a wheel of this width."""
-        soil, row = self.soil, {"name": self.soil.name, "kind": self.soil.kind}
+        soil, row = self.soil, dict[str, Any](name=self.soil.name, kind=self.soil.kind)
         for aspect in PAIRS:
             low, high = getattr(self, f"{aspect}_range") or (None, None)
             row[f"{aspect}_distance"] = getattr(self, aspect)

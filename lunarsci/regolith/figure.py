@@ -274,9 +274,9 @@ def _mark(axes: Any, result: Identification, x: str, y: str) -> None:
         estimate, given = result.site[solved], getattr(result.assumptions, partner)
         if estimate.assumed or estimate.value is None or given is None:
             continue
-        ends = (given, estimate.value, estimate.sigma, None)
-        ends = ends if solved == y else (ends[1], ends[0], None, estimate.sigma)
+        at, spread = (given, estimate.value), (estimate.sigma, None)
         symbol, marker = SOLVED[partner]
+        ends = (*at, *spread) if solved == y else (*at[::-1], *spread[::-1])
         axes.errorbar(*ends, fmt=marker, color=ORANGE, capsize=3, label=f"solved at {symbol} = {given:g}")
 
 

@@ -51,7 +51,7 @@ RANGES = {
     **dict.fromkeys(("friction_angle_deg", "external_friction_angle_deg"), ACUTE_DEG),
     "cohesion_pa": NOT_NEGATIVE,
 }
-"""Of what may be assumed."""
+"""Of what may be given."""
 
 
 @dataclass(frozen=True, slots=True)

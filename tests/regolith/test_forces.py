@@ -20,8 +20,8 @@ from lunarsci.regolith.forces import (
     stress_moments,
     travel_ratio,
 )
-from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.traction import sinkage_under_load
 from lunarsci.regolith.wheel import SHEAR_SIGNS, Wheel, shearing_radius
 
 WHEEL = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)

@@ -9,8 +9,9 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import (
     closed_form_forces,
 )
-from lunarsci.regolith.inversion import reece_stiffness, sinkage_under_load, slip_sinkage, stiffness_under_load
+from lunarsci.regolith.inversion import reece_stiffness, slip_sinkage
 from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.traction import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.wheel import read_wheel
 
 WHEEL, SOIL = read_wheel("yutu2"), read_soil("lunar-typical")

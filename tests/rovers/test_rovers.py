@@ -3,8 +3,8 @@
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.traction import sinkage_under_load
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.rovers import read_rover, rover_names, wheel_names
 

@@ -40,7 +40,6 @@ from lunarsci.regolith.inference.problem import (
     problem_of,
     tail_of,
 )
-from lunarsci.regolith.inversion import DEEPEST
 from lunarsci.regolith.prior import (
     CONTACT,
     DETERMINED,
@@ -54,6 +53,7 @@ from lunarsci.regolith.prior import (
     values_of,
 )
 from lunarsci.regolith.states import COLUMNS, LEAST_SINKAGE_M, WheelStates
+from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import ContactModel, Wheel
 from lunarsci.tempering import ACCEPTED, WALK, Moves, carry
 

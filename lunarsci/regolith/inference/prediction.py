@@ -23,9 +23,9 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
 from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, misfit_at, neighbours
-from lunarsci.regolith.inversion import DEEPEST
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, check_values, read_state_table
+from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
 
 DRAWS = 200

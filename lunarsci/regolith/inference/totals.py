@@ -18,8 +18,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.mode import find_mode
 from lunarsci.regolith.inference.problem import forces_of_many, tempered
-from lunarsci.regolith.inversion import DEEPEST
 from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import Wheel
 
 STEP = 1e-3
