@@ -65,14 +65,6 @@ def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | No
     return likely, Question("median sinkage", median, usual, likely, f"{OPTION} sinkage_m={likely}")
 
 
-def another_unit(median: float, wheel: Wheel) -> str:
-    """The unit of a median sinkage that is named in m, and beyond the wheel; '' where no other one makes it likely."""
-    unit, _ = likely_sinkage_unit(median, wheel)
-    low = [SINKAGE.ln_density(median * LENGTHS[one] / wheel.radius_m) for one in ("m", unit)]
-    fits = median * LENGTHS[unit] < wheel.radius_m
-    return unit if fits and low[1] + math.log(SLIPS_OF_UNITS) > low[0] else ""
-
-
 def likely_slip(slip: FloatArray) -> str:
     """The definition, or unit, of slips (n,) that are no ratios from -1 to 1; '' where they are."""
     slip = slip[np.isfinite(slip)]
@@ -93,13 +85,6 @@ def _set_by_travel(slip: FloatArray) -> bool:
     steps = (each / ROUND, each / (1 + each) / ROUND)
     written, turned = (int((np.abs(one - np.rint(one)) < OFF).sum()) for one in steps)
     return (turned - written) * -math.log(2 * OFF) > math.log(SURELY_ROUND)
-
-
-def slip_question(slip: FloatArray, unit: str) -> Question:
-    """What to ask of slips that are read in another unit or definition than their name says."""
-    worst = float(slip[np.nanargmax(np.abs(slip))])
-    meaning = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
-    return Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
 
 
 def force_questions(
@@ -458,7 +443,9 @@ def _with_sinkage(read: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Que
     measured = read.values[read.valid & np.isfinite(read.values[:, 0]), 0]
     if not measured.size or (middle := float(np.median(measured))) < wheel.radius_m:
         return read, ()
-    if not (unit := another_unit(middle, wheel)):
+    unit, _ = likely_sinkage_unit(middle, wheel)
+    as_m, other = (SINKAGE.ln_density(middle * LENGTHS[one] / wheel.radius_m) for one in ("m", unit))
+    if not (middle * LENGTHS[unit] < wheel.radius_m and other + math.log(SLIPS_OF_UNITS) > as_m):
         return read, ()
     values, sigmas = read.values.copy(), read.sigmas.copy()
     values[:, 0] *= LENGTHS[unit]
@@ -475,7 +462,10 @@ def _with_slip(read: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
         return read, ()
     values = read.values.copy()
     values[:, 1] = by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
-    return replace(read, values=values), (slip_question(slip[read.valid], unit),)
+    worst = float(slip[read.valid][np.nanargmax(np.abs(slip[read.valid]))])
+    meaning = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
+    asked = Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
+    return replace(read, values=values), (asked,)
 
 
 def _complete_rows(read: StateTable) -> BoolArray:

@@ -141,12 +141,11 @@ class MadeFor:
     ground: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("rover", "name", "sha256", "ground"):
-            if not isinstance(getattr(self, key), str):
-                raise ParameterError(f"made_for {key} is {getattr(self, key)!r}; give a text")
-        for key, value in self.limits.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise ParameterError(f"made_for {key} is {value!r}; give a number")
+        texts = {key: getattr(self, key) for key in ("rover", "name", "sha256", "ground")}
+        for key, value in (*texts.items(), *self.limits.items()):
+            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if not (isinstance(value, str) if key in texts else number):
+                raise ParameterError(f"made_for {key} is {value!r}; give a {'text' if key in texts else 'number'}")
 
     @classmethod
     def from_table(cls, table: Any) -> "MadeFor":

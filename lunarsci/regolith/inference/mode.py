@@ -16,6 +16,7 @@ from lunarsci.regolith.inference.problem import (
     STEP,
     JointProblem,
     common_share,
+    error_covariance,
     part_of,
     shares_of,
     states_alike,
@@ -194,27 +195,11 @@ def find_mode(
     return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LeftOut:
-    """Residuals of a group of g states that was left out, whitened, state by state F_N, F_DP, F_L.
-
-    Attributes
-    ----------
-    states : which of all states. (n,)
-    away : residuals. (3 g,)
-    spread : their covariance, from the errors (1 on the diagonal) and the parameters. (3 g, 3 g)
-    """
-
-    states: BoolArray
-    away: FloatArray
-    spread: FloatArray
-
-
-def left_out(mode: Mode, groups: IndexArray) -> list[LeftOut]:
-    """Each group predicted from the others, in a linear step from the mode.
+def predictive_densities(mode: Mode, groups: IndexArray) -> FloatArray:
+    """Logarithm of the density of each group of states predicted from the others, in a linear step from the mode.
 
     With rows w of whitened residuals of a group, J their derivatives, H the curvature of all others and a states alike,
-    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'.
+    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'. (groups,)
     """
     problem, width = mode.problem, mode.problem.width
     rows = problem.white(mode.point[None])[0]
@@ -222,12 +207,16 @@ def left_out(mode: Mode, groups: IndexArray) -> list[LeftOut]:
     slopes = (moved - rows).transpose(1, 2, 0) / (STEP * width)
     inliers = slopes[mode.inliers].reshape(-1, len(width))
     curvature = np.diag(width**-2) + inliers.T @ inliers / mode.alike
-    predicted = []
+    by_input = problem.residuals_and_slopes(mode.point[None])[1][0]
+    sizes = 0.5 * np.linalg.slogdet(error_covariance(problem, by_input, np.array(problem.model_error)))[1]
+    densities = []
     for number in range(groups.max() + 1):
         group = np.asarray(groups == number, dtype=np.bool_)
         inside = slopes[group & mode.inliers].reshape(-1, len(width))
         rest = np.linalg.inv(curvature - inside.T @ inside / mode.alike)
         j, w = slopes[group].reshape(-1, len(width)), rows[group].ravel()
         unknown = j @ rest @ j.T
-        predicted.append(LeftOut(group, w + unknown @ w / mode.alike, np.eye(len(w)) + unknown))
-    return predicted
+        away, spread = w + unknown @ w / mode.alike, np.eye(len(w)) + unknown
+        weighed = float(away @ np.linalg.solve(spread, away)) + float(np.linalg.slogdet(spread)[1])
+        densities.append(-0.5 * weighed - sizes[group].sum())
+    return np.array(densities)

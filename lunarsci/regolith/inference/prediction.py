@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.regolith.inference.mode import Mode, left_out
+from lunarsci.regolith.inference.mode import predictive_densities
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
-from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, misfit_at, neighbours
+from lunarsci.regolith.inference.problem import FORCES, forces_of_many, misfit_at, neighbours
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, check_values, read_state_table
 from lunarsci.regolith.traction import DEEPEST
@@ -329,7 +329,7 @@ def compare_laws(
         try:
             priors = {**contact_prior(), **(prior or default_prior())}
             mode = fit_soil(states, usable, wheel, priors, law.model, law.contact, model_error)
-            parts.append(_densities(mode, groups))
+            parts.append(predictive_densities(mode, groups))
             soil = values_of(priors, mode.point)[: len(PARAMETERS)]
             fits.append((mode.problem.model_error, tuple(map(float, soil))))
         except (ParameterError, np.linalg.LinAlgError):
@@ -358,18 +358,3 @@ def _score(
     away = best - part
     sigma = float(np.sqrt(len(away)) * np.std(away, ddof=1)) if len(away) > 1 else 0.0
     return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error, soil)
-
-
-def _densities(mode: Mode, groups: IndexArray) -> FloatArray:
-    """Logarithm of the predictive density of each group given all others. (groups,)"""
-    problem = mode.problem
-    slopes = problem.residuals_and_slopes(mode.point[None])[1][0]
-    sizes = 0.5 * np.linalg.slogdet(error_covariance(problem, slopes, np.array(problem.model_error)))[1]
-    return np.array(
-        [
-            -0.5 * left.away @ np.linalg.solve(left.spread, left.away)
-            - 0.5 * np.linalg.slogdet(left.spread)[1]
-            - sizes[left.states].sum()
-            for left in left_out(mode, groups)
-        ]
-    )
