@@ -17,6 +17,10 @@ ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_d
 """What an elevation model made of pictures has beside its heights."""
 
 
+EVEN = 1e-4
+"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeightGrid:
     """What a file of heights says.
@@ -53,19 +57,21 @@ class HeightGrid:
 
 def spacing_of(x: FloatArray, y: FloatArray) -> float:
     """The one distance of ascending nodes (nx,) and (ny,). Raises ValueError where there is none. [m]"""
-    if x.ndim != 1 or y.ndim != 1 or min(x.size, y.size) < 3:
-        raise ValueError("x_m and y_m must be lists of at least 3 numbers")
-    steps = []
-    for name, axis in (("x_m", x), ("y_m", y)):
-        step = float(axis[-1] - axis[0]) / (axis.size - 1)
-        if not (step > 0 and np.allclose(np.diff(axis), step, rtol=0, atol=1e-4 * step)):
-            raise ValueError(f"{name} must ascend in even steps; sort it, or interpolate the heights to even ones")
-        steps.append(step)
-    if abs(steps[1] - steps[0]) > 1e-4 * steps[0]:
-        sides = f"{steps[0]:g} m in x_m and {steps[1]:g} m in y_m"
-        raise ValueError(
-            f"cells must be square: steps are {sides}; interpolate the heights to nodes {max(steps):g} m apart in both"
-        )
+    axes = [axis.ravel() if axis.ndim == 1 and axis.size > 1 else np.zeros(2) for axis in (x, y)]
+    steps = [float(axis[-1] - axis[0]) / (axis.size - 1) for axis in axes]
+    uneven = [
+        not (step > 0 and np.abs(np.diff(axis) - step).max() <= EVEN * step)
+        for axis, step in zip(axes, steps, strict=True)
+    ]
+    faults = {
+        "x_m and y_m must be lists of at least 3 numbers": {x.ndim, y.ndim} != {1} or min(x.size, y.size) < 3,
+        f"{'x_m' if uneven[0] else 'y_m'} must ascend in even steps; sort it, or interpolate the heights to even ones":
+            any(uneven),
+        f"cells must be square: steps are {steps[0]:g} m in x_m and {steps[1]:g} m in y_m; interpolate the heights "
+        f"to nodes {max(steps):g} m apart in both": abs(steps[1] - steps[0]) > EVEN * steps[0],
+    }  # fmt: skip
+    if fault := next((text for text, applies in faults.items() if applies), ""):
+        raise ValueError(fault)
     return steps[0]
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, without_markers
+from lunarsci.heights.grid import ERROR_LAYERS, EVEN, HeightGrid, without_markers
 from lunarsci.heights.projections import LARGEST_STRETCH, MapProjection, local_projection, moved, name_of
 from lunarsci.io.inputs import unheard
 
@@ -24,8 +24,6 @@ MOST_NODES = 40_000_000
 """More are refused: maps of these take 1.8 GB."""
 MOST_BLOCK_BYTES = 8 * MOST_NODES
 """Of a raster's blocks, each of which is unpacked whole."""
-EVEN = 1e-4
-"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
 DRIVERS = {
     **{".tif": "GTiff", ".tiff": "GTiff", ".lbl": "PDS", ".img": "PDS", ".xml": "PDS4", ".cub": "ISIS3"},
     **{".jp2": "JP2OpenJPEG", ".grd": "GSAG", ".flt": "EHdr", ".bil": "EHdr"},

@@ -16,8 +16,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError
-from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, metres_in, spacing_of, without_markers
-from lunarsci.heights.rasters import EVEN, HEIGHT, HeightRaster, check_count, grid_of_raster
+from lunarsci.heights.grid import ERROR_LAYERS, EVEN, HeightGrid, metres_in, spacing_of, without_markers
+from lunarsci.heights.rasters import HEIGHT, HeightRaster, check_count, grid_of_raster
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
@@ -149,10 +149,12 @@ def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
     if not {*NODE} <= {*named} and ({*named.values()} >= {*NODE} or _node_table(path)):
         return read_nodes(path, layers, unread, **how)
     table = table[[name for name in table if name in layers or name not in unread]]
-    if missing := [name for name in NODE if name not in table]:
-        raise DataError(f"no column {missing[0]}; a terrain needs x_m, y_m and height_m")
-    if unknown := {str(name) for name in table} - {*NODE, *layers}:
-        raise DataError(f"'{min(unknown)}' is no column of a terrain; {one_of(min(unknown), (*NODE, *layers))}")
+    missing, unknown = {*NODE} - {*table}, {str(name) for name in table} - {*NODE, *layers}
+    if missing or unknown:
+        other = (
+            f"'{min(unknown)}' is no column of a terrain; {one_of(min(unknown), (*NODE, *layers))}" if unknown else ""
+        )
+        raise DataError(f"no column {min(missing)}; a terrain needs x_m, y_m and height_m" if missing else other)
     return _grid_of(path, {str(name): numbers_of(str(path), str(name), cells) for name, cells in table.items()})
 
 

@@ -228,12 +228,11 @@ class Computing:
 
     def folder_of(self, stage: str) -> Path:
         """Where blocks are saved; each stage of a computation has a name of its own, in the order they come."""
-        if self.keep is None:
-            raise RequestError("blocks are kept beside a file; give `keep`")
         name = re.sub(r"[^\w-]+", "-", stage)
         self._stages[name] += 1
         number = f"-{self._stages[name]}" if self._stages[name] > 1 else ""
-        return self.keep.with_name(f"{self.keep.name}.partial") / f"{name}{number}"
+        file = self.keep or Path("blocks")
+        return file.with_name(f"{file.name}.partial") / f"{name}{number}"
 
     def notes(self) -> list[str]:
         """How many blocks are saved, one sentence for each folder that has some."""

@@ -306,10 +306,8 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
         belief = SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy)
         _check_likely(belief)
         return belief
-    except KeyError as error:
-        raise ParameterError(f"no {error} in it") from error
-    except (TypeError, ValueError) as error:
-        raise ParameterError(str(error)) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterError(f"no {error} in it" if isinstance(error, KeyError) else str(error)) from error
 
 
 def _check_likely(belief: SoilBelief) -> None:

@@ -271,9 +271,14 @@ def closed_form_forces(
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
     forces = _each_state(z, *motion_ratios(s, beta), wheel.vector(), soil.vector(), shear_sign_code(reading))
+    return WheelForces(*(force.reshape(parts[0].shape) for force in finite(forces)))
+
+
+def finite(forces: FloatArray) -> FloatArray:
+    """The same forces. Raises ParameterError where one is beyond any number."""
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
-    return WheelForces(*(forces[k].reshape(parts[0].shape) for k in range(4)))
+    return forces
 
 
 def motion_ratios(slip_ratio: FloatArray, side_slip_deg: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -3,6 +3,7 @@
 Each state is solved by itself: whether all of them give one soil, and which measured quantity the errors come from.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, ParameterError, check_ranges
+from lunarsci.errors import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, NumberRange, ParameterError, check_ranges
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
 from lunarsci.regolith.prior import SIGNIFICANCE
@@ -24,7 +25,10 @@ CURVES = {
     "cohesion_pa": np.arange(0.0, 5001.0, 200.0),
     "lateral_modulus_mm": np.arange(5.0, 61.0, 2.5),
 }
-MOST_STATES = 100_000
+COUNTS = {
+    "draws": NumberRange(2, math.inf, "2 or more"),
+    "wheel states": NumberRange(1, 100_000, "no more than 100000: every tenth, for example"),
+}
 SENSITIVITY_STATES = 50
 """Of a longer file, evenly over it."""
 POOLED_DRAWS, LEAST_POOLED = 200_000, 8
@@ -216,10 +220,7 @@ def identify(
     ----------
     Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
     """
-    if draws < 2:
-        raise ParameterError(f"{draws} draws; give 2 or more")
-    if len(states) > MOST_STATES:
-        raise ParameterError(f"{len(states)} wheel states are more than {MOST_STATES}; give every tenth, for example")
+    check_ranges("number of", {"draws": draws, "wheel states": len(states)}, COUNTS)
     code = shear_sign_code(reading)
     warn_of_shear_sign(reading)
     given, random = assumptions or Assumptions(), np.random.default_rng(seed)

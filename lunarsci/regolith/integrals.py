@@ -33,6 +33,7 @@ from lunarsci.regolith.forces import (
     WheelForces,
     check_states,
     closed_form_forces,
+    finite,
     motion_ratios,
     signed_share,
     slip_ratio,
@@ -313,6 +314,4 @@ def _forces(
     wheel: Wheel, soil: Soil, z: FloatArray, velocity: FloatArray, model: ContactModel, shape: tuple[int, ...]
 ) -> ContactForces:
     forces = forces_on_soils(z[None], velocity, np.array([soil.vector()]), wheel, model)[0]
-    if not np.isfinite(forces).all():
-        raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
-    return ContactForces(*(force.reshape(shape) for force in forces))
+    return ContactForces(*(force.reshape(shape) for force in finite(forces)))

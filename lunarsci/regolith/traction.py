@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.errors import POSITIVE, ParameterError, check_ranges
 from lunarsci.regolith.forces import LEAST_SINKAGE_M, WheelForces
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.inversion import slip_sinkage
@@ -48,8 +48,7 @@ def sinkage_under_load(
     """
     from scipy.optimize import brentq
 
-    if not load_n > 0:
-        raise ParameterError(f"load is {load_n:g} N; give a load above 0 N")
+    check_ranges("", {"load_n": load_n}, {"load_n": POSITIVE})
 
     def excess(sinkage_m: float) -> float:
         return (
@@ -190,9 +189,7 @@ class Traction(NamedTuple):
 
 
 def traction(loaded: LoadedWheel, curve: Sequence[LoadedState]) -> Traction:
-    """Figures of a loaded wheel from its curve over slip, in order of slip. Raises ParameterError for an empty one."""
-    if not curve:
-        raise ParameterError("no slips; give one or more")
+    """Figures of a loaded wheel from its curve over slip, in order of slip."""
     there = loaded.at(DESIGN_SLIP)
     pull = float(there.forces.drawbar_pull_n)
     good = [(value, state.slip) for state in curve if (value := state.efficiency(loaded.wheel)) is not None]

@@ -236,7 +236,7 @@ def infer_soil(
     states, wheel : what was measured, and with which wheel. States need a slip ratio.
     prior : law of every parameter in `PARAMETERS`; `default_prior()`. Of `CONTACT` too, else `contact_prior()`.
     model : the exact integrals with these choices; None for the closed form.
-    contact : the parameters of `CONTACT` are unknown too; needs a model.
+    contact : the parameters of `CONTACT` are unknown too, by the exact integrals where no model is given.
     model_error : share of the load by which the model misses each force, 0 or more; None finds it, for each of the
         forces, from what the fit leaves over. [-]
     draws : from the posterior, 100 or more.
@@ -260,8 +260,7 @@ def infer_soil(
     if missing := [name for name in PARAMETERS if name not in laws]:
         raise ParameterError(f"no prior for {', '.join(missing)}; give every parameter one")
     check_ranges("", {"model_error": model_error, "draws": draws}, RANGES)
-    if contact and model is None:
-        raise ParameterError("contact angles are unknown to the exact integrals only; give a model")
+    model = ContactModel() if contact and model is None else model
     usable = usable_states(states, wheel)
     best = fit_soil(states, usable, wheel, laws, model, contact, model_error)
     fitted, point = best.fitted, best.point
