@@ -97,6 +97,22 @@ def test_text_whose_last_number_is_like_others_is_whole(rows: str) -> None:
     assert text(InputFile("whole.txt", rows.encode())) == rows
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "why"),
+    [
+        ([0.0, 1.0], [0.0, 1.0, 2.0], "at least 3"),
+        ([[0.0, 1.0, 2.0]], [0.0, 1.0, 2.0], "lists of at least 3"),
+        ([0.0, 1.0, 2.5], [0.0, 1.0, 2.0], "x_m must ascend in even steps"),
+        ([0.0, 1.0, 2.0], [2.0, 1.0, 0.0], "y_m must ascend in even steps"),
+        ([0.0, 1.0, 2.0], [0.0, 2.0, 4.0], "cells must be square: steps are 1 m in x_m and 2 m in y_m"),
+    ],
+)
+def test_nodes_that_are_on_no_square_cells(x: list[float], y: list[float], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        spacing_of(np.array(x), np.array(y))
+    assert spacing_of(np.array([0.0, 0.5, 1.00004]), np.array([3.0, 3.5, 4.0])) == pytest.approx(0.5, rel=1e-4)
+
+
 def test_complex_heights(tmp_path: Path) -> None:
     axis = 0.5 * np.arange(6)
     np.savez(tmp_path / "complex.npz", x_m=axis, y_m=axis, height_m=np.full((6, 6), 1j))
