@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
+from lunarsci.heights.grid import spacing_of
 from lunarsci.heights.grids import read_grid
 from lunarsci.heights.rasters import MOST_NODES
 from lunarsci.images.pictures import read_picture
