@@ -544,17 +544,6 @@ def _kullback_leibler(true: SoilBelief, model: SoilBelief) -> float:
     return 0.5 * (spread + shift - len(PARAMETERS) + ln_det)
 
 
-@dataclass(frozen=True, slots=True)
-class GroundInterval:
-    """One parameter of the ground itself, in its unit: median, and limits at 68 and 95 %."""
-
-    median: float
-    low_68: float
-    high_68: float
-    low_95: float
-    high_95: float
-
-
 def ground_moments(belief: SoilBelief) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the transforms of the ground's own values, each by itself. (8,), (8,)
 
@@ -571,23 +560,17 @@ def ground_moments(belief: SoilBelief) -> tuple[FloatArray, FloatArray]:
     return center + width * left * weight * observed, width * np.sqrt(left)
 
 
-def ground_intervals(belief: SoilBelief) -> dict[str, GroundInterval]:
-    """Median and limits of each parameter of the ground itself, in its unit."""
-    mean, spread = ground_moments(belief)
-    points = np.stack([mean + k * spread for k in (0.0, -1.0, 1.0, -NINETY_FIVE, NINETY_FIVE)])
-    rows = values_of(belief.laws, points)
-    return {name: GroundInterval(*map(float, column)) for name, column in zip(PARAMETERS, rows.T, strict=True)}
-
-
 def parameter_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
     """By parameter: effective median and 68 % interval, posterior over prior standard deviation, and the ground's own.
 
-    Keys `median`, `low`, `high`, `left_of_prior`, and `ground_` with those of `GroundInterval`.
+    Keys `median`, `low`, `high`, `left_of_prior`, and `ground_median` with limits `ground_low_68` and so on.
     """
-    ground = ground_intervals(belief)
+    mean, sd = ground_moments(belief)
+    widths = {"median": 0.0, "low_68": -1.0, "high_68": 1.0, "low_95": -NINETY_FIVE, "high_95": NINETY_FIVE}
+    ends = values_of(belief.laws, np.stack([mean + width * sd for width in widths.values()])).T
     return {
-        name: row | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
-        for name, row in effective_rows(belief.soil).items()
+        name: row | {f"ground_{key}": float(value) for key, value in zip(widths, column, strict=True)}
+        for (name, row), column in zip(effective_rows(belief.soil).items(), ends, strict=True)
     }
 
 

@@ -24,26 +24,6 @@ DENSITY_KG_M3 = 1500.0
 """Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 
 
-def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coefficient: float) -> float:
-    """Equivalent shearing radius of a wheel with grousers, r_s = r + lambda_s h.
-
-    Parameters
-    ----------
-    radius_m : radius r of the wheel shell. [m]
-    grouser_height_m : grouser height h. [m]
-    grouser_shear_coefficient : lambda_s, 0 to 1; 0.5 is typical, 0.65 is used for Yutu-2. [-]
-
-    Returns
-    -------
-    r_s. [m]
-
-    References
-    ----------
-    Eq. 4 of Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
-    """
-    return radius_m + grouser_shear_coefficient * grouser_height_m
-
-
 LARGEST_M = 2.5
 """Radius or width; the largest tyres built are 2.0 m in radius (59/80R63, of mining trucks). Assumed. [m]"""
 RANGES = {
@@ -94,8 +74,8 @@ class Wheel:
 
     @property
     def shearing_radius_m(self) -> float:
-        """r_s of Eq. 4. [m]"""
-        return shearing_radius(self.radius_m, self.grouser_height_m, self.grouser_shear_coefficient)
+        """Equivalent shearing radius r_s = r + lambda_s h of a wheel with grousers (Eq. 4). [m]"""
+        return self.radius_m + self.grouser_shear_coefficient * self.grouser_height_m
 
     def vector(self) -> tuple[float, float, float, float, float, float, float]:
         """(r, b, h, r_s, c1, c2, c3), the order the compiled formulas take. [m, m, m, m, -, -, -]"""

@@ -22,7 +22,7 @@ from lunarsci.regolith.forces import (
 )
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import sinkage_under_load
-from lunarsci.regolith.wheel import SHEAR_SIGNS, Wheel, shearing_radius
+from lunarsci.regolith.wheel import SHEAR_SIGNS, Wheel
 
 WHEEL = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)
 SOIL = Soil(
@@ -219,7 +219,8 @@ def test_travel_ratio_and_slip_ratio_are_inverse(slip: float) -> None:
 
 def test_shearing_radius() -> None:
     """Eq. 4 by hand: 150 + 0.65 x 8 mm."""
-    assert shearing_radius(0.15, 0.008, 0.65) == pytest.approx(0.1552)
+    wheel = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)
+    assert wheel.shearing_radius_m == pytest.approx(0.1552)
 
 
 @pytest.mark.parametrize(
