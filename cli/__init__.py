@@ -226,7 +226,7 @@ def _leave_when_told() -> None:
             pass
         time.sleep(MOMENT_S)
         blocks = sys.modules.get("lunarsci.parallel.blocks")
-        kept = blocks.what_is_kept() if blocks else []
+        kept = blocks.what_is_saved() if blocks else []
         say("; ".join(["interrupted", *(kept or [written()])]))
         os._exit(interrupted(number))
 

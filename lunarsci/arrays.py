@@ -1,4 +1,4 @@
-"""Types of arrays, interpolation in time, and scatter that outliers do not move."""
+"""Types of arrays, rows in blocks, interpolation in time, and scatter that outliers do not move."""
 
 from typing import TypeAlias
 
@@ -11,6 +11,15 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 IndexArray: TypeAlias = npt.NDArray[np.intp]
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
+
+
+def spans(total: int, rows: int) -> list[range]:
+    """Rows 0 to `total` - 1 in blocks of `rows`, the last one shorter.
+
+    >>> spans(5, 2)
+    [range(0, 2), range(2, 4), range(4, 5)]
+    """
+    return [range(first, min(first + rows, total)) for first in range(0, total, rows)]
 
 
 def robust_scatter(values: FloatArray, about: float | None = None) -> float:

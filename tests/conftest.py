@@ -35,7 +35,7 @@ os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to
 
 FIRST = (
     *("test_former_rocks.py", "test_former_drives.py"),
-    *("test_readme.py", "test_help.py", "test_pictures.py", "test_cluster.py", "test_examples.py"),
+    *("test_readme.py", "test_help.py", "test_pictures.py", "test_dask_cluster.py", "test_examples.py"),
     *("test_fuzz.py", "test_atomic.py", "test_calibrate.py", "test_pictures_page.py", "test_faults.py"),
     *("test_laboratory.py", "test_repeatable.py", "test_mixtures.py", "test_coverage.py", "test_measured_wheels.py"),
 )
@@ -45,8 +45,9 @@ no worker is left with one at the end."""
 
 QUICK = {
     "tests": "inputs tables tempering",
-    "regolith": "bearing belief belief_history compare forces identify integrals model_error "
-    "physics_discrepancy wheels",
+    "regolith": "belief compare forces identify integrals inversion physics_discrepancy states",
+    "inference": "problem",
+    "rovers": "rovers",
     "spectra": "continuum noise photometry solar spectrum",
     "mgm": "covariance lanes",
     "abundance": "hapke known_modes",

@@ -25,7 +25,7 @@ PAGES = sorted({ROOT / "README.md", *(ROOT / "docs").rglob("*.md")} - {*(ROOT / 
 ELSEWHERE = {
     "docs/howto/cubes.md": "tests/spectra/cubes/test_map.py",
     "docs/howto/pictures.md": "tests/test_pictures_page.py",
-    "docs/howto/cluster.md": "tests/test_cluster.py",
+    "docs/howto/cluster.md": "tests/parallel/test_dask_cluster.py",
     "docs/howto/public-drives.md": "tests/cli/test_twin_trials.py",
 }
 """Pages whose commands another test runs, on smaller data."""

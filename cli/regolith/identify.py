@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lunarsci.regolith.identify import LABELS, UNITS, Estimate, Identification, Sensitivity
+from lunarsci.regolith.jobs.identify import IdentifiedSoil
+from lunarsci.regolith.jobs.identify import identify as identify_soil
 from lunarsci.regolith.jobs.requests import IdentifyRequest
 
 from ..shared.command import command
@@ -16,9 +19,8 @@ from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, plus_minus
 
 if TYPE_CHECKING:
-    from lunarsci.regolith.identify import Estimate, Identification
+    from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
     from lunarsci.regolith.jobs.identify import IdentifiedSoil
-    from lunarsci.regolith.sensitivity import Sensitivity
 
 ERRORS = "Errors (where the file gives none)"
 SYMBOLS = {
@@ -86,7 +88,6 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     Of each pair (K_s, N), (c, φ), (K_y, φ_y) what is assumed is given and the other is solved for; with both given,
     each is solved at the other's value. `regolith infer` takes all states together.
     """
-    from lunarsci.regolith.jobs.identify import identify as identify_soil
 
     with progress("identifying", quiet=output.quiet) as update:
         found = identify_soil(states, request, progress=update)
@@ -141,7 +142,7 @@ def _share(value: float | None) -> str:
 
 def _observation_tables(found: Identification, title: str) -> list[TextTable]:
 
-    from lunarsci.regolith.identify import UNITS, Estimate
+    from lunarsci.regolith.identify import Estimate
 
     if len(found.observations) > MANY_STATES:
         return []
@@ -152,7 +153,6 @@ def _observation_tables(found: Identification, title: str) -> list[TextTable]:
 
 
 def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
-    from lunarsci.regolith.states_agreement import LABELS
 
     found = result.found
     several = len(found.corners) > 1
@@ -177,8 +177,6 @@ def _site_title(result: IdentifiedSoil) -> str:
 
 
 def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:
-
-    from lunarsci.regolith.identify import UNITS
 
     interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"
     remark = "assumed" if estimate.assumed else estimate.reason

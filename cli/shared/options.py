@@ -303,15 +303,15 @@ def flag_of(name: str) -> str:
 
 
 def _rovers() -> list[str]:
-    from lunarsci.rovers import known_rovers
+    from lunarsci.rovers import rover_names
 
-    return [*known_rovers()]
+    return [*rover_names()]
 
 
 def _soils() -> list[str]:
-    from lunarsci.regolith.soil import known_soils
+    from lunarsci.regolith.soil import soil_tables
 
-    return [*known_soils()]
+    return [*soil_tables()]
 
 
 def _assemblages() -> list[str]:

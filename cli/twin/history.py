@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
+from lunarsci.regolith.belief import BeliefDistance, SoilBelief, parameter_rows
+from lunarsci.regolith.columns import ground_name
+from lunarsci.twin.jobs.history import BeliefHistory
 from lunarsci.twin.jobs.requests import HistoryRequest
 
 from ..shared.command import command
@@ -17,8 +20,7 @@ from ..shared.table import TextTable
 from .belief_tables import discrepancy_table, parameter_table
 
 if TYPE_CHECKING:
-    from lunarsci.regolith.belief import SoilBelief
-    from lunarsci.regolith.belief_history import BeliefDistance
+    from lunarsci.regolith.belief import BeliefDistance, SoilBelief
     from lunarsci.twin.jobs.history import BeliefHistory
 
 OPTIONS = {
@@ -75,8 +77,6 @@ def history(
 
 def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
 
-    from lunarsci.regolith.belief_history import parameter_rows
-
     now = parameter_table(parameter_rows(found.belief), "What is believed now")
     drives = found.drives
     tables = [_drive_table(found.source.name, drives), _moved_table(drives), now, _physics_table(found.belief)]
@@ -89,8 +89,6 @@ def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
-
-    from lunarsci.regolith.written_names import ground_name
 
     headers = [
         "drive",

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lunarsci.regolith.columns import short_name
+from lunarsci.twin.figures.animation import FORMATS, check_format
+from lunarsci.twin.jobs import predict as job
+from lunarsci.twin.jobs.predict import PredictedDrives
 from lunarsci.twin.jobs.requests import PredictRequest
+from lunarsci.twin.judgement.energy import energy_record, power_record
+from lunarsci.twin.judgement.load_check import check_loads, load_notes
+from lunarsci.twin.judgement.safety import Judgement, Verdict, headword
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
@@ -73,8 +80,6 @@ def predict(
     slip, sinkage and forces; the result says how much of the ends' variance that is.
     """
 
-    from lunarsci.twin.jobs import predict as job
-
     if animate is not None:
         _check_film(output, animate)
     with progress("driving", quiet=output.quiet) as update:
@@ -89,8 +94,6 @@ def result_tables(found: PredictedDrives) -> list[TextTable]:
 
 
 def _check_film(output: Output, animate: Path) -> None:
-
-    from lunarsci.twin.figures.animation import FORMATS, check_format
 
     output.check_extra("--animate", animate, FORMATS)
     check_format(animate)
@@ -124,10 +127,6 @@ QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
 
 def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
-
-    from lunarsci.regolith.written_names import short_name
-    from lunarsci.twin.judgement.load_check import check_loads, load_notes
-    from lunarsci.twin.judgement.safety import headword
 
     verdict, prediction = found.verdict, found.prediction
     rows = [_limit_row(limit) for limit in verdict.limits]
@@ -170,8 +169,6 @@ def _limit_row(limit: Judgement) -> list[str]:
 
 def _energy_notes(found: PredictedDrives) -> list[str]:
 
-    from lunarsci.twin.judgement.energy import energy_record
-
     energy = energy_record(found.prediction)
     if energy is None:
         return []
@@ -183,8 +180,6 @@ def _energy_notes(found: PredictedDrives) -> list[str]:
 
 
 def _power_notes(found: PredictedDrives) -> list[str]:
-
-    from lunarsci.twin.judgement.energy import power_record
 
     power = found.prediction.rover.power
     if found.power is None or power is None:

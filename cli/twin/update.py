@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.regolith.belief import parameter_rows
+from lunarsci.regolith.columns import short_name
+from lunarsci.twin.assimilation.segments import Segment
+from lunarsci.twin.assimilation.update import SURPRISING
+from lunarsci.twin.jobs import update as job
 from lunarsci.twin.jobs.requests import UpdateRequest
+from lunarsci.twin.jobs.update import LearnedSoil
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
@@ -108,8 +114,6 @@ def update(
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
 
-    from lunarsci.twin.jobs import update as job
-
     output.check_extra("--save", save, (".json",))
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))
@@ -122,9 +126,6 @@ def update(
 
 def result_tables(found: LearnedSoil) -> list[TextTable]:
 
-    from lunarsci.regolith.belief_history import parameter_rows
-    from lunarsci.regolith.written_names import short_name
-
     known = found.known
     title = f"Soil after {found.states.name}: {known.plan.name}; {short_name(known.rover.name)} on {known.terrain.name}"
     tables = [
@@ -135,8 +136,6 @@ def result_tables(found: LearnedSoil) -> list[TextTable]:
 
 
 def _notes(learned: LearnedSoil) -> list[str]:
-
-    from lunarsci.twin.assimilation.update import SURPRISING
 
     found = learned.found
     notes = [

@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lunarsci.rovers import known_rovers, known_wheels, read_rover
+from lunarsci.rovers import read_rover, rover_names, wheel_names
 from lunarsci.twin.telemetry import reading
 
 PARTS = {
@@ -122,11 +122,11 @@ def rover_text(name: str) -> str:
 def wheels_text() -> str:
     """Wheels that come with lunarsci."""
     rows = []
-    for name in known_wheels():
+    for name in wheel_names():
         wheel = tomllib.loads((files("lunarsci.rovers") / "wheels.toml").read_text("utf-8"))[name]
         numbers = ", ".join(f"`{key}` {entry['value']}" for key, entry in wheel.items())
         rows.append(f"| `{name}` | {numbers} | {_cell(next(iter(wheel.values()))['source'])} |")
-    rovers = ", ".join(f"`{name}`" for name in known_rovers())
+    rovers = ", ".join(f"`{name}`" for name in rover_names())
     return f"Rovers: {rovers}.\n\n| wheel | numbers | source |\n| --- | --- | --- |\n" + "\n".join(rows)
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
-from lunarsci.heights.netcdf import NETCDF, holds_heights
+from lunarsci.heights.grids import NETCDF, holds_heights
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json, text
 from lunarsci.io.tables import separator_of
 from lunarsci.names import some_of
 from lunarsci.result import MadeFrom, Result
-from lunarsci.rovers import known_rovers, read_rover
+from lunarsci.rovers import read_rover, rover_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
@@ -86,7 +86,7 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
 
 def states_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
-    from lunarsci.regolith.written_columns import QUANTITIES, of_name
+    from lunarsci.regolith.columns import QUANTITIES, of_name
 
     found = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
     own = [one.column for one in QUANTITIES if one.column in columns]
@@ -228,14 +228,14 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
 
 def _as_in_template(rover: "RoverDescription") -> dict[str, str]:
     """Numbers that a template had and that nobody replaced, by their table; none where all are."""
-    from lunarsci.rovers import known_rovers, read_rover
+    from lunarsci.rovers import read_rover, rover_names
 
     numbers = {f"{name}.{key}": value for name, table in rover.tables.items() for key, value in table.items()}
     numbers = {key: value for key, value in numbers.items() if _is_numeric(value)}
     asked = dict[str, list[str]]()
     for key, of in rover.left.items():
         table, _, name = key.partition(".")
-        known = read_rover(of).tables.get(table, {}) if of in known_rovers() else {}
+        known = read_rover(of).tables.get(table, {}) if of in rover_names() else {}
         if key in numbers and numbers[key] == known.get(name):
             asked.setdefault(f"[{table}] as of {of}", []).append(name)
     if sum(map(len, asked.values())) == len(numbers):
@@ -578,7 +578,7 @@ def info(path: str | Path) -> FileInfo:
     """
     name = str(path)
     folder = Path(path)
-    if not folder.exists() and name in known_rovers():
+    if not folder.exists() and name in rover_names():
         rover = InputFile(name, read_rover(name).text.encode())
         return FileInfo(file=name, sha256=rover.sha256, kind="rover", contents=CONTENTS["rover"](rover))
     if folder.is_dir():

@@ -97,12 +97,12 @@ def _block(keys: Mapping[str, Any], told: Mapping[str, str], optional: Iterable[
 
 
 def _soil() -> str:
-    from lunarsci.regolith.soil import Soil, known_soils, read_soil
+    from lunarsci.regolith.soil import Soil, read_soil, soil_tables
 
     values = dataclasses.asdict(read_soil("lunar-typical"))
     optional = [field.name for field in dataclasses.fields(Soil) if field.default is not dataclasses.MISSING]
     head = ["# A soil; the numbers are those of `lunar-typical`. Without # are keys that must be given.", ""]
-    source = known_soils()["lunar-typical"]["source"]
+    source = soil_tables()["lunar-typical"]["source"]
     more = {"assumed": ["external_friction_angle_deg"], "source": str(source)}
     told = described(Soil) | {"assumed": "names of the keys that are guesses", "source": "where the numbers come from"}
     return "\n".join([*head, *_block(values, told, optional), *_block(more, told), ""])

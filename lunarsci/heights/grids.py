@@ -1,4 +1,4 @@
-"""Grids of heights as files: NumPy archives, GeoTIFF, ESRI ASCII grids, and tables with a row for each node.
+"""Grids of heights as files: NumPy archives, GeoTIFF, netCDF, ESRI ASCII grids, and tables with a row for each node.
 
 Soil and errors are layers beside the heights, under their own names.
 """
@@ -14,13 +14,22 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
-from lunarsci.heights.netcdf import is_netcdf, read_netcdf
-from lunarsci.heights.no_data import USUALLY
+from lunarsci.heights.grid import ERROR_LAYERS, USUALLY, HeightGrid, far_ends, metres_in, spacing_of
 from lunarsci.heights.projections import NO_RASTERIO
-from lunarsci.heights.rasters import DRIVERS, check_count, read_height_raster
-from lunarsci.heights.texts import AXES, NODE, TEXTS, is_ascii_grid, plain_name, read_ascii, read_nodes, read_table
-from lunarsci.heights.units import metres_in
+from lunarsci.heights.rasters import DRIVERS, check_count, grid_of_raster, read_height_raster
+from lunarsci.heights.texts import (
+    AXES,
+    NODE,
+    TEXTS,
+    are_angles,
+    grid_of_nodes,
+    in_degrees,
+    is_ascii_grid,
+    plain_name,
+    read_ascii,
+    read_nodes,
+    read_table,
+)
 from lunarsci.names import one_of
 from lunarsci.printable import shortened
 
@@ -29,13 +38,9 @@ HIGHEST_M = 2e4
 10.1016/j.icarus.2016.06.006)."""
 STEEPEST_DEG = 45.0
 """Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. Assumed. [deg]"""
-LONE_STEP = 10.0
-"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down. Assumed.
-[spacings]"""
-LARGEST_STEP = 100.0
-"""From a node to a neighbour; walls may be steep, but not so high. Assumed. [spacings]"""
-FILLED = 4
-"""Nodes of one and the same height that may be a fill; assumed."""
+LONE_STEP, LARGEST_STEP, FILLED = 10.0, 100.0, 4
+"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down; to a neighbour,
+as walls may be steep, but not so high [spacings]; nodes of one height that may be a fill. Assumed."""
 _SLOPES_OF = 1_000_000
 """Nodes at most that the median slope is taken of."""
 
@@ -77,66 +82,56 @@ def read_grid(
             grid = read_ascii(*asked, **how)
         elif end in DRIVERS:
             grid = grid_of_raster(read_height_raster(file, asked[1]), **how)
+        elif end not in TEXTS:
+            grid = _read_archive(*asked)
         else:
-            grid = (
-                _read_archive(*asked)
-                if end not in TEXTS
-                else (read_table if end == ".csv" else read_nodes)(*asked, **how)
-            )
-        grid = grid if values else _without_fill(_in_metres(str(path), grid, unit))
-        _check_heights(str(path), grid.height_m)
-        for said in (one for one in grid.read_as if USUALLY in one):
-            warnings.warn(f"{path}: {said}", LunarSciWarning, stacklevel=2)
-        return grid
-    except DataError:
-        raise
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
-    except (TypeError, ValueError, MemoryError) as error:
-        raise DataError(f"{path}: {error}") from error
+            grid = (read_table if end == ".csv" else read_nodes)(*asked, **how)
+        grid = grid if values else _without_fill(_in_metres(grid, unit))
+        _check_heights(grid.height_m)
+    except ImportError as error:
+        raise DataError(f"{path}: needs {error.name}; pip install 'lunarsci[cubes]'") from error
+    except (OSError, TypeError, ValueError, MemoryError) as error:
+        if isinstance(error, DataError) and str(path) in str(error):
+            raise
+        raise DataError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    for note in (one for one in grid.read_as if USUALLY in one):
+        warnings.warn(f"{path}: {note}", LunarSciWarning, stacklevel=2)
+    return grid
 
 
-def _in_metres(path: str, grid: HeightGrid, unit: str | None) -> HeightGrid:
+def _in_metres(grid: HeightGrid, unit: str | None) -> HeightGrid:
     """Heights in m: of the unit that was asked for, or that the file states. Raises DataError."""
     try:
-        stated = metres_in(grid.unit)
+        factor = metres_in(grid.unit if unit is None else unit)
     except ParameterError as error:
-        if unit is None:
-            raise DataError(f"{path}: unit of heights: {error}; say which it is by `height_unit`") from error
-        stated = None
+        raise DataError(f"unit of heights: {error}; say which it is by `height_unit`") from error
     if unit is not None:
-        factor = metres_in(unit)
-        told = f"heights are in {unit}, as asked" + (f"; the file says {grid.unit}" if grid.unit else "")
-    elif stated is None:
-        factor, told = 1.0, "heights are in m, as the file states no unit (--height-unit)"
+        note = f"heights are in {unit}, as asked" + (f"; the file says {grid.unit}" if grid.unit else "")
+    elif factor is None:
+        note = "heights are in m, as the file states no unit (--height-unit)"
     else:
-        factor, told = stated, "" if stated == 1.0 else f"heights are in {grid.unit}, as the file states"
-    return replace(grid, height_m=(factor or 1.0) * grid.height_m, read_as=tuple(filter(None, (told, *grid.read_as))))
+        note = "" if factor == 1.0 else f"heights are in {grid.unit}, as the file states"
+    return replace(grid, height_m=(factor or 1.0) * grid.height_m, read_as=tuple(filter(None, (note, *grid.read_as))))
 
 
 def _without_fill(grid: HeightGrid) -> HeightGrid:
     """A grid without a height that several nodes have, and that no wall leads to: a fill where there are no data."""
-    known = grid.height_m[np.isfinite(grid.height_m)]
-    for value in (float(known.min()), float(known.max())) if known.size else ():
-        others = known[known != value]
-        if min(known.size - others.size, others.size) < FILLED:
-            continue
-        gap = float(np.abs(others - value).min())
-        if gap > max(float(np.ptp(others)), LARGEST_STEP * grid.spacing_m):
-            said = f"{known.size - others.size} nodes of {value:g} m {USUALLY}: {gap:.3g} m from all others"
-            height = np.where(grid.height_m == value, np.nan, grid.height_m)
-            return replace(grid, height_m=height, read_as=(*grid.read_as, said))
+    for end in far_ends(grid.height_m.reshape(1, -1), times=1.0, from_zero=False):
+        others = np.abs(grid.height_m[np.isfinite(grid.height_m) & (grid.height_m != end.value)] - end.value)
+        if min(end.repeats, end.others) >= FILLED and others.min() > LARGEST_STEP * grid.spacing_m:
+            note = f"{end.repeats} nodes of {end.value:g} m {USUALLY}: {others.min():.3g} m from all others"
+            height = np.where(grid.height_m == end.value, np.nan, grid.height_m)
+            return replace(grid, height_m=height, read_as=(*grid.read_as, note))
     return grid
 
 
-def _check_heights(path: str, height_m: FloatArray) -> None:
-    known = height_m[np.isfinite(height_m)]
-    off = np.abs(known - np.median(known)) if known.size else known
+def _check_heights(height_m: FloatArray) -> None:
+    heights = height_m[np.isfinite(height_m)]
+    off = np.abs(heights - np.median(heights)) if heights.size else heights
     if off.size and off.max() > HIGHEST_M:
-        wrong = known[int(off.argmax())]
         raise DataError(
-            f"{path}: a height of {wrong:g} m, {off.max() / 1e3:.0f} km from the median; the whole Moon spans 20 km; "
-            "name the value that stands for no data (NODATA_value, nodata), or give heights in m"
+            f"a height of {heights[int(off.argmax())]:g} m, {off.max() / 1e3:.0f} km from the median; the whole Moon "
+            "spans 20 km; name the value that stands for no data (NODATA_value, nodata), or give heights in m"
         )
 
 
@@ -147,10 +142,10 @@ def check_relief(path: str | Path, height_m: FloatArray, spacing_m: float) -> No
     rows = height_m[:-1:skip]
     along, across = np.diff(rows, axis=1), (height_m[1::skip] - rows)[:, :-1]
     slope = np.degrees(np.arctan(np.hypot(along, across) / spacing_m))
-    known = slope[np.isfinite(slope)]
-    if known.size and np.median(known) > STEEPEST_DEG:
+    slope = slope[np.isfinite(slope)]
+    if slope.size and np.median(slope) > STEEPEST_DEG:
         warnings.warn(
-            f"{path}: a median slope of {np.median(known):.0f} deg at a spacing of {spacing_m:g} m, "
+            f"{path}: a median slope of {np.median(slope):.0f} deg at a spacing of {spacing_m:g} m, "
             "steeper than soil can lie; are heights in another unit?",
             LunarSciWarning,
             stacklevel=3,
@@ -167,33 +162,30 @@ def check_relief(path: str | Path, height_m: FloatArray, spacing_m: float) -> No
 def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
     """How many nodes lie `LONE_STEP` off both neighbours of a row or column, or `LARGEST_STEP` off one. [-]"""
     steep = np.zeros(height_m.shape, dtype=bool)
-    for heights, found in ((height_m, steep), (height_m.T, steep.T)):
+    for heights, marks in ((height_m, steep), (height_m.T, steep.T)):
         step = np.diff(heights, axis=0) / spacing_m
         with np.errstate(invalid="ignore"):
             far, beyond = np.abs(step) > LONE_STEP, np.abs(step) > LARGEST_STEP
-            found[1:-1] |= far[:-1] & far[1:] & (step[:-1] * step[1:] < 0)
-        found[:-1] |= beyond
-        found[1:] |= beyond
+            marks[1:-1] |= far[:-1] & far[1:] & (step[:-1] * step[1:] < 0)
+        marks[:-1] |= beyond
+        marks[1:] |= beyond
     return int(steep.sum())
 
 
 def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
-    known = {"x_m", "y_m", "height_m", "name", "synthetic", "made_for", "crs", *layers}
-    arrays = _load(path, known, unread)
-    for key in ("x_m", "y_m", "height_m"):
-        if key not in arrays:
-            raise DataError(f"{path}: no '{key}'; a terrain needs x_m, y_m and height_m")
+    arrays = _load(path, {*NODE, "name", "synthetic", "made_for", "crs", *layers}, unread)
+    if missing := [key for key in NODE if key not in arrays]:
+        raise DataError(f"no '{missing[0]}'; a terrain needs x_m, y_m and height_m")
     x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in NODE)
     if x.ndim == y.ndim == 2 and x.shape == y.shape and (x == x[:1]).all() and (y == y[:, :1]).all():
         x, y = x[0], y[:, 0]
     if height.shape != (y.size, x.size):
-        raise DataError(f"{path}: height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
-    spacing = spacing_of(x, y)
+        raise DataError(f"height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
     return HeightGrid(
         name=str(arrays.get("name", path.stem)),
         x0_m=float(x[0]),
         y0_m=float(y[0]),
-        spacing_m=spacing,
+        spacing_m=spacing_of(x, y),
         height_m=height,
         layers={key: arrays[key] for key in layers if key in arrays},
         synthetic=bool(arrays.get("synthetic", False)),
@@ -236,28 +228,100 @@ def geotiff_bytes(
     return content
 
 
-def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any]:
+def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]:
     """The arrays of an archive, none of which is unpacked before its name and its size are known to be sound."""
     try:
         archive = np.load(path, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise DataError(f"{path}: a single array, not a NumPy archive; write it with numpy.savez")
+            raise DataError("a single array, not a NumPy archive; write it with numpy.savez")
         with archive:
-            named = {} if {*NODE} & {*archive.files} else {key: AXES.get(plain_name(key), key) for key in archive.files}
-            if len({*named.values()}) < len(named):
-                named = {}
-            if unknown := {named.get(key, key) for key in archive.files} - known - {*unread}:
+            named = {key: AXES.get(plain_name(key), key) for key in archive.files}
+            if {*NODE} & {*archive.files} or len({*named.values()}) < len(named):
+                named = {key: key for key in archive.files}
+            if unknown := {*named.values()} - keys - {*unread}:
                 wrong = shortened(min(unknown))
-                raise DataError(f"{path}: '{wrong}' is not a key of a terrain; {one_of(wrong, sorted(known))}")
+                raise DataError(f"'{wrong}' is not a key of a terrain; {one_of(wrong, sorted(keys))}")
             for entry in archive.zip.infolist() if archive.zip else ():
-                check_count(str(path), entry.file_size // 8)
-            arrays = {named.get(key, key): archive[key] for key in archive.files if named.get(key, key) in known}
-        if wrong := next((key for key, array in arrays.items() if np.iscomplexobj(array)), ""):
-            raise DataError(f"{path}: {wrong} has complex numbers; write real ones")
-        return arrays
-    except DataError:
+                check_count(entry.file_size // 8)
+            arrays = {name: archive[key] for key, name in named.items() if name in keys}
+    except (DataError, OSError):
         raise
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or 'not a NumPy archive; write it with numpy.savez'}") from error
     except Exception as error:  # whatever NumPy raises of a damaged archive: each part of it has its own
-        raise DataError(f"{path}: not a NumPy archive that can be read; write it with numpy.savez") from error
+        raise DataError("not a NumPy archive that can be read; write it with numpy.savez") from error
+    if wrong := next((key for key, array in arrays.items() if np.iscomplexobj(array)), ""):
+        raise DataError(f"{wrong} has complex numbers; write real ones")
+    return arrays
+
+
+NETCDF = (b"CDF", b"\x89HDF")
+"""How files of netCDF 3 and 4 begin."""
+
+
+def is_netcdf(path: Path) -> bool:
+    """Whether a file begins as netCDF does. Raises OSError."""
+    with path.open("rb") as stream:
+        return stream.read(4).startswith(NETCDF)
+
+
+def read_netcdf(path: Path, *, onto: str, values: bool) -> HeightGrid:
+    """The one variable on two coordinates, its scale, offset, unit and marks taken. Raises DataError."""
+    with _opened(path) as data:
+        grids = {str(name): one for name, one in data.data_vars.items() if _axes(one)}
+        heights = [name for name in grids if AXES.get(plain_name(name)) == "height_m"]
+        names = heights if len(heights) == 1 else [*grids]
+        if len(names) != 1:
+            raise DataError(f"variables on x and y are {', '.join(names[:5]) or 'none'}; keep one, named height_m")
+        height = grids[names[0]]
+        axes = _axes(height)
+        check_count(height.size)
+        y, x = (np.asarray(data[axes[name]], dtype=float) for name in ("y_m", "x_m"))
+        numbers = np.asarray(height.transpose(axes["y_m"], axes["x_m"]), dtype=float)
+        units = {name: str(data[axes[name]].attrs.get("units", "")) for name in axes}
+        unit, body = str(height.attrs.get("units", "")), _body_in(data)
+    nodes = {"x_m": np.tile(x, y.size), "y_m": np.repeat(y, x.size), "height_m": numbers.ravel()}
+    note = f"variable {names[0]} on {axes['x_m']} and {axes['y_m']}"
+    if any(one.lower().startswith("degree") for one in units.values()) or are_angles([*axes.values()]):
+        return grid_of_raster(in_degrees(path, nodes, unit, note, body), onto=onto, values=values)
+    for name in axes:
+        nodes[name] = nodes[name] * (metres_in(units[name]) or 1.0)
+    return grid_of_nodes(path, nodes, unit, (note,))
+
+
+def _opened(path: Path) -> Any:
+    import xarray
+
+    with path.open("rb") as stream:
+        engine = "scipy" if stream.read(3) == NETCDF[0] else "h5netcdf"
+    try:
+        return xarray.open_dataset(path, engine=engine)
+    # Whatever xarray and its engines raise of a damaged file: each has its own.
+    except Exception as error:
+        text = f"not a netCDF file that can be read ({' '.join(str(error).split())[:80]}); fetch it again"
+        raise DataError(text) from error
+
+
+def _body_in(data: Any) -> str:
+    """The ellipsoid that a variable of a mapping names (CF conventions, appendix F), in PROJ's words; '' for none."""
+    for one in data.variables.values():
+        axis = one.attrs.get("semi_major_axis", one.attrs.get("earth_radius"))
+        if axis is not None:
+            minor, flat = one.attrs.get("semi_minor_axis"), one.attrs.get("inverse_flattening")
+            shape = f" +b={float(minor)}" if minor is not None else f" +rf={float(flat)}" if flat else ""
+            return f"+a={float(axis)}{shape or f' +b={float(axis)}'}"
+    return ""
+
+
+def _axes(variable: Any) -> dict[str, str]:
+    """The dimensions of x and y of a variable with just these two; none of any other."""
+    named = {AXES.get(plain_name(str(name)), ""): str(name) for name in variable.dims}
+    return named if len(variable.dims) == 2 and {*named} == {"x_m", "y_m"} else {}
+
+
+def holds_heights(path: Path) -> bool:
+    """Whether a netCDF file has a grid of heights and no cube; a damaged one has neither."""
+    try:
+        with _opened(path) as data:
+            every = [*data.data_vars.values()]
+            return any(map(_axes, every)) and all(one.ndim < 3 for one in every)
+    except (DataError, ImportError):
+        return False

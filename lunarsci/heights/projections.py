@@ -115,18 +115,20 @@ def moved(start: Any, end: Any, first: Any, second: Any) -> FloatArray:
     from rasterio.warp import transform
 
     try:
-        found = np.column_stack(transform(CRS.from_user_input(start), CRS.from_user_input(end), x, y)[:2]).astype(float)
+        places = np.column_stack(transform(CRS.from_user_input(start), CRS.from_user_input(end), x, y)[:2]).astype(
+            float
+        )
     except Exception as error:  # whatever GDAL says of a place that is none: its errors have no public class
         raise ParameterError(f"the map's projection has no such place ({error})") from error
-    if not np.isfinite(found).all():
+    if not np.isfinite(places).all():
         raise ParameterError("the map's projection has no such place")
-    return found
+    return places
 
 
 def name_of(wkt: str) -> str:
     """What a well-known text calls its system."""
-    found = re.match(r'\s*\w+\["([^"]*)"', wkt)
-    return found.group(1).strip() if found else "unnamed"
+    match = re.match(r'\s*\w+\["([^"]*)"', wkt)
+    return match.group(1).strip() if match else "unnamed"
 
 
 def carried(crs: str, onto: str, x_m: float, y_m: float, heading_deg: float) -> tuple[float, float, float]:
@@ -174,11 +176,11 @@ def local_projection(wkt: str, x: Any, y: Any) -> MapProjection:
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
     """Equatorial radius and flattening that a well-known text names. [m, -] Raises ParameterError."""
-    found = re.search(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)', wkt)
-    if found is None or not float(found.group(1)) > 0:
+    match = re.search(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)', wkt)
+    if match is None or not float(match.group(1)) > 0:
         raise ParameterError("its coordinate system names no body (SPHEROID)")
-    inverse = float(found.group(2))
-    return float(found.group(1)), 1.0 / inverse if inverse else 0.0
+    inverse = float(match.group(2))
+    return float(match.group(1)), 1.0 / inverse if inverse else 0.0
 
 
 def projection_of(wkt: str, what: str) -> MapProjection:
@@ -194,14 +196,14 @@ def projection_of(wkt: str, what: str) -> MapProjection:
         raise DataError(f"{what}: {error}") from error
 
 
-def known_projection(crs: str) -> MapProjection | None:
+def projection_or_none(crs: str) -> MapProjection | None:
     """The system of a well-known text; None for an empty one, and where rasterio is not installed."""
     return MapProjection(crs) if crs and find_spec("rasterio") is not None else None
 
 
-def told_of(crs: str, x_m: FloatArray, y_m: FloatArray) -> tuple[str, ...]:
+def projection_notes(crs: str, x_m: FloatArray, y_m: FloatArray) -> tuple[str, ...]:
     """The system of a map and where north is in the middle of its columns and rows, for people; nothing without one."""
-    projection = known_projection(crs)
+    projection = projection_or_none(crs)
     if projection is None:
         return ()
     north = projection.north_deg(float(x_m[x_m.size // 2]), float(y_m[y_m.size // 2]))
@@ -210,7 +212,7 @@ def told_of(crs: str, x_m: FloatArray, y_m: FloatArray) -> tuple[str, ...]:
 
 def lonlat_of(crs: str, place_m: Sequence[float]) -> dict[str, float]:
     """`longitude_deg` and `latitude_deg` of a place, for a result; nothing where the map has no coordinate system."""
-    projection = known_projection(crs)
+    projection = projection_or_none(crs)
     if projection is None:
         return {}
     longitude, latitude = projection.lonlat(*place_m)[0]

@@ -16,16 +16,14 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.heights.no_data import without_markers
-from lunarsci.heights.projections import LARGEST_STRETCH, NO_RASTERIO, MapProjection, local_projection, moved, name_of
+from lunarsci.heights.grid import ERROR_LAYERS, EVEN, HeightGrid, without_markers
+from lunarsci.heights.projections import LARGEST_STRETCH, MapProjection, local_projection, moved, name_of
 from lunarsci.io.inputs import unheard
 
 MOST_NODES = 40_000_000
 """More are refused: maps of these take 1.8 GB."""
 MOST_BLOCK_BYTES = 8 * MOST_NODES
 """Of a raster's blocks, each of which is unpacked whole."""
-EVEN = 1e-4
-"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
 DRIVERS = {
     **{".tif": "GTiff", ".tiff": "GTiff", ".lbl": "PDS", ".img": "PDS", ".xml": "PDS4", ".cub": "ISIS3"},
     **{".jp2": "JP2OpenJPEG", ".grd": "GSAG", ".flt": "EHdr", ".bil": "EHdr"},
@@ -58,7 +56,7 @@ class HeightRaster:
     unit : of the heights, as the file states it; empty where it states none.
     synthetic : True for made-up ground.
     beside : files beside this one that were read, such as the numbers of a label.
-    said : which numbers were taken for none.
+    note : which numbers were taken for none.
     """
 
     path: str
@@ -68,7 +66,7 @@ class HeightRaster:
     unit: str = ""
     synthetic: bool = False
     beside: tuple[str, ...] = ()
-    said: str = ""
+    note: str = ""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -95,10 +93,8 @@ class HeightRaster:
             if not (np.isfinite(self.transform).all() and self.transform.determinant):
                 raise ParameterError("its cells have no size; is its transform damaged?")
             crs, why = self._target(onto)
-            if not why:
-                return self, self._stretch_left(crs)
-            there = self._resampled(crs, nearest=nearest)
-            return there, "; ".join(filter(None, (self._told(why, there), there._stretch_left(crs))))
+            there = self._resampled(crs, nearest=nearest) if why else self
+            return there, "; ".join(filter(None, (why and self._how(why, there), there._stretch_left(crs))))
         except (ParameterError, OverflowError) as error:
             raise DataError(f"{self.path}: {error}") from error
 
@@ -139,7 +135,7 @@ class HeightRaster:
             raise ParameterError(f"no one map has all of it: {error}; cut out the part around the drive") from error
         low = there.min(axis=1)
         columns, rows = (1 + math.floor(span / spacing + EVEN) for span in there.max(axis=1) - low)
-        check_count(self.path, columns * rows)
+        check_count(columns * rows)
         if min(columns, rows) < 3:
             raise ParameterError(f"has {columns} x {rows} nodes every {spacing:g} m; give at least 3 x 3")
         transform = from_origin(low[0] - 0.5 * spacing, low[1] + (rows - 0.5) * spacing, spacing, spacing)
@@ -158,7 +154,7 @@ class HeightRaster:
     ) -> dict[str, npt.NDArray[Any]]:
         from scipy.ndimage import map_coordinates
 
-        found = {name: np.full(shape, np.nan) for name in self.bands}
+        bands = {name: np.full(shape, np.nan) for name in self.bands}
         step, turn = max(1, _AT_ONCE // shape[1]), self._turn(crs)
         for first in range(0, shape[0], step):
             last = min(first + step, shape[0])
@@ -169,8 +165,8 @@ class HeightRaster:
             at = np.round(np.array([rows, columns]) - 0.5, 9)
             for name, band in self.bands.items():
                 values = map_coordinates(band, at, order=0 if nearest else 1, cval=np.nan)
-                found[name][first:last] = values.reshape(last - first, -1)
-        return found
+                bands[name][first:last] = values.reshape(last - first, -1)
+        return bands
 
     def _turn(self, crs: str) -> float:
         """What x differs by once round the body, 360 in degrees, where the raster reaches beyond it; else 0."""
@@ -179,7 +175,7 @@ class HeightRaster:
         turn = float(np.abs(again[0] - places[0]).max())
         return turn if turn > abs(self.transform.a) else 0.0
 
-    def _told(self, why: str, there: "HeightRaster") -> str:
+    def _how(self, why: str, there: "HeightRaster") -> str:
         spacing = f"nodes every {there.transform.a:g} m"
         if there.crs == self.crs:
             return f"heights are interpolated to {spacing}: {why}"
@@ -196,24 +192,22 @@ def read_height_raster(path: Path, layers: tuple[str, ...] = ()) -> HeightRaster
 
     GeoTIFF, PDS3 with a label attached or beside it, PDS4 labels, ISIS cubes; needs rasterio. Raises DataError.
     """
-    try:
-        import rasterio
-        from rasterio.errors import RasterioIOError
-    except ImportError as error:
-        raise DataError(f"{path}: {NO_RASTERIO}") from error
+    import rasterio
+    from rasterio.errors import RasterioIOError
+
     driver = _driver_of(path)
     try:
         with unheard(), rasterio.open(_label_of(path), driver=driver) as raster:
-            check_count(str(path), raster.width * raster.height)
+            check_count(raster.width * raster.height)
             check_blocks(raster, str(path))
             beside = _beside(path, raster.files)
             others = enumerate(raster.descriptions[1:], start=2)
             numbers = {HEIGHT: 1} | {str(text): k for k, text in others if text in layers}
-            found = {name: _band(raster, k) for name, k in numbers.items()}
+            read = {name: _band(raster, k) for name, k in numbers.items()}
             return HeightRaster(
                 path=str(path),
-                bands={name: band for name, (band, _) in found.items()},
-                said=found[HEIGHT][1],
+                bands={name: band for name, (band, _) in read.items()},
+                note=read[HEIGHT][1],
                 transform=raster.transform,
                 crs=raster.crs.to_wkt() if raster.crs and (raster.crs.is_geographic or raster.crs.is_projected) else "",
                 unit=_unit(raster),
@@ -221,20 +215,17 @@ def read_height_raster(path: Path, layers: tuple[str, ...] = ()) -> HeightRaster
                 beside=beside,
             )
     except (RasterioIOError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a {KINDS[driver]} that can be read: {error}") from error
+        raise DataError(f"not a {KINDS[driver]} that can be read: {error}") from error
 
 
 def _driver_of(path: Path) -> str:
-    """GDAL's reader of a file, by its begin or its ending. Raises DataError."""
-    try:
-        with path.open("rb") as stream:
-            begin, end = stream.read(4), path.suffix.lower()
-        header = path.with_suffix(".hdr")
-        if DRIVERS[end] in ("PDS", "EHdr") and header.is_file() and header.read_bytes()[:4] == b"ENVI":
-            return "ENVI"
-        return OTHERS.get(begin, DRIVERS[end])
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from error
+    """GDAL's reader of a file, by its begin or its ending. Raises OSError."""
+    with path.open("rb") as stream:
+        begin, end = stream.read(4), path.suffix.lower()
+    header = path.with_suffix(".hdr")
+    if DRIVERS[end] in ("PDS", "EHdr") and header.is_file() and header.read_bytes()[:4] == b"ENVI":
+        return "ENVI"
+    return OTHERS.get(begin, DRIVERS[end])
 
 
 def _label_of(path: Path) -> Path:
@@ -261,12 +252,12 @@ def _unit(raster: Any) -> str:
     return "m" if str(raster.descriptions[0]).endswith("_m") else ""
 
 
-def check_count(path: str, nodes: int) -> None:
+def check_count(nodes: float) -> None:
     """Raise DataError for more nodes than are read."""
     if nodes > MOST_NODES:
         raise DataError(
-            f"{path}: {nodes / 1e6:,.0f} million nodes, and at most {MOST_NODES / 1e6:.0f} million are read; cut out "
-            "the part around the drive, or take wider nodes"
+            f"{nodes / 1e6:,.0f} million nodes, and at most {MOST_NODES / 1e6:.0f} million are read; cut out the part "
+            "around the drive, or take wider nodes"
         )
 
 
@@ -281,7 +272,34 @@ def check_blocks(raster: Any, path: str) -> None:
 
 
 def _band(raster: Any, number: int) -> tuple[FloatArray, str]:
-    """A band in its unit, NaN where it has no data (ny, nx), and which numbers were taken for that unsaid."""
-    values, said = without_markers(raster.read(number, masked=True).astype(float).filled(np.nan))
+    """A band in its unit, NaN where it has no data (ny, nx), and which numbers stood for that unnamed."""
+    values, note = without_markers(raster.read(number, masked=True).astype(float).filled(np.nan))
     scale, offset = raster.scales[number - 1], raster.offsets[number - 1]
-    return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset), said
+    return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset), note
+
+
+def grid_of_raster(read: HeightRaster, *, onto: str, values: bool) -> HeightGrid:
+    """The grid of a raster, on square cells of metres; `values` that are no heights are not interpolated."""
+    raster, done = read.in_metres(onto, nearest=values)
+    bands, across = dict(raster.bands), raster.transform
+    y0 = across.f + 0.5 * across.e
+    if across.e < 0:
+        bands = {name: band[::-1] for name, band in bands.items()}
+        y0 += across.e * (raster.shape[0] - 1)
+    height = bands.pop(HEIGHT)
+    for name in {*bands} - {*ERROR_LAYERS} if raster is not read else ():
+        bands[name] = np.where(np.isnan(height), np.nanmedian(bands[name]), bands[name])
+    return HeightGrid(
+        name=Path(raster.path).stem,
+        x0_m=across.c + 0.5 * across.a,
+        y0_m=y0,
+        spacing_m=float(across.a),
+        height_m=height,
+        layers=bands,
+        synthetic=raster.synthetic,
+        crs=raster.crs,
+        crs_of_file=read.crs,
+        unit=raster.unit,
+        read_as=tuple(filter(None, (raster.note, done))),
+        beside=raster.beside,
+    )

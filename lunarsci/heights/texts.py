@@ -5,6 +5,7 @@ GDAL's reader of such tables wants them sorted, and an extra; pandas reads the n
 
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError
-from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid, grid_of_raster, spacing_of
-from lunarsci.heights.no_data import without_markers
-from lunarsci.heights.projections import NO_RASTERIO
-from lunarsci.heights.rasters import EVEN, HEIGHT, HeightRaster, check_count
-from lunarsci.heights.units import metres_in
+from lunarsci.heights.grid import ERROR_LAYERS, EVEN, HeightGrid, metres_in, spacing_of, without_markers
+from lunarsci.heights.rasters import HEIGHT, HeightRaster, check_count, grid_of_raster
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
@@ -63,37 +61,40 @@ def read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
     if "," in content:
         content = content.replace(",", " " if "." in content else ".")
     lines = content.splitlines()
-    header: dict[str, float] = {}
-    while lines and len(words := lines[0].split()) == 2 and (name := words[0].lower()) in HEADER:
-        if name in header:
-            raise DataError(f"{path}: {name} is there twice; keep the right one")
-        header[name] = float(words[1])
-        lines.pop(0)
-    if not header and node_columns(InputFile(str(path), content.encode()), content):
+    words: list[list[str]] = []
+    while len(words) < len(lines) and len(cells := lines[len(words)].split()) == 2 and cells[0].lower() in HEADER:
+        words.append(cells)
+    if not words and node_columns(InputFile(str(path), content.encode()), content):
         return read_nodes(path, layers, unread, **how)
-    shape = _checked_header(path, header)
-    heights = np.array(" ".join(lines).split(), dtype=np.float64)
+    header = _checked_header([(name.lower(), float(number)) for name, number in words])
+    shape, (dx, dy) = (int(header["nrows"]), int(header["ncols"])), (header["dx"], header["dy"])
+    heights = np.array(" ".join(lines[len(words) :]).split(), dtype=np.float64)
     if heights.size != shape[0] * shape[1]:
-        raise DataError(f"{path}: {heights.size} heights, {shape[0]} rows of {shape[1]} announced; is it cut short?")
+        raise DataError(f"{heights.size} heights, {shape[0]} rows of {shape[1]} announced; is it cut short?")
     heights[heights == header.get("nodata_value", -9999.0)] = np.nan
-    heights, said = without_markers(heights)
+    heights, note = without_markers(heights)
+    height = heights.reshape(shape)
     x0, y0 = (
         header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + 0.5 * header[f"d{axis}"]) for axis in "xy"
     )
-    height, (dx, dy) = heights.reshape(shape), (header["dx"], header["dy"])
     crs, beside = _system_beside(path)
     if crs or not np.isclose(dx, dy, rtol=EVEN):
-        raster = _oblong(path, height, (x0, y0), (dx, dy))
-        return grid_of_raster(replace(raster, said=said, crs=crs, beside=beside), **how)
+        from rasterio.transform import from_origin
+
+        west_north = from_origin(x0 - 0.5 * dx, y0 + (shape[0] - 0.5) * dy, dx, dy)
+        raster = HeightRaster(
+            path=str(path), bands={HEIGHT: height}, transform=west_north, note=note, crs=crs, beside=beside
+        )
+        return grid_of_raster(raster, **how)
     return HeightGrid(
-        name=path.stem, x0_m=x0, y0_m=y0, spacing_m=dx, height_m=height[::-1], unit="", read_as=(said,) if said else ()
+        name=path.stem, x0_m=x0, y0_m=y0, spacing_m=dx, height_m=height[::-1], unit="", read_as=(note,) if note else ()
     )
 
 
 def _system_beside(path: Path) -> tuple[str, tuple[str, ...]]:
     """The coordinate system of a `.prj` beside a grid, and that file; nothing where there is none.
 
-    Raises DataError for one in degrees where rasterio is not installed, and for text that is no system.
+    Raises ImportError for one in degrees where rasterio is not installed, DataError for text that is no system.
     """
     beside = path.with_suffix(".prj")
     if not beside.is_file():
@@ -102,71 +103,64 @@ def _system_beside(path: Path) -> tuple[str, tuple[str, ...]]:
     try:
         from rasterio.crs import CRS
         from rasterio.errors import CRSError
-    except ImportError as error:
+    except ImportError:
         if content.lstrip().upper().startswith("PROJCS"):
             return "", ()
-        raise DataError(f"{path}: {beside.name} says degrees; {NO_RASTERIO}") from error
+        raise
     try:
         return CRS.from_user_input(content).to_wkt(), (str(beside),)
     except CRSError as error:
         raise DataError(f"{beside}: not a coordinate system: {error}; correct it or take it away") from error
 
 
-def _oblong(path: Path, height: FloatArray, first: tuple[float, float], sides: tuple[float, float]) -> HeightRaster:
-    """Heights on cells that are not square, the northern row first; `first` is the centre of the south-western one."""
-    try:
-        from rasterio.transform import from_origin
-    except ImportError as error:
-        raise DataError(f"{path}: cells of {sides[0]:g} x {sides[1]:g} m; {NO_RASTERIO}") from error
-    west, north = first[0] - 0.5 * sides[0], first[1] + (len(height) - 0.5) * sides[1]
-    return HeightRaster(path=str(path), bands={HEIGHT: height}, transform=from_origin(west, north, *sides))
+def _checked_header(stated: Sequence[tuple[str, float]]) -> dict[str, float]:
+    """The header of an ESRI ASCII grid, when nothing in it contradicts itself; `cellsize` is in it as `dx` and `dy`.
 
-
-def _checked_header(path: Path, header: dict[str, float]) -> tuple[int, int]:
-    """Rows and columns that the header of an ESRI ASCII grid announces, when nothing in it contradicts itself.
-
-    `cellsize` is in it as `dx` and `dy`, too, afterwards.
+    Raises DataError.
     """
-    if "cellsize" in header and {"dx", "dy"} & {*header}:
-        raise DataError(f"{path}: cellsize and dx, dy; keep what is right")
-    header |= {name: header["cellsize"] for name in ("dx", "dy") if "cellsize" in header}
-    for name in ("ncols", "nrows", "dx", "dy"):
-        if name not in header:
-            raise DataError(
-                f"{path}: no {'cellsize' if name == 'dx' else name}; an ESRI ASCII grid begins with ncols, nrows, "
-                "xllcorner, yllcorner, cellsize (or dx, dy)"
-            )
-    if not all(header[name] >= 1 and header[name].is_integer() for name in ("ncols", "nrows")):
-        raise DataError(f"{path}: ncols {header['ncols']:g}, nrows {header['nrows']:g}; give counts of 1 or more")
-    if wrong := [header[name] for name in ("dx", "dy") if not 0 < header[name] < math.inf]:
-        raise DataError(f"{path}: a cellsize of {wrong[0]:g}; give the side of a cell in m")
-    given = {name for name in header if name[1:3] == "ll"}
-    if given - {"xllcorner", "yllcorner"} and given - {"xllcenter", "yllcenter"}:
-        raise DataError(f"{path}: {' and '.join(sorted(given))}; name the corner of the first cell, or its centre")
-    check_count(str(path), int(header["nrows"] * header["ncols"]))
-    return int(header["nrows"]), int(header["ncols"])
+    counted, header = Counter(name for name, _ in stated), dict(stated)
+    sides = {name: header.get(name, header.get("cellsize", math.nan)) for name in ("dx", "dy")}
+    counts = [header.get(name, math.nan) for name in ("ncols", "nrows")]
+    missing = [name for name, value in zip(("ncols", "nrows"), counts, strict=True) if name not in header]
+    missing += ["cellsize" if name == "dx" else name for name in sides if not {name, "cellsize"} & {*header}]
+    corner = {name for name in header if name[1:3] == "ll"}
+    mixed = corner - {"xllcorner", "yllcorner"} and corner - {"xllcenter", "yllcenter"}
+    twice, wrong = [name for name in counted if counted[name] > 1], [v for v in sides.values() if not 0 < v < math.inf]
+    faults = {
+        f"{', '.join(twice)} is there twice; keep the right one": twice,
+        "cellsize and dx, dy; keep what is right": "cellsize" in header and {"dx", "dy"} & {*header},
+        f"no {', '.join(missing)}; an ESRI ASCII grid begins with ncols, nrows, xllcorner, yllcorner, cellsize (or dx, "
+        "dy)": missing,
+        f"ncols {counts[0]:g}, nrows {counts[1]:g}; give counts of 1 or more":
+            not all(count >= 1 and count.is_integer() for count in counts),
+        f"a cellsize of {', '.join(f'{value:g}' for value in wrong)}; give the side of a cell in m": wrong,
+        f"{' and '.join(sorted(corner))}; name the corner of the first cell, or its centre": mixed,
+    }  # fmt: skip
+    if fault := next((text for text, applies in faults.items() if applies), ""):
+        raise DataError(fault)
+    check_count(counts[0] * counts[1])
+    return header | sides
 
 
 def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
     """A table of nodes with the columns `x_m`, `y_m` and `height_m`, or others that mean these. Raises DataError."""
     table = read_csv_table(path)
     named = {str(name): AXES.get(plain_name(name), str(name)) for name in table}
-    if not {*NODE} <= {*named} and ({*named.values()} >= {*NODE} or read_as_nodes(path)):
+    if not {*NODE} <= {*named} and ({*named.values()} >= {*NODE} or _node_table(path)):
         return read_nodes(path, layers, unread, **how)
     table = table[[name for name in table if name in layers or name not in unread]]
-    known = (*NODE, *layers)
-    for name in NODE:
-        if name not in table:
-            raise DataError(f"{path}: no column {name}; a terrain needs x_m, y_m and height_m")
-    if unknown := {str(name) for name in table} - set(known):
-        raise DataError(f"{path}: '{min(unknown)}' is no column of a terrain; {one_of(min(unknown), known)}")
+    missing, unknown = {*NODE} - {*table}, {str(name) for name in table} - {*NODE, *layers}
+    if missing or unknown:
+        other = (
+            f"'{min(unknown)}' is no column of a terrain; {one_of(min(unknown), (*NODE, *layers))}" if unknown else ""
+        )
+        raise DataError(f"no column {min(missing)}; a terrain needs x_m, y_m and height_m" if missing else other)
     return _grid_of(path, {str(name): numbers_of(str(path), str(name), cells) for name, cells in table.items()})
 
 
-def read_as_nodes(path: Path) -> bool:
-    """Whether a text has a row for each node, by names or places."""
+def _node_table(path: Path) -> tuple[list[str], FloatArray] | None:
     content = text(read_input(path))
-    return node_columns(InputFile(str(path), content.encode()), content) is not None
+    return node_columns(InputFile(str(path), content.encode()), content)
 
 
 def read_nodes(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **how: Any) -> HeightGrid:
@@ -174,26 +168,25 @@ def read_nodes(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
 
     Longitude and latitude are of the Moon, and projected as those of a raster.
     """
-    content = text(read_input(path))
-    found = node_columns(InputFile(str(path), content.encode()), content)
-    if found is None:
-        raise DataError(f"{path}: no table of x, y and height; name three columns x_m, y_m and height_m")
-    names, values = found
+    table = _node_table(path)
+    if table is None:
+        raise DataError("no table of x, y and height; name three columns x_m, y_m and height_m")
+    names, values = table
     units = [_unit_in(name) for name in names]
     nodes = dict(zip(NODE, values, strict=True))
-    said = f"columns {', '.join(names)} as x, y and height"
+    note = f"columns {', '.join(names)} as x, y and height"
     if are_angles(names[:2]):
-        return grid_of_raster(in_degrees(path, nodes, units[2], said), **how)
+        return grid_of_raster(in_degrees(path, nodes, units[2], note), **how)
     for name, unit in zip(NODE[:2], units, strict=False):
         nodes[name] = nodes[name] * (metres_in(unit) or 1.0)
-    return grid_of_nodes(path, nodes, units[2], (said,))
+    return grid_of_nodes(path, nodes, units[2], (note,))
 
 
-def grid_of_nodes(path: Path, nodes: dict[str, FloatArray], unit: str, said: tuple[str, ...]) -> HeightGrid:
+def grid_of_nodes(path: Path, nodes: dict[str, FloatArray], unit: str, notes: tuple[str, ...]) -> HeightGrid:
     """Heights in a unit on their grid, without those that stand for none."""
     height, lost = without_markers(nodes["height_m"])
     grid = _grid_of(path, {**nodes, "height_m": height})
-    return replace(grid, unit=unit, read_as=(*said, lost) if lost else said)
+    return replace(grid, unit=unit, read_as=(*notes, lost) if lost else notes)
 
 
 def are_angles(names: Sequence[str]) -> bool:
@@ -201,34 +194,39 @@ def are_angles(names: Sequence[str]) -> bool:
     return any(plain_name(name).startswith(("lon", "lat")) for name in names)
 
 
-def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, said: str, body: str = "") -> HeightRaster:
+def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, note: str, body: str = "") -> HeightRaster:
     """Heights at longitudes and latitudes of the Moon, or of a `body` as PROJ says it: a raster. Raises DataError."""
-    try:
-        from rasterio.crs import CRS
-        from rasterio.transform import from_origin
-    except ImportError as error:
-        raise DataError(f"{path}: places are in degrees; {NO_RASTERIO}") from error
+    from rasterio.crs import CRS
+    from rasterio.transform import from_origin
+
     lon, lat = nodes["x_m"], nodes["y_m"]
-    if np.abs(lon).max() > 360.0 or np.abs(lat).max() > 90.0:
-        raise DataError(f"{path}: longitude or latitude beyond a circle; name columns in m x_m and y_m")
     height, lost = without_markers(nodes["height_m"])
     across, up = (_axis(axis) for axis in (lon, lat))
     sides = [float(np.ptp(axis)) / max(axis.size - 1, 1) for axis in (across, up)]
-    if min(across.size, up.size) < 3 or not min(sides) > 0:
-        raise DataError(f"{path}: {across.size} longitudes and {up.size} latitudes; give at least 3 of each")
-    for name, axis, side in (("longitudes", across, sides[0]), ("latitudes", up, sides[1])):
-        if np.abs(np.diff(axis) - side).max() > EVEN * side:
-            raise DataError(f"{path}: {name} are not in even steps; interpolate the heights to even ones")
-    check_count(str(path), across.size * up.size)
-    found = np.full((up.size, across.size), np.nan)
-    found[np.rint((up[-1] - lat) / sides[1]).astype(int), np.rint((lon - across[0]) / sides[0]).astype(int)] = height
+    uneven = [
+        np.abs(np.diff(axis) - side).max(initial=0.0) > EVEN * side
+        for axis, side in zip((across, up), sides, strict=True)
+    ]
+    faults = {
+        "longitude or latitude beyond a circle; name columns in m x_m and y_m":
+            np.abs(lon).max() > 360.0 or np.abs(lat).max() > 90.0,
+        f"{across.size} longitudes and {up.size} latitudes; give at least 3 of each":
+            min(across.size, up.size) < 3 or not min(sides) > 0,
+        f"{'longitudes' if uneven[0] else 'latitudes'} are not in even steps; interpolate the heights to even ones":
+            any(uneven),
+    }  # fmt: skip
+    if fault := next((text for text, applies in faults.items() if applies), ""):
+        raise DataError(fault)
+    check_count(across.size * up.size)
+    heights = np.full((up.size, across.size), np.nan)
+    heights[np.rint((up[-1] - lat) / sides[1]).astype(int), np.rint((lon - across[0]) / sides[0]).astype(int)] = height
     transform = from_origin(across[0] - 0.5 * sides[0], up[-1] + 0.5 * sides[1], *sides)
-    told = f"{said}, in degrees on " + (body or "the sphere of the Moon; a GeoTIFF names another body")
+    where = f"{note}, in degrees on " + (body or "the sphere of the Moon; a GeoTIFF names another body")
     crs = CRS.from_user_input(f"+proj=longlat {body or f'+R={1e3 * MOON_RADIUS_KM:.0f}'} +no_defs").to_wkt()
     crs = crs if body else crs.replace("unknown", "Moon", 1)
     return HeightRaster(
-        path=str(path), bands={HEIGHT: found}, transform=transform, crs=crs, unit=unit,
-        said="; ".join(filter(None, (told, lost))),
+        path=str(path), bands={HEIGHT: heights}, transform=transform, crs=crs, unit=unit,
+        note="; ".join(filter(None, (where, lost))),
     )  # fmt: skip
 
 
@@ -333,8 +331,6 @@ def _unit_in(name: str) -> str:
 
 def _grid_of(path: Path, values: dict[str, FloatArray]) -> HeightGrid:
     """Nodes on their grid; those that are not there are holes."""
-    import pandas as pd
-
     blank = np.isnan(values["x_m"]) | np.isnan(values["y_m"])
     if blank.any():
         raise DataError(
@@ -342,18 +338,18 @@ def _grid_of(path: Path, values: dict[str, FloatArray]) -> HeightGrid:
         )
     x, y = (_axis(values[name]) for name in ("x_m", "y_m"))
     spacing = spacing_of(x, y)
-    check_count(str(path), x.size * y.size)
+    check_count(x.size * y.size)
     column, row = (np.rint((values[name] - axis[0]) / spacing).astype(int) for name, axis in (("x_m", x), ("y_m", y)))
-    if pd.DataFrame({"row": row, "column": column}).duplicated().any():
-        raise DataError(f"{path}: a node has two rows; keep one of each x_m, y_m")
-    found = {}
+    if len(np.unique(row * x.size + column)) < len(row):
+        raise DataError("a node has two rows; keep one of each x_m, y_m")
+    layers = {}
     for name in (name for name in values if name not in NODE[:2]):
         empty = np.nan if name in ("height_m", *ERROR_LAYERS) else np.nanmedian(values[name])
-        found[name] = np.full((y.size, x.size), empty)
-        found[name][row, column] = values[name]
-    height = found.pop("height_m")
+        layers[name] = np.full((y.size, x.size), empty)
+        layers[name][row, column] = values[name]
+    height = layers.pop("height_m")
     return HeightGrid(
-        name=path.stem, x0_m=float(x[0]), y0_m=float(y[0]), spacing_m=spacing, height_m=height, layers=found
+        name=path.stem, x0_m=float(x[0]), y0_m=float(y[0]), spacing_m=spacing, height_m=height, layers=layers
     )
 
 

@@ -19,8 +19,7 @@ import orjson
 import pyarrow as pa
 from pyarrow import csv
 
-from lunarsci.arrays import BoolArray, IntArray
-from lunarsci.parallel.checkpoint import spans
+from lunarsci.arrays import BoolArray, IntArray, spans
 from lunarsci.printable import cell, printable
 from lunarsci.provenance import JSON, plain
 

@@ -1,1 +1,1 @@
-"""Work in blocks: by threads, by processes, on a dask scheduler, kept until all is done."""
+"""Work in blocks: in threads or on a dask scheduler, saved until all is done."""

@@ -1,4 +1,4 @@
-"""Long computations in blocks of rows: here in threads or on a cluster, and kept on disk as they are done.
+"""Long computations in blocks of rows: here in threads or on a cluster, and saved on disk as they are done.
 
 Rows are spectra, lines of a cube, or members of an ensemble. What a block gives must depend on its rows alone; then the
 results are the same however many workers there are, wherever they are, and however often the computation was stopped.
@@ -6,33 +6,38 @@ results are the same however many workers there are, wherever they are, and howe
 Where blocks are computed is said once, around whatever computes::
 
     with lunarsci.computing(scheduler="tcp://10.0.0.1:8786"):
-        found = lunarsci.predict("plan.toml", members=4096)
+        drives = lunarsci.predict("plan.toml", members=4096)
 """
 
 import contextlib
+import json
 import os
 import re
+import shutil
+import zipfile
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
+from lunarsci.arrays import spans
 from lunarsci.compiled import threads
-from lunarsci.errors import RequestError
-from lunarsci.parallel.checkpoint import Arrays, KeptBlocks, spans
-from lunarsci.parallel.dask_cluster import connect, on_cluster
+from lunarsci.errors import OutputError, RequestError, TakenError
+from lunarsci.parallel.dask_cluster import build, connect, on_cluster
 
+Arrays: TypeAlias = "Mapping[str, np.ndarray[Any, Any]]"
 Progress: TypeAlias = Callable[[int, int], None]
 
 BLOCKS_EACH = 4
 """Blocks for each thread of a cluster: so few are light to send, so many end together, and a dead worker loses one."""
-LEAST_KEPT = 16
-"""Rows of a block that is kept; fewer are computed as soon as written. Assumed."""
+LEAST_SAVED = 16
+"""Rows of a block that is saved; fewer are computed as soon as written. Assumed."""
+HEADER = "header.json"
 UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _SIZE = re.compile(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?)?b?\s*", re.IGNORECASE)
 
@@ -43,10 +48,140 @@ def bytes_of(text: str) -> int:
     >>> bytes_of("1.5GB"), bytes_of("2KiB")
     (1500000000, 2048)
     """
-    found = _SIZE.fullmatch(text)
-    if not found or (count := float(found[1]) * UNITS[(found[2] or "").lower()]) < 1:
+    size = _SIZE.fullmatch(text)
+    if not size or (count := float(size[1]) * UNITS[(size[2] or "").lower()]) < 1:
         raise RequestError(f"`memory` '{text}': give a number of bytes such as 1.5GB or 800MB")
     return int(count)
+
+
+class SavedBlocks:
+    """Done blocks in a folder, each a file with a checksum that has its name once it is safely on the disk.
+
+    Attributes
+    ----------
+    blocks : all of them, as they were when the folder was made.
+    done : first rows of those that are here.
+    """
+
+    def __init__(self, folder: Path, about: Mapping[str, str], total: int, rows: int, *, force: bool = False) -> None:
+        self.folder, self.done = folder, set[int]()
+        header: dict[str, Any] = {"about": {**about, "lunarsci": build()[0]}, "total": total, "rows": rows}
+        with self._disk():
+            folder.mkdir(parents=True, exist_ok=True)
+            self._header: IO[bytes] = (folder / HEADER).open("a+b")
+            self._lock()
+            saved = self._saved_header()
+            if saved and (other := _difference(saved, header)) and not force:
+                self._header.close()
+                raise TakenError(f"{folder.parent}: holds blocks of another computation ({other}); finish that, "
+                                 "delete the folder, or add `force` to begin anew")  # fmt: skip
+            if not saved or other:
+                saved = header
+                for file in folder.glob("*.npz*"):
+                    file.unlink()
+                self._header.truncate(0)
+                self._header.write(json.dumps(header).encode())
+                self._sync(self._header)
+            self.blocks = spans(total, saved["rows"])
+            self.done |= {block.start for block in self.blocks if _is_whole(self._file(block))}
+
+    @property
+    def note(self) -> str:
+        """How much is here, and how to go on."""
+        return (
+            f"{len(self.done)} of {len(self.blocks)} blocks are kept in {self.folder.parent}; the same command goes on"
+        )
+
+    def save(self, block: range, arrays: Arrays) -> None:
+        """Save what a block gave: when this returns, a power cut does not lose it. Raises OutputError."""
+        if wrong := [name for name, values in arrays.items() if np.asarray(values).dtype.hasobject]:
+            raise TypeError(f"arrays of Python objects are not saved: {', '.join(wrong)}")
+        part = self._file(block).with_suffix(".npz.part")
+        with self._disk():
+            with part.open("wb") as file:
+                np.savez(file, **dict(arrays))  # type: ignore[arg-type]
+                self._sync(file)
+            part.replace(self._file(block))
+            self._sync_folder()
+        self.done.add(block.start)
+
+    def load(self, block: range) -> Arrays:
+        """What a block gave. Raises OutputError where its file has changed since."""
+        try:
+            with self._disk(), np.load(self._file(block), allow_pickle=False) as arrays:
+                return {name: arrays[name] for name in arrays.files}
+        except (ValueError, zipfile.BadZipFile) as error:
+            raise OutputError(f"{self._file(block)}: was changed; give the same command again") from error
+
+    def close(self, *, remove: bool) -> None:
+        """Let others at it, or take it away. What cannot be taken away does no harm."""
+        if remove:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                self.folder.parent.rmdir()
+        self._header.close()
+
+    @contextlib.contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Errors of the disk as OutputError."""
+        try:
+            yield
+        except OutputError:
+            raise
+        except OSError as error:
+            raise OutputError(
+                f"{self.folder.parent}: {error.strerror or error}; make it writable or make room"
+            ) from error
+
+    def _lock(self) -> None:
+        with contextlib.suppress(ImportError):
+            import fcntl
+
+            try:
+                fcntl.flock(self._header, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                self._header.close()
+                raise OutputError(
+                    f"{self.folder.parent}: another command is at it; wait, or give another name"
+                ) from None
+
+    def _saved_header(self) -> dict[str, Any]:
+        """Of the computation that the folder was made for; nothing where it was not written in full."""
+        self._header.seek(0)
+        try:
+            return dict(json.loads(self._header.read()))
+        except ValueError:
+            return {}
+
+    def _file(self, block: range) -> Path:
+        return self.folder / f"{block.start:012d}.npz"
+
+    def _sync(self, file: IO[bytes]) -> None:
+        file.flush()
+        os.fsync(file.fileno())
+
+    def _sync_folder(self) -> None:
+        with contextlib.suppress(OSError):  # a file system that does not do this for folders
+            handle = os.open(self.folder, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+
+
+def _is_whole(file: Path) -> bool:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return archive.testzip() is None
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def _difference(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """What two computations differ in; rows of a block do not count."""
+    before, now = ({**header["about"], "rows": header["total"]} for header in (saved, wanted))
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    return "; ".join(f"{name}: {before.get(name, '-')}, not {now.get(name, '-')}" for name in names)[:300]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -58,9 +193,9 @@ class Computing:
     scheduler : address of a dask scheduler, or the JSON file that it wrote; None for threads of this process.
     workers : threads of this process; None for one a core.
     memory : bytes that this process may take, such as `1.5GB`; None leaves the size of blocks to each computation.
-    keep : the file that is being made: done blocks are kept in a folder beside it until it is there.
-    force : whether blocks kept for another computation may be thrown away.
-    told : is called with a line that says that it goes on after blocks that an earlier run kept.
+    keep : the file that is being made: done blocks are saved in a folder beside it until it is there.
+    force : whether blocks of another computation may be thrown away.
+    told : is called with a line that says that it goes on after blocks of an earlier run.
     """
 
     scheduler: str | None = None
@@ -70,7 +205,7 @@ class Computing:
     force: bool = False
     told: Callable[[str], None] | None = None
     _client: Any = field(default=None, init=False, repr=False)
-    _kept: list[KeptBlocks] = field(default_factory=list, init=False, repr=False)
+    _saved: list[SavedBlocks] = field(default_factory=list, init=False, repr=False)
     _stages: Counter[str] = field(default_factory=Counter, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -88,30 +223,27 @@ class Computing:
 
     def client(self) -> Any:
         """The connection to the scheduler, made when it is first needed."""
-        if self._client is None:
-            self._client = connect(str(self.scheduler))
+        self._client = self._client or connect(str(self.scheduler))
         return self._client
 
     def folder_of(self, stage: str) -> Path:
-        """Where blocks are kept; each stage of a computation has a name of its own, in the order they come."""
-        if self.keep is None:
-            raise RequestError("blocks are kept beside a file; give `keep`")
+        """Where blocks are saved; each stage of a computation has a name of its own, in the order they come."""
         name = re.sub(r"[^\w-]+", "-", stage)
         self._stages[name] += 1
         number = f"-{self._stages[name]}" if self._stages[name] > 1 else ""
-        return self.keep.with_name(f"{self.keep.name}.partial") / f"{name}{number}"
+        file = self.keep or Path("blocks")
+        return file.with_name(f"{file.name}.partial") / f"{name}{number}"
 
-    @property
-    def said(self) -> list[str]:
-        """How many blocks are kept, one sentence for each folder that has some."""
-        return [kept.said for kept in self._kept if kept.done]
+    def notes(self) -> list[str]:
+        """How many blocks are saved, one sentence for each folder that has some."""
+        return [saved.note for saved in self._saved if saved.done]
 
     def close(self, *, done: bool) -> None:
         """Leave the scheduler, and the folders of done blocks, which are of no more use if all is `done`."""
         if self._client is not None:
             self._client.close()
-        for kept in self._kept:
-            kept.close(remove=done)
+        for saved in self._saved:
+            saved.close(remove=done)
 
 
 _HERE: ContextVar[Computing | None] = ContextVar("computing", default=None)
@@ -131,7 +263,7 @@ def computing(
 ) -> Iterator[Computing]:
     """Say where blocks of rows are computed within; the parameters are those of `Computing`.
 
-    An error tells, in a note, what was kept. Raises RequestError.
+    An error tells, in a note, what was saved. Raises RequestError.
     """
     file = None if keep is None else Path(keep)
     here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force, told=told)
@@ -142,7 +274,7 @@ def computing(
         yield here
         done = True
     except BaseException as error:
-        for text in here.said:
+        for text in here.notes():
             error.add_note(text)
         raise
     finally:
@@ -151,9 +283,9 @@ def computing(
         here.close(done=done)
 
 
-def what_is_kept() -> list[str]:
-    """How many blocks of whatever this process computes are kept, one sentence a folder; of use as it ends."""
-    return [text for here in list(_UNDER_WAY) for text in here.said]
+def what_is_saved() -> list[str]:
+    """How many blocks of whatever this process computes are saved, one sentence a folder; of use as it ends."""
+    return [text for here in list(_UNDER_WAY) for text in here.notes()]
 
 
 def rows_in_memory(bytes_a_row: float, most: int) -> int:
@@ -172,15 +304,15 @@ def rows_in_memory(bytes_a_row: float, most: int) -> int:
     return min(rows, most)
 
 
-def kept_rows(total: int, most: int) -> int:
-    """Rows of a block of `total` rows, at most `most`: where done blocks are kept, so few that a stop loses little.
+def saved_rows(total: int, most: int) -> int:
+    """Rows of a block of `total` rows, at most `most`: where done blocks are saved, so few that a stop loses little.
 
     Each thread then has several blocks, so that all cores are busy as they are without.
     """
     here = _HERE.get()
     if here is None or here.keep is None or here.scheduler is not None:
         return most
-    return min(most, max(LEAST_KEPT, -(-total // (BLOCKS_EACH * here.threads))))
+    return min(most, max(LEAST_SAVED, -(-total // (BLOCKS_EACH * here.threads))))
 
 
 def shared_out(total: int, least: int) -> int:
@@ -230,30 +362,22 @@ def run_blocks(
     total = done + sum(map(len, blocks))
     if progress is not None:
         progress(done, total)
-    for block, result in _found(here, work, blocks, fetch or _itself):
+    fetch = fetch or (lambda block: block)
+    if here.scheduler is None or not blocks:
+        results = _in_threads(here, work, blocks, fetch)
+    else:
+        results = on_cluster(here.client(), here.scheduler, work, blocks, fetch)
+    for block, result in results:
         done += len(block)
         if progress is not None:
             progress(done, total)
         yield block, result
 
 
-def _found(
-    here: Computing, work: Callable[[Any], Any], blocks: Sequence[range], fetch: Callable[[range], Any]
-) -> Iterator[tuple[range, Any]]:
-    if here.scheduler is None or not blocks:
-        return _in_threads(here, work, blocks, fetch)
-
-    return on_cluster(here.client(), here.scheduler, work, blocks, fetch)
-
-
-def _itself(block: range) -> range:
-    return block
-
-
 def _in_threads(
     here: Computing, work: Callable[[Any], Any], blocks: Sequence[range], fetch: Callable[[range], Any]
 ) -> Iterator[tuple[range, Any]]:
-    if len(blocks) == 1:  # whatever threads it has of its own are free
+    if len(blocks) == 1:  # its own threads are free
         yield blocks[0], work(fetch(blocks[0]))
         return
     pool = ThreadPoolExecutor(here.threads, initializer=_compute_alone)
@@ -289,7 +413,7 @@ def blocks_in_order(
     fetch: Callable[[range], Any] | None = None,
     progress: Progress | None = None,
 ) -> Iterator[tuple[range, Arrays]]:
-    """The same for rows 0 to `total` - 1, in their order; done blocks are kept where `computing` says so.
+    """The same for rows 0 to `total` - 1, in their order; done blocks are saved where `computing` says so.
 
     Parameters
     ----------
@@ -297,23 +421,23 @@ def blocks_in_order(
     rows : of a block; a computation that goes on has the blocks that it began with.
     stage : what is computed, a name for a folder; the second of a name gets a number.
     about : what the answer depends on, options and digests of inputs, by name; a function of it is called where blocks
-        are kept. Blocks that were kept for anything else, or by another version, are refused with what differs.
+        are saved. Blocks that were saved for anything else, or by another version, are refused with what differs.
 
-    Raises OutputError where blocks cannot be kept, or are those of another computation.
+    Raises OutputError where blocks cannot be saved, or are those of another computation.
     """
     here = _HERE.get()
     if here is None or here.keep is None or total <= rows:
         yield from _in_order(run_blocks(work, spans(total, rows), fetch=fetch, progress=progress))
         return
-    kept = KeptBlocks(here.folder_of(stage), about() if callable(about) else about, total, rows, force=here.force)
-    here._kept.append(kept)
-    if kept.done and here.told:
-        here.told(f"{stage}: going on after {len(kept.done)} of {len(kept.blocks)} blocks kept from an earlier run")
-    missing = [block for block in kept.blocks if block.start not in kept.done]
+    saved = SavedBlocks(here.folder_of(stage), about() if callable(about) else about, total, rows, force=here.force)
+    here._saved.append(saved)
+    if saved.done and here.told:
+        here.told(f"{stage}: going on after {len(saved.done)} of {len(saved.blocks)} blocks kept from an earlier run")
+    missing = [block for block in saved.blocks if block.start not in saved.done]
     for block, arrays in run_blocks(work, missing, fetch=fetch, progress=progress, done=total - sum(map(len, missing))):
-        kept.keep(block, arrays)
-    for block in kept.blocks:
-        yield block, kept.load(block)
+        saved.save(block, arrays)
+    for block in saved.blocks:
+        yield block, saved.load(block)
 
 
 def arrays_in_blocks(
@@ -330,10 +454,10 @@ def arrays_in_blocks(
     return whole
 
 
-def _in_order(found: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
+def _in_order(results: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
     early: dict[int, tuple[range, Any]] = {}
     due = 0
-    for block, result in found:
+    for block, result in results:
         early[block.start] = (block, result)
         while due in early:
             yield early[due]

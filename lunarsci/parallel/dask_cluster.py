@@ -9,7 +9,7 @@ import hashlib
 import logging
 import time
 import warnings
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib.resources import files
@@ -21,8 +21,6 @@ from lunarsci.provenance import installed_version
 
 CONNECT_S, LONELY_S, LOOK_S = 30.0, 120.0, 2.0
 """How long a scheduler may take to answer, and be without workers; how often the latter is looked at. [s]"""
-TRIES = 3
-"""How often a block is sent anew whose workers died, each time some four of them; then it is held to be the reason."""
 KINDS = {".py", ".csv", ".toml"}
 AHEAD = 2
 """Blocks sent for each thread of the workers: one in work and one that waits."""
@@ -52,8 +50,8 @@ def build() -> tuple[str, str]:
 
     whole = hashlib.sha256()
     folders = [Path(__file__).parents[1], Path(str(files("lunarsci.spectra_data")))]
-    found = {path for folder in folders for path in folder.rglob("*.*") if path.suffix in KINDS}
-    for path in sorted(path for path in found if "cli" not in path.parts[-3:]):
+    paths = {path for folder in folders for path in folder.rglob("*.*") if path.suffix in KINDS}
+    for path in sorted(path for path in paths if "cli" not in path.parts[-3:]):
         whole.update(path.name.encode() + path.read_bytes())
     return f"{installed_version('lunarsci')} ({whole.hexdigest()[:12]})", str(llvm.get_host_cpu_name())
 
@@ -66,21 +64,16 @@ def on_cluster(
     client: Any, name: str, work: Callable[[Any], Any], blocks: Sequence[range], fetch: Callable[[range], Any]
 ) -> Iterator[tuple[range, Any]]:
     """Each block and what `work` makes of what `fetch` gives for it, as they are done. Raises SchedulerError."""
-    waiting, running, sent = deque(blocks), dict[Any, range](), Counter[int]()
+    waiting, running = deque(blocks), dict[Any, range]()
     crew = _Crew(client, name)
     try:
         while waiting or running:
             threads = crew.threads()
             while waiting and len(running) < max(1, AHEAD * threads):
                 block = waiting.popleft()
-                sent[block.start] += 1
                 running[client.submit(_remote, work, fetch(block), pure=False)] = block
             for future in crew.finished(running):
-                block = running.pop(future)
-                if crew.lost(future) and sent[block.start] < TRIES:
-                    waiting.append(block)
-                else:
-                    yield block, crew.result(future)
+                yield running.pop(future), crew.result(future)
     finally:
         with contextlib.suppress(Exception):
             client.cancel(list(running), force=True)
@@ -118,21 +111,18 @@ class _Crew:
             wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
         return [future for future in running if future.done()]
 
-    def lost(self, future: Any) -> bool:
-        """Whether its workers died."""
+    def result(self, future: Any) -> Any:
+        """Raises SchedulerError where some four workers died over it, one after the other, and for other versions."""
         from distributed.scheduler import KilledWorker
 
-        return future.status in ("lost", "cancelled") or isinstance(future.exception(), KilledWorker)
-
-    def result(self, future: Any) -> Any:
-        if self.lost(future):
+        if future.status in ("lost", "cancelled") or isinstance(future.exception(), KilledWorker):
             raise SchedulerError(f"scheduler {self.name}: workers died over one block; give them more memory")
         (version, processor), result = future.result()
-        own_version, own_processor = build()
-        if version != own_version:
-            text = f"scheduler {self.name}: a worker has lunarsci {version}, here is {own_version}; install the same"
+        version_here, processor_here = build()
+        if version != version_here:
+            text = f"scheduler {self.name}: a worker has lunarsci {version}, here is {version_here}; install the same"
             raise SchedulerError(text)
-        if processor != own_processor:
-            text = f"a worker's processor is another ({processor}, here {own_processor}): last digits may differ"
+        if processor != processor_here:
+            text = f"a worker's processor is another ({processor}, here {processor_here}): last digits may differ"
             warnings.warn(text, LunarSciWarning, stacklevel=2)
         return result

@@ -12,37 +12,31 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.errors import ParameterError, check_ranges
 from lunarsci.io.tables import table_hashes, table_rows
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
+from lunarsci.regolith.soil import RANGES
+from lunarsci.regolith.wheel import RANGES as WHEEL_RANGES
 
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
 KINDS = ("terrestrial", "simulant", "lunar")
-SINKAGES_M = np.linspace(0.005, 0.02, 16)
-"""Where predictions are compared; assumed, about what a light rover's wheels sink. [m]"""
-STRESSES_PA = np.linspace(2e3, 10e3, 17)
-"""Where predictions are compared: sinkages and normal stresses of a light rover's wheel; assumed."""
-LARGEST_WIDTH_M = 2.0
-"""Of a wheel, to tell metres from centimetres; assumed."""
+SINKAGES_M, STRESSES_PA = np.linspace(0.005, 0.02, 16), np.linspace(2e3, 10e3, 17)
+"""Where predictions are compared: sinkages and normal stresses of a light rover's wheel; assumed. [m, Pa]"""
 ASPECTS = ("bearing", "shear", "lateral")
-DRAWS, SEED, RANGE = 1000, 0, (0.15865, 0.84135)
-"""Soils that the range of a distance comes from, the seed of their random numbers, and its ends, 68 %; assumed."""
-FEW = 0.5
-"""Share of the soils that may be the most alike, above which their order is said to say little; assumed."""
+DRAWS, SEED, SIXTY_EIGHT = 1000, 0, (0.15865, 0.84135)
+"""Soils that the range of a distance comes from, the seed of their random numbers, and its ends."""
 SYMBOLS = {"stiffness_kpa_m_n": "K_s", "sinkage_exponent": "N", "cohesion_pa": "c", "friction_angle_deg": "φ"}
+PAIRED = ("stiffness and exponent", "cohesion and friction angle", "lateral modulus and external friction angle")
 WORDS = {"bearing": "bearing", "strength": "shear strength"}
 PAIRS = {"bearing": tuple(SYMBOLS)[:2], "strength": tuple(SYMBOLS)[2:]}
 """Parameters of each aspect that is compared."""
 SITE_NAMES = {
-    "stiffness_kpa_m_n": ("stiffness_kpa_m_n", "stiffness_kpa_m_n"),
-    "sinkage_exponent": ("exponent", "sinkage_exponent"),
-    "cohesion_pa": ("cohesion_pa", "cohesion_pa"),
-    "friction_angle_deg": ("friction_angle_deg", "friction_angle_deg"),
-    "lateral_modulus_mm": ("lateral_modulus_mm", "lateral_modulus_mm"),
-    "external_friction_angle_deg": ("external_friction_angle_deg", "external_friction_angle_deg"),
+    name.removeprefix("sinkage_"): name
+    for name in PARAMETERS
+    if name not in ("sinkage_exponent_slip", "shear_modulus_mm")
 }
-"""Name of a parameter of the site to that of single states, and that of the posterior, in a result of `identify`."""
+"""What single states call a parameter of the site, and its own name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,22 +83,13 @@ class Site:
     external_friction_angle_deg: float | None = None
 
     def __post_init__(self) -> None:
-        if (self.stiffness_kpa_m_n is None) != (self.sinkage_exponent is None):
-            raise ParameterError("stiffness and exponent go together; give both or none")
-        if (self.lateral_modulus_mm is None) != (self.external_friction_angle_deg is None):
-            raise ParameterError("lateral modulus and external friction angle go together; give both or none")
-        if (self.cohesion_pa is None) != (self.friction_angle_deg is None):
-            raise ParameterError("cohesion and friction angle go together; give both or none")
-        if self.stiffness_kpa_m_n is None and self.cohesion_pa is None:
+        given = [getattr(self, name) is not None for name in self.__slots__]
+        for words, one, other in zip(PAIRED, given[::2], given[1::2], strict=True):
+            if one != other:
+                raise ParameterError(f"{words} go together; give both or none")
+        if not any(given[:4]):
             raise ParameterError("nothing to compare: give stiffness and exponent, or cohesion and friction angle")
-        for name in ("stiffness_kpa_m_n", "sinkage_exponent"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise ParameterError(f"{name} is {value:g}; give a number above 0")
-        if self.cohesion_pa is not None and not 0 <= self.cohesion_pa < np.inf:
-            raise ParameterError(f"cohesion is {self.cohesion_pa:g}; give 0 Pa or more")
-        if self.friction_angle_deg is not None and not 0 <= self.friction_angle_deg < 90:
-            raise ParameterError(f"friction angle is {self.friction_angle_deg:g}; give 0 to below 90 deg")
+        check_ranges("", self, {name: RANGES[name] for name in SYMBOLS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,24 +113,15 @@ class SoilComparison:
 
     def to_dict(self, width_m: float) -> dict[str, Any]:
         """Plain values; the stiffness is that for a wheel of this width."""
-        soil = self.soil
-        return {
-            "name": soil.name,
-            "kind": soil.kind,
-            "bearing_distance": self.bearing,
-            "bearing_distance_low": self.bearing_range and self.bearing_range[0],
-            "bearing_distance_high": self.bearing_range and self.bearing_range[1],
-            "strength_distance": self.strength,
-            "strength_distance_low": self.strength_range and self.strength_range[0],
-            "strength_distance_high": self.strength_range and self.strength_range[1],
-            "stiffness_kpa_m_n": soil.stiffness(width_m),
-            "sinkage_exponent": soil.sinkage_exponent,
-            "cohesion_low_pa": soil.cohesion_pa[0],
-            "cohesion_high_pa": soil.cohesion_pa[1],
-            "friction_angle_low_deg": soil.friction_angle_deg[0],
-            "friction_angle_high_deg": soil.friction_angle_deg[1],
-            "source": soil.source,
-        }
+        soil, row = self.soil, dict[str, Any](name=self.soil.name, kind=self.soil.kind)
+        for aspect in PAIRS:
+            low, high = getattr(self, f"{aspect}_range") or (None, None)
+            row[f"{aspect}_distance"] = getattr(self, aspect)
+            row |= {f"{aspect}_distance_low": low, f"{aspect}_distance_high": high}
+        row |= {"stiffness_kpa_m_n": soil.stiffness(width_m), "sinkage_exponent": soil.sinkage_exponent}
+        for name, unit in (("cohesion", "pa"), ("friction_angle", "deg")):
+            row[f"{name}_low_{unit}"], row[f"{name}_high_{unit}"] = getattr(soil, f"{name}_{unit}")
+        return row | {"source": soil.source}
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +166,12 @@ def site_of(result: Mapping[str, Any]) -> tuple[Site, dict[str, Any]]:
     curves = {aspect: result[aspect]["curve"] for aspect in ASPECTS}
     values: dict[str, Any]
     if "joint" in result:
-        values = {own: result["joint"]["parameters"][names[1]]["median"] for own, names in SITE_NAMES.items()}
+        values = {name: result["joint"]["parameters"][name]["median"] for name in SITE_NAMES.values()}
     else:
         pairs = result["bearing"] | result["shear"] | result["lateral"]
-        values = {own: pairs[names[0]]["value"] for own, names in SITE_NAMES.items()}
-    own = list(SITE_NAMES)
-    for pair in (own[:2], own[2:4], own[4:]):
+        values = {name: pairs[of_state]["value"] for of_state, name in SITE_NAMES.items()}
+    names = [*values]
+    for pair in (names[:2], names[2:4], names[4:]):
         if any(values[key] is None for key in pair):
             values |= dict.fromkeys(pair)
     return Site(**values), curves
@@ -204,34 +180,33 @@ def site_of(result: Mapping[str, Any]) -> tuple[Site, dict[str, Any]]:
 def site_of_belief(belief: SoilBelief) -> Site:
     """The medians of a belief."""
     ends = belief.intervals()
-    return Site(**{own: ends[names[1]][0] for own, names in SITE_NAMES.items()})
+    return Site(**{name: ends[name][0] for name in SITE_NAMES.values()})
 
 
-def nearest(found: Sequence[SoilComparison], aspect: str) -> list[SoilComparison]:
-    """Those known in an aspect, `bearing` or `strength`, the most alike first."""
-    known = [(getattr(item, aspect), item.soil.name, item) for item in found]
-    return [item for _, _, item in sorted((row for row in known if row[0] is not None), key=lambda row: row[:2])]
+def nearest(soils: Sequence[SoilComparison], aspect: str) -> list[SoilComparison]:
+    """Those compared in an aspect, `bearing` or `strength`, the most alike first."""
+    compared = [item for item in soils if getattr(item, aspect) is not None]
+    return sorted(compared, key=lambda item: (getattr(item, aspect), item.soil.name))
 
 
-def remarks(left_open: OpenSite, found: Sequence[SoilComparison]) -> list[str]:
+def remarks(left_open: OpenSite, soils: Sequence[SoilComparison]) -> list[str]:
     """What is not determined, how many soils may be the most alike then, and that slip is left out."""
-    told = []
+    notes = []
     for aspect, names in left_open.undetermined().items():
-        ordered = nearest(found, aspect)
-        ends = [span for item in ordered if (span := getattr(item, f"{aspect}_range"))]
+        ends = [span for item in nearest(soils, aspect) if (span := getattr(item, f"{aspect}_range"))]
         if not names or not ends:
             continue
         alike = sum(low <= ends[0][1] for low, _ in ends)
-        little = ", so the order says little" if alike > FEW * len(ends) else ""
+        little = ", so the order says little" if 2 * alike > len(ends) else ""
         left = " and ".join(
             f"{SYMBOLS[name]} ({100 * share:.0f} % of the prior's width left)" for name, share in names.items()
         )
-        told.append(
+        notes.append(
             f"{WORDS[aspect]}: not determined: {left}; by the 68 % of the distances {alike} of {len(ends)} soils may "
             f"be the most alike{little}"
         )
     rise = left_open.belief.intervals()["sinkage_exponent_slip"][0]
-    return [*told, f"bearing: N is that of a wheel without slip; its rise with slip, n1 = {rise:.2g}, is left out"]
+    return [*notes, f"bearing: N is that of a wheel without slip; its rise with slip, n1 = {rise:.2g}, is left out"]
 
 
 @cache
@@ -279,23 +254,22 @@ def compare_site(
     Parameters
     ----------
     site : what is known of the ground.
-    width_m : of the wheel, on which stiffness depends, above 0 to 2. [m]
+    width_m : of the wheel, on which stiffness depends. [m]
     soils : instead of `reference_soils()`.
     left_open : what is left open of the site, for the range of each distance.
 
     Raises ParameterError for a width out of range.
     """
-    if not 0 < width_m <= LARGEST_WIDTH_M:
-        raise ParameterError(f"width is {width_m:g} m; give a number above 0, up to {LARGEST_WIDTH_M:g}")
+    check_ranges("wheel", {"width_m": width_m}, {"width_m": WHEEL_RANGES["width_m"]})
     one = {name: np.array([np.nan if (value := getattr(site, name)) is None else value]) for name in SYMBOLS}
     drawn = {} if left_open is None else left_open.belief.draws(DRAWS, SEED)
-    found = []
+    compared = []
     for soil in soils or reference_soils():
         bearing, strength = _single(_bearing(one, soil, width_m)), _single(_strength(one, soil))
         bearings = _range(_bearing(drawn, soil, width_m)) if drawn and bearing is not None else None
         strengths = _range(_strength(drawn, soil)) if drawn and strength is not None else None
-        found.append(SoilComparison(soil, bearing, strength, bearings, strengths))
-    return found
+        compared.append(SoilComparison(soil, bearing, strength, bearings, strengths))
+    return compared
 
 
 def _single(distances: FloatArray) -> float | None:
@@ -303,7 +277,7 @@ def _single(distances: FloatArray) -> float | None:
 
 
 def _range(distances: FloatArray) -> tuple[float, float]:
-    low, high = np.quantile(distances, RANGE)
+    low, high = np.quantile(distances, SIXTY_EIGHT)
     return float(low), float(high)
 
 
@@ -319,10 +293,10 @@ def _bearing(sites: Mapping[str, FloatArray], soil: ReferenceSoil, width_m: floa
 
 def _strength(sites: Mapping[str, FloatArray], soil: ReferenceSoil) -> FloatArray:
     """The same of strength."""
-    own = sites["cohesion_pa"][:, None] + STRESSES_PA * np.tan(np.radians(sites["friction_angle_deg"]))[:, None]
+    strength = sites["cohesion_pa"][:, None] + STRESSES_PA * np.tan(np.radians(sites["friction_angle_deg"]))[:, None]
     low, high = (
         c + STRESSES_PA * np.tan(np.radians(phi))
         for c, phi in zip(soil.cohesion_pa, soil.friction_angle_deg, strict=True)
     )
-    nearest = np.clip(own, low, high)
-    return np.asarray(np.sqrt(np.mean(np.log(nearest / own) ** 2, axis=1)))
+    closest = np.clip(strength, low, high)
+    return np.asarray(np.sqrt(np.mean(np.log(closest / strength) ** 2, axis=1)))

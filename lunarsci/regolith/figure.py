@@ -1,6 +1,7 @@
 """Pictures of wheel forces over slip, and of the three characteristic curves of the regolith.
 
-Picture of a site among reference soils in four panels, as Fig. 4 of Ding et al. (2024).
+Picture of a site among reference soils in four panels, as Fig. 4 of Ding et al. (2024). Pictures of what is believed of
+a soil: each parameter before any drive and now, and after each drive.
 """
 
 import textwrap
@@ -9,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.figure import as_label, headline, legend_below, name_points, page, wrapped
-from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
+from lunarsci.arrays import FloatArray
+from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page, wrapped
+from lunarsci.regolith.belief import SoilBelief, past_beliefs, rolled_back, shared_drives
+from lunarsci.regolith.compare import ASPECTS, KINDS, SITE_NAMES, Site, SoilComparison, lateral_soils, nearest
 from lunarsci.regolith.forces import WheelForces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
+from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
@@ -51,24 +55,23 @@ Named = list[tuple[str, float, float]]
 
 
 def comparison_figure(
-    site: Site, found: Sequence[SoilComparison], width_m: float, curves: Curves | None = None
+    site: Site, soils: Sequence[SoilComparison], width_m: float, curves: Curves | None = None
 ) -> "Figure":
     """Bearing; shear beside terrestrial soils and simulants; shear beside lunar missions; lateral shear.
 
     Parameters
     ----------
-    site, found, width_m : as given to and returned by `compare_site`.
+    site, soils, width_m : as given to and returned by `compare_site`.
     curves : by aspect (`bearing`, `shear`, `lateral`) the points of `Identification.curves`, drawn with their bands.
     """
     figure = page(7.4)
     (bearing, shear), (missions, lateral) = figure.subplots(2, 2)
-    own = curves or {}
-    named = {bearing: _bearing(bearing, site, found, width_m, own.get("bearing", ()))}
-    named[shear] = _shear(shear, site, [item for item in found if item.soil.kind != "lunar"], own.get("shear", ()))
-    named[missions] = _shear(
-        missions, site, [item for item in found if item.soil.kind == "lunar"], own.get("shear", ())
-    )
-    named[lateral] = _lateral(lateral, site, own.get("lateral", ()))
+    bearings, shears, laterals = ((curves or {}).get(aspect, ()) for aspect in ASPECTS)
+    lunar = [item for item in soils if item.soil.kind == "lunar"]
+    named = {bearing: _bearing(bearing, site, soils, width_m, bearings)}
+    named[shear] = _shear(shear, site, [item for item in soils if item not in lunar], shears)
+    named[missions] = _shear(missions, site, lunar, shears)
+    named[lateral] = _lateral(lateral, site, laterals)
     bearing.set_title(f"a  bearing, wheel {1e3 * width_m:.0f} mm wide", loc="left")
     shear.set_title("b  shear, terrestrial soils and simulants", loc="left")
     missions.set_title("c  shear, lunar missions; lines: ranges", loc="left")
@@ -76,17 +79,17 @@ def comparison_figure(
     for kind in KINDS:
         bearing.plot([], [], MARKERS[kind], color=COLORS[kind], label=kind)
     bearing.plot([], [], "*", color=SITE, markersize=12, label="the site")
-    if own:
+    if curves:
         bearing.plot([], [], color=CURVE, label="what its wheel states allow, 95 %")
     legend_below(figure, bearing, 5)
     name_points(figure, named, fontsize=7)
     return figure
 
 
-def _bearing(axes: Any, site: Site, found: Sequence[SoilComparison], width_m: float, curve: Sequence[Any]) -> Named:
+def _bearing(axes: Any, site: Site, soils: Sequence[SoilComparison], width_m: float, curve: Sequence[Any]) -> Named:
     """Soils beside the site; the nearest ones, to be named."""
-    named, names = [], {item.soil.name for item in nearest(found, "bearing")[:NAMED]}
-    for item in found:
+    named, names = [], {item.soil.name for item in nearest(soils, "bearing")[:NAMED]}
+    for item in soils:
         soil, stiffness = item.soil, item.soil.stiffness(width_m)
         if soil.sinkage_exponent is not None and stiffness is not None and stiffness > 0:
             axes.plot(soil.sinkage_exponent, stiffness, MARKERS[soil.kind], color=COLORS[soil.kind], markersize=5)
@@ -99,10 +102,10 @@ def _bearing(axes: Any, site: Site, found: Sequence[SoilComparison], width_m: fl
     return [(_named(name), x, y) for name, x, y in named if name in names]
 
 
-def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequence[Any]) -> Named:
+def _shear(axes: Any, site: Site, soils: Sequence[SoilComparison], curve: Sequence[Any]) -> Named:
     """The same of shear."""
-    named, names = [], {item.soil.name for item in nearest(found, "strength")[:NAMED]}
-    for item in found:
+    named, names = [], {item.soil.name for item in nearest(soils, "strength")[:NAMED]}
+    for item in soils:
         soil, color = item.soil, COLORS[item.soil.kind]
         cohesion = [max(value, LEAST_PA) for value in soil.cohesion_pa]
         angle = soil.friction_angle_deg
@@ -152,9 +155,19 @@ def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -
 
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
-TYPICAL_BEARING = (1.0, 820.0)
-TYPICAL_SHEAR = (520.0, 42.0)
-"""Typical lunar N, K_s and c, phi, as drawn by Ding et al. (2024), Fig. 4, 10.1038/s41467-024-46233-8."""
+CHARACTERISTIC = (
+    ("bearing", "bearing", "exponent", "stiffness_kpa_m_n"),
+    ("shear", "longitudinal shear", "cohesion_pa", "friction_angle_deg"),
+    ("lateral", "lateral shear", "lateral_modulus_mm", "external_friction_angle_deg"),
+)
+"""Aspect, its title, and its pair of parameters as single states name them."""
+SOLVED = {
+    "exponent": ("N", "o"),
+    "stiffness_kpa_m_n": ("K$_s$", "v"),
+    "cohesion_pa": ("c", "D"),
+    "friction_angle_deg": ("φ", "^"),
+}
+"""Symbol of what was given, and marker of what was solved with it."""
 
 
 def forces_over_slip(
@@ -191,7 +204,7 @@ def forces_over_slip(
     return figure
 
 
-def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_n: float) -> "Figure":
+def traction_over_slip(rows: Sequence[Mapping[str, Any]], figures: Traction, load_n: float) -> "Figure":
     """Pull per weight and tractive efficiency over slip, above; torque and sinkage below; 20 % slip marked."""
     figure = page(5.4, 5.2)
     pull, effort = figure.subplots(2, 1, sharex=True)
@@ -210,44 +223,37 @@ def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_
             axes.tick_params(axis="y", colors=color)
     pull.axhline(0, color="0.8", linewidth=0.8, zorder=0)
     pull.axvline(DESIGN_SLIP, color="0.8", linewidth=0.8, zorder=0)
-    pull.plot(DESIGN_SLIP, found.pull_per_weight_at_20, "o", color=BLUE)
+    pull.plot(DESIGN_SLIP, figures.pull_per_weight_at_20, "o", color=BLUE)
     pull.set_ylabel("pull per weight, efficiency [-]")
     legend_below(figure, figure.axes, 4)
-    slope = "none" if found.slope_at_20_deg is None else f"{found.slope_at_20_deg:.1f}°"
-    pull.set_title(wrapped(f"load {load_n:g} N; at 20 % slip: pull {found.pull_at_20_n:.2f} N, slope {slope}", 4.4))
+    slope = "none" if figures.slope_at_20_deg is None else f"{figures.slope_at_20_deg:.1f}°"
+    pull.set_title(wrapped(f"load {load_n:g} N; at 20 % slip: pull {figures.pull_at_20_n:.2f} N, slope {slope}", 4.4))
     effort.set_xlabel("slip ratio [-]  (negative: skid)")
     return figure
 
 
-def characteristic_curves(found: Identification, *, synthetic: bool = False) -> "Figure":
+def characteristic_curves(result: Identification, *, synthetic: bool = False) -> "Figure":
     """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
     figure = page(3.6)
     bearing, shear, lateral = figure.subplots(1, 3)
-    _curve(bearing, found.curves["bearing"], "exponent", "stiffness_kpa_m_n")
-    _axes_of(bearing, "bearing", "sinkage_exponent", "stiffness_kpa_m_n")
+    for axes, (aspect, title, x, y) in zip((bearing, shear, lateral), CHARACTERISTIC, strict=True):
+        _curve(axes, result.curves[aspect], x, y)
+        axes.set(title=title, xlabel=PARAMETER_LABELS[SITE_NAMES[x]], ylabel=PARAMETER_LABELS[y])
     bearing.set_yscale("log")
-    _curve(shear, found.curves["shear"], "cohesion_pa", "friction_angle_deg")
-    _axes_of(shear, "longitudinal shear", "cohesion_pa", "friction_angle_deg")
-    _curve(lateral, found.curves["lateral"], "lateral_modulus_mm", "external_friction_angle_deg")
-    _axes_of(lateral, "lateral shear", "lateral_modulus_mm", "external_friction_angle_deg")
-    for axes, typical in ((bearing, TYPICAL_BEARING), (shear, TYPICAL_SHEAR)):
+    for axes, typical in ((bearing, (1.0, 820.0)), (shear, (520.0, 42.0))):  # Fig. 4 of Ding et al. (2024)
         if axes.lines:
             axes.plot(*typical, "s", color=GREEN, label="typical lunar")
-    _mark(bearing, found, "exponent", "stiffness_kpa_m_n")
-    _mark(shear, found, "cohesion_pa", "friction_angle_deg")
-    for corner in found.corners:
+    _mark(bearing, result, "exponent", "stiffness_kpa_m_n")
+    _mark(shear, result, "cohesion_pa", "friction_angle_deg")
+    for corner in result.corners:
         angle = corner["external_friction_angle_deg"]
         if angle.value is not None:
             lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE)
     legend_below(figure, (bearing, shear, lateral))
-    states = "1 wheel state" if len(found.observations) == 1 else f"{len(found.observations)} wheel states"
-    title = f"{states}, reading '{found.reading}': each point of a curve explains the forces"
+    states = "1 wheel state" if len(result.observations) == 1 else f"{len(result.observations)} wheel states"
+    title = f"{states}, reading '{result.reading}': each point of a curve explains the forces"
     headline(figure, title, synthetic=synthetic)
     return figure
-
-
-def _axes_of(axes: Any, title: str, x: str, y: str) -> None:
-    axes.set(title=title, xlabel=PARAMETER_LABELS[x], ylabel=PARAMETER_LABELS[y])
 
 
 def _curve(axes: Any, points: list[dict[str, Any]], x: str, y: str) -> None:
@@ -262,25 +268,140 @@ def _curve(axes: Any, points: list[dict[str, Any]], x: str, y: str) -> None:
     axes.plot(at, [point[y] for point in solved], color=BLUE, label="at the measured states")
 
 
-def _mark(axes: Any, found: Identification, x: str, y: str) -> None:
+def _mark(axes: Any, result: Identification, x: str, y: str) -> None:
     """Each solved value at the assumed value of its partner, with its standard deviation."""
     for solved, partner in ((y, x), (x, y)):
-        estimate, given = found.site[solved], getattr(found.assumptions, partner)
+        estimate, given = result.site[solved], getattr(result.assumptions, partner)
         if estimate.assumed or estimate.value is None or given is None:
             continue
-        at = (
-            (given, estimate.value, estimate.sigma, None)
-            if solved == y
-            else (estimate.value, given, None, estimate.sigma)
-        )
-        axes.errorbar(
-            *at, fmt=SOLVED[partner], color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}"
-        )
+        at, spread = (given, estimate.value), (estimate.sigma, None)
+        symbol, marker = SOLVED[partner]
+        ends = (*at, *spread) if solved == y else (*at[::-1], *spread[::-1])
+        axes.errorbar(*ends, fmt=marker, color=ORANGE, capsize=3, label=f"solved at {symbol} = {given:g}")
 
 
-SOLVED = {"exponent": "o", "stiffness_kpa_m_n": "v", "cohesion_pa": "D", "friction_angle_deg": "^"}
-"""Marker of what was solved, by what was given."""
+FIRST, SECOND, REFUSED = "#0072B2", "#D55E00", "#26323a"
 
 
-def _short(name: str) -> str:
-    return {"exponent": "N", "stiffness_kpa_m_n": "K$_s$", "cohesion_pa": "c", "friction_angle_deg": "φ"}[name]
+def belief_history_figure(
+    belief: SoilBelief,
+    title: str,
+    other: SoilBelief | None = None,
+    names: tuple[str, str] = ("", ""),
+    *,
+    synthetic: bool = False,
+) -> "Figure":
+    """One panel for each parameter; a second belief beside the first where there is one.
+
+    Bars are 68 %; the band is the interval of the priors. Drives from which nothing was learned are crossed. What two
+    beliefs share is drawn once, as the first's. States that a file did not keep are left out.
+    """
+    figure = page(8.2)
+    panels: Any = figure.subplots(4, 2, sharex=True)
+    most = max(len(belief.history), len(other.history) if other else 0)
+    first = 0 if other is None else shared_drives(belief, other) + 1
+    for panel, name in zip(panels.ravel(), PARAMETERS, strict=True):
+        _, low, high = rolled_back(belief, 0).intervals()[name]
+        panel.axhspan(low, high, color=INK, alpha=0.08, linewidth=0, label="the priors")
+        _draw(panel, belief, name, (FIRST, "o-"), -0.0 if other is None else -0.08, names[0] or "median and 68 %", 0)
+        if other is not None:
+            _draw(panel, other, name, (SECOND, "s--"), 0.08, names[1], min(first, len(other.history)))
+        panel.set_ylabel(PARAMETER_LABELS[name].replace(" [", "\n["))
+        panel.grid()
+        panel.set_xticks(range(0, most + 1, max(1, -(-most // 8))))
+        panel.set_xlim(-0.4, most + 0.4)
+    for panel in panels[-1]:
+        panel.set_xlabel("after drive [-]")
+    legend_below(figure, panels.ravel())
+    headline(figure, title, synthetic=synthetic)
+    return figure
+
+
+def _draw(
+    panel: Any, belief: SoilBelief, name: str, style: tuple[str, str], shift: float, label: str, first: int
+) -> None:
+    states = {k: state.intervals()[name] for k, state in enumerate(past_beliefs(belief)) if state and k >= first}
+    drives, ends = np.array([*states], float), np.array([*states.values()]).reshape(-1, 3).T
+    look: Any = {"color": style[0], "markersize": 4, "linewidth": 1.2, "capsize": 3, "elinewidth": 1.4}
+    spread = [ends[0] - ends[1], ends[2] - ends[0]]
+    panel.errorbar(drives + shift, ends[0], spread, fmt=style[1], label=label, **look)
+    lost = np.array([bool(k and belief.history[k - 1].get("refused")) for k in states], bool)
+    if lost.any():
+        look = {"color": REFUSED, "markersize": 8, "zorder": 5, "label": "nothing was learned"}
+        panel.plot(drives[lost] + shift, ends[0][lost], "x", **look)
+
+
+SOILS = 512
+"""Drawn of a belief for its density; where it holds a population, that in turn."""
+
+
+def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) -> "Figure":
+    """What a belief says of the soil: each parameter before any drive and now, as the posterior of `infer`.
+
+    Intervals are those of `SoilBelief.intervals`, the density that of its soils.
+    """
+    center, width = (np.array([getattr(law, what) for law in belief.laws.values()]) for what in ("center", "width"))
+    lines = [belief.mean + k * belief.sd for k in (0.0, -1.0, 1.0, -NINETY_FIVE, NINETY_FIVE)]
+    lines += [center + k * width for k in (-NINETY_FIVE, NINETY_FIVE)]
+    keys = ("median", "low68", "high68", "low95", "high95", "prior_low95", "prior_high95")
+    columns = belief.samples(np.stack(lines)).values()
+    rows = [
+        {"parameter": name, **dict(zip(keys, column, strict=True)), "shrinkage": 1.0 - left, "determined": False}
+        for (name, left), column in zip(belief.sd_ratio.items(), columns, strict=True)
+    ]
+    soils = belief.draws(SOILS)
+    title = f"{title}, doubtful" if belief.doubt else title
+    draws = np.stack(list(soils.values()), axis=1)
+    return posterior_figure(rows, belief.laws, draws, title, synthetic=synthetic)
+
+
+def posterior_figure(
+    rows: Sequence[Mapping[str, Any]],
+    prior: Mapping[str, Law],
+    draws: FloatArray,
+    title: str,
+    *,
+    synthetic: bool = False,
+) -> "Figure":
+    """Prior and posterior density of each parameter; bars are the 68 and 95 % intervals of the posterior.
+
+    Parameters
+    ----------
+    rows, prior, draws : of a `SoilPosterior`.
+    synthetic : whether the states are made up.
+
+    Draws that are all one value have no density: their median and interval alone are drawn.
+    """
+    from matplotlib.ticker import LogLocator
+    from scipy.stats import gaussian_kde
+
+    figure = page(1.9 * -(-len(rows) // 2))
+    panels: Any = figure.subplots(-(-len(rows) // 2), 2)
+    for k, (panel, row) in enumerate(zip(panels.ravel(), rows, strict=True)):
+        name, law = row["parameter"], prior[row["parameter"]]
+        ends = law.transformed(np.array([[row[f"{of}low95"], row[f"{of}high95"]] for of in ("prior_", "")]))
+        at = np.linspace(ends.min() - 0.25 * np.ptp(ends), ends.max() + 0.25 * np.ptp(ends), 400)
+        before = np.exp(-0.5 * ((at - law.center) / law.width) ** 2) / (law.width * np.sqrt(2 * np.pi))
+        drawn = law.transformed(draws[:, k])
+        after = gaussian_kde(drawn)(at) if np.ptp(drawn) > 0 else np.full(at.size, np.nan)
+        values = law.back(at)
+        panel.fill_between(values, before, color=INK, alpha=0.15, linewidth=0, label="prior")
+        panel.plot(values, after, color=FIRST, label="posterior")
+        foot = -0.07 * float(np.nanmax([after, before]))
+        panel.plot([row["low95"], row["high95"]], [foot] * 2, color=FIRST, linewidth=2, label="95 %")
+        panel.plot([row["low68"], row["high68"]], [foot] * 2, color=FIRST, linewidth=4, label="68 %")
+        panel.plot(row["median"], foot, "o", color=SECOND, markersize=4, label="median")
+        panel.set_xlabel(PARAMETER_LABELS[name])
+        panel.set_yticks([])
+        panel.spines["left"].set_visible(False)
+        if law.of == "ln":
+            panel.set_xscale("log")
+            wide = values.max() > 8.0 * values.min()
+            panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if wide else (1, 1.5, 2, 3, 5, 7)))
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_minor_formatter("")
+        left = f"{100 * (1 - row['shrinkage']):.0f} % of the prior's width"
+        panel.set_title("determined" if row["determined"] else left, loc="left")
+    legend_below(figure, panels.ravel()[:1], 5)
+    headline(figure, title, synthetic=synthetic)
+    return figure

@@ -271,9 +271,14 @@ def closed_form_forces(
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
     forces = _each_state(z, *motion_ratios(s, beta), wheel.vector(), soil.vector(), shear_sign_code(reading))
+    return WheelForces(*(force.reshape(parts[0].shape) for force in finite(forces)))
+
+
+def finite(forces: FloatArray) -> FloatArray:
+    """The same forces. Raises ParameterError where one is beyond any number."""
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
-    return WheelForces(*(forces[k].reshape(parts[0].shape) for k in range(4)))
+    return forces
 
 
 def motion_ratios(slip_ratio: FloatArray, side_slip_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -305,12 +310,9 @@ def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) 
         ("sinkage_m", z, (z >= LEAST_SINKAGE_M) & (z < radius), f"above 1e-7 and below the wheel radius of {radius} m"),
         ("slip_ratio", s, np.abs(s) <= 1, "within -1 to 1"),
         ("side_slip_deg", beta, np.abs(beta) <= 90, "within -90 to 90 deg"),
-    ):
+        ("side_slip_deg", beta, (s != 1) | (np.abs(beta) != 90), "below 90 deg at slip 1, which leaves it open how "
+         "fast the wheel slides sideways beside its rim"),
+    ):  # fmt: skip
         if not good.all():
             first = int(np.argmin(good))
             raise ParameterError(f"{name} is {values[first]:g} in state {first + 1}; it must lie {rule}")
-    if (open_ := (s == 1) & (np.abs(beta) == 90)).any():
-        raise ParameterError(
-            f"state {int(np.argmax(open_)) + 1} has slip 1 and side slip 90 deg, which leave open how fast the wheel "
-            "slides sideways beside its rim; give a side slip or a slip a little smaller"
-        )

@@ -1,16 +1,21 @@
-"""Identify soil parameters from wheel states, with Monte Carlo uncertainties, in the three aspects of the regolith."""
+"""Identify soil parameters from wheel states, with Monte Carlo uncertainties, in the three aspects of the regolith.
 
+Each state is solved by itself: whether all of them give one soil, and which measured quantity the errors come from.
+"""
+
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.errors import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, NumberRange, ParameterError, check_ranges
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
-from lunarsci.regolith.states import WheelStates
+from lunarsci.regolith.prior import SIGNIFICANCE
+from lunarsci.regolith.states import COLUMNS, WheelStates
 from lunarsci.regolith.wheel import ShearSign, Wheel
 
 DRAWS = 1024
@@ -20,7 +25,12 @@ CURVES = {
     "cohesion_pa": np.arange(0.0, 5001.0, 200.0),
     "lateral_modulus_mm": np.arange(5.0, 61.0, 2.5),
 }
-MOST_STATES = 100_000
+COUNTS = {
+    "draws": NumberRange(2, math.inf, "2 or more"),
+    "wheel states": NumberRange(1, 100_000, "no more than 100000: every tenth, for example"),
+}
+SENSITIVITY_STATES = 50
+"""Of a longer file, evenly over it."""
 POOLED_DRAWS, LEAST_POOLED = 200_000, 8
 """About how many draws of all states together make the estimates of the site, and how many of each state at least."""
 PERCENTILES = (2.5, 97.5)
@@ -38,6 +48,14 @@ UNITS = {
     "lateral_modulus_mm": "mm",
 }
 """Unit of every estimated quantity."""
+
+
+RANGES = {
+    **dict.fromkeys(("exponent", "stiffness_kpa_m_n", "shear_modulus_mm"), POSITIVE),
+    **dict.fromkeys(("friction_angle_deg", "external_friction_angle_deg"), ACUTE_DEG),
+    "cohesion_pa": NOT_NEGATIVE,
+}
+"""Of what may be given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +135,9 @@ class Assumptions:
             object.__setattr__(self, "cohesion_pa", 520.0)
         if not self.lateral_modulus_mm and self.external_friction_angle_deg is None:
             object.__setattr__(self, "lateral_modulus_mm", (13.0, 40.0))
-        positive = [self.exponent, self.stiffness_kpa_m_n, self.shear_modulus_mm, *self.lateral_modulus_mm]
-        if not all(value is None or 0 < value < np.inf for value in positive):
-            raise ParameterError("exponent, stiffness, shear modulus and lateral modulus must be above 0")
-        for angle in (self.friction_angle_deg, self.external_friction_angle_deg):
-            if angle is not None and not 0 <= angle < 90:
-                raise ParameterError(f"friction angle {angle:g}: give 0 to below 90 deg")
-        if self.cohesion_pa is not None and not 0 <= self.cohesion_pa < np.inf:
-            raise ParameterError(f"cohesion {self.cohesion_pa:g}: give 0 Pa or more")
+        check_ranges("assumed", self, RANGES)
+        for value in self.lateral_modulus_mm:
+            check_ranges("assumed", {"lateral_modulus_mm": value}, {"lateral_modulus_mm": POSITIVE})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -207,25 +220,22 @@ def identify(
     ----------
     Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
     """
-    if draws < 2:
-        raise ParameterError(f"{draws} draws; give 2 or more")
-    if len(states) > MOST_STATES:
-        raise ParameterError(f"{len(states)} wheel states are more than {MOST_STATES}; give every tenth, for example")
+    check_ranges("number of", {"draws": draws, "wheel states": len(states)}, COUNTS)
     code = shear_sign_code(reading)
     warn_of_shear_sign(reading)
-    known = assumptions or Assumptions()
-    solver = _Solver(wheel, known, code, np.random.default_rng(seed), draws)
-    kept = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
+    given, random = assumptions or Assumptions(), np.random.default_rng(seed)
+    pooled = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
     observations, measured, drawn = [], [], []
     for number, (name, values, sigmas) in enumerate(zip(states.id, states.values, states.sigmas, strict=True), 1):
-        stresses = solver.stresses(values, sigmas)
-        observations.append(_Solved(stresses, known).record(name))
+        sample = np.vstack([values, values + sigmas * random.standard_normal((draws, values.size))])
+        stresses = inversion.invert_states(sample, wheel.vector(), given.shear_modulus_mm * 1e-3, code)
+        observations.append(_Solved(stresses, given).record(name))
         measured.append(stresses[:1].copy())
-        drawn.append(stresses[1 : 1 + kept].copy())
+        drawn.append(stresses[1 : 1 + pooled].copy())
         if progress:
             progress(number, len(states))
-    solved = _Solved(np.concatenate([*measured, *drawn]), known, len(states))
-    site = _site(solved, known)
+    solved = _Solved(np.concatenate([*measured, *drawn]), given, len(states))
+    site = _site(solved, given)
     return Identification(
         observations=tuple(observations),
         site=site,
@@ -234,58 +244,42 @@ def identify(
         unsolved=_unsolved(states, site),
         draws=draws,
         reading=reading,
-        assumptions=known,
+        assumptions=given,
     )
-
-
-class _Solver:
-    """Solve one state after another, nominal values first and the draws behind them."""
-
-    def __init__(self, wheel: Wheel, known: Assumptions, code: int, rng: np.random.Generator, draws: int) -> None:
-        self.wheel, self.known, self.code, self.rng, self.draws = wheel.vector(), known, code, rng, draws
-
-    def stresses(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
-        drawn = values + sigmas * self.rng.standard_normal((self.draws, values.size))
-        sample = np.vstack([values, drawn])
-        modulus = self.known.shear_modulus_mm * 1e-3
-        return np.asarray(inversion.invert_states(sample, self.wheel, modulus, self.code))
 
 
 class _Solved:
     """Stresses of states as measured, and of their draws behind them, and the parameters that follow."""
 
-    def __init__(self, stresses: FloatArray, known: Assumptions, states: int = 1) -> None:
+    def __init__(self, stresses: FloatArray, given: Assumptions, states: int = 1) -> None:
         self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = stresses.T
-        self.known, self.states = known, states
+        self.given, self.states = given, states
         with np.errstate(all="ignore"):
             self.parameters = self._parameters()
 
     def _parameters(self) -> dict[str, FloatArray]:
-        known, found = self.known, {}
-        if known.exponent is not None:
-            found["stiffness_kpa_m_n"] = inversion.stiffness(self.sigma_m, self.depth, known.exponent)
-        if known.stiffness_kpa_m_n is not None:
-            found["exponent"] = inversion.sinkage_exponent(self.sigma_m, self.depth, known.stiffness_kpa_m_n)
-        if known.cohesion_pa is not None:
-            found["friction_angle_deg"] = self.friction_angle(known.cohesion_pa)
-        if known.friction_angle_deg is not None:
-            found["cohesion_pa"] = inversion.cohesion(
-                self.sigma_m, self.tau_x, self.mobilised, known.friction_angle_deg
-            )
-        adhesion = known.cohesion_pa if known.cohesion_pa is not None else found["cohesion_pa"]
-        self.corners = {m: self.external_friction_angle(m, adhesion) for m in known.lateral_modulus_mm}
-        if known.external_friction_angle_deg is not None:
-            found["lateral_modulus_mm"] = inversion.lateral_modulus(
-                self.sigma_m, self.tau_y, self.displacement, known.external_friction_angle_deg, adhesion
-            )
-        return found
+        given, solved = self.given, {}
+        if given.exponent is not None:
+            solved["stiffness_kpa_m_n"] = inversion.stiffness(self.sigma_m, self.depth, given.exponent)
+        if given.stiffness_kpa_m_n is not None:
+            solved["exponent"] = inversion.sinkage_exponent(self.sigma_m, self.depth, given.stiffness_kpa_m_n)
+        if given.cohesion_pa is not None:
+            solved["friction_angle_deg"] = self.friction_angle(given.cohesion_pa)
+        if (angle := given.friction_angle_deg) is not None:
+            solved["cohesion_pa"] = inversion.cohesion(self.sigma_m, self.tau_x, self.mobilised, angle)
+        self.adhesion = given.cohesion_pa if given.cohesion_pa is not None else solved["cohesion_pa"]
+        self.corners = {modulus: self.external_friction_angle(modulus) for modulus in given.lateral_modulus_mm}
+        if (angle := given.external_friction_angle_deg) is not None:
+            forces = (self.sigma_m, self.tau_y, self.displacement)
+            solved["lateral_modulus_mm"] = inversion.lateral_modulus(*forces, angle, self.adhesion)
+        return solved
 
     def friction_angle(self, cohesion_pa: Any) -> FloatArray:
         return np.asarray(inversion.friction_angle(self.sigma_m, self.tau_x, self.mobilised, cohesion_pa))
 
-    def external_friction_angle(self, modulus_mm: Any, cohesion_pa: Any) -> FloatArray:
-        angle = inversion.external_friction_angle(self.sigma_m, self.tau_y, self.displacement, modulus_mm, cohesion_pa)
-        return np.asarray(angle)
+    def external_friction_angle(self, modulus_mm: Any) -> FloatArray:
+        forces = (self.sigma_m, self.tau_y, self.displacement)
+        return np.asarray(inversion.external_friction_angle(*forces, modulus_mm, self.adhesion))
 
     def record(self, name: str) -> dict[str, Any]:
         stresses = {"sigma_m_pa": self.sigma_m, "tau_xm_pa": self.tau_x, "tau_ym_pa": self.tau_y}
@@ -293,21 +287,30 @@ class _Solved:
         return {"id": name, "corners": _corners(self)} | estimates
 
 
-def _site(solved: _Solved, known: Assumptions) -> dict[str, Estimate]:
+def _site(solved: _Solved, given: Assumptions) -> dict[str, Estimate]:
     """Every parameter over all states: estimated where it was solved for, as assumed where it was given."""
-    site = {name: estimate(values, name, solved.states) for name, values in solved.parameters.items()}
-    if known.lateral_modulus_mm:
+    moduli = given.lateral_modulus_mm
+    assumed = {name: getattr(given, name) for name in LABELS} | {"lateral_modulus_mm": None}
+    site = {name: Estimate(value, solved=1.0, assumed=True) for name, value in assumed.items()}
+    site["lateral_modulus_mm"] = Estimate(
+        moduli[0] if len(moduli) == 1 else None,
+        solved=1.0,
+        assumed=True,
+        reason="assumed at several values, see the corners" if len(moduli) > 1 else "",
+    )
+    site |= {name: estimate(values, name, solved.states) for name, values in solved.parameters.items()}
+    if moduli:
         name = "external_friction_angle_deg"
         site[name] = _over_corners([corner[name] for corner in _corners(solved)])
-    return _assumed(known) | site
+    return site
 
 
-def _over_corners(found: Sequence[Estimate]) -> Estimate:
+def _over_corners(corners: Sequence[Estimate]) -> Estimate:
     """One estimate as it is; of several, which rest on different assumptions, only the range they span."""
-    low, high = [e.low for e in found if e.low is not None], [e.high for e in found if e.high is not None]
-    if len(found) == 1 or not (low and high):
-        return found[0]
-    solved = min(estimate.solved for estimate in found)
+    low, high = [e.low for e in corners if e.low is not None], [e.high for e in corners if e.high is not None]
+    if len(corners) == 1 or not (low and high):
+        return corners[0]
+    solved = min(estimate.solved for estimate in corners)
     return Estimate(None, None, min(low), max(high), solved, reason="depends on the assumed K_y; the range spans them")
 
 
@@ -316,8 +319,8 @@ def _unsolved(states: WheelStates, site: dict[str, Estimate]) -> tuple[str, ...]
     needs = {"friction_angle_deg": 1, "cohesion_pa": 1, "external_friction_angle_deg": 5, "lateral_modulus_mm": 5}
     return tuple(
         name
-        for name, found in site.items()
-        if found.low is None and not found.assumed and np.isfinite(states.values[:, needs.get(name, 0)]).any()
+        for name, estimate in site.items()
+        if estimate.low is None and not estimate.assumed and np.isfinite(states.values[:, needs.get(name, 0)]).any()
     )
 
 
@@ -330,46 +333,168 @@ def _corners(solved: _Solved) -> list[dict[str, Any]]:
     ]
 
 
-def _assumed(known: Assumptions) -> dict[str, Estimate]:
-    """What was given, as estimates without an error."""
-    moduli = known.lateral_modulus_mm
-    several = "assumed at several values, see the corners" if len(moduli) > 1 else ""
-    given = {
-        "stiffness_kpa_m_n": known.stiffness_kpa_m_n,
-        "exponent": known.exponent,
-        "friction_angle_deg": known.friction_angle_deg,
-        "cohesion_pa": known.cohesion_pa,
-        "external_friction_angle_deg": known.external_friction_angle_deg,
-        "lateral_modulus_mm": moduli[0] if len(moduli) == 1 else None,
-    }
-    return {
-        name: Estimate(value, solved=1.0, assumed=True, reason=several if name == "lateral_modulus_mm" else "")
-        for name, value in given.items()
-    }
-
-
 def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
-    known = solved.known.cohesion_pa
-    adhesion = known if known is not None else solved.parameters["cohesion_pa"]
+    def stiffness(exponent: Any) -> FloatArray:
+        return np.asarray(inversion.stiffness(solved.sigma_m, solved.depth, exponent))
+
     laws: dict[str, tuple[str, str, Callable[[Any], FloatArray]]] = {
-        "bearing": (
-            "exponent",
-            "stiffness_kpa_m_n",
-            lambda n: np.asarray(inversion.stiffness(solved.sigma_m, solved.depth, n)),
-        ),
+        "bearing": ("exponent", "stiffness_kpa_m_n", stiffness),
         "shear": ("cohesion_pa", "friction_angle_deg", solved.friction_angle),
-        "lateral": (
-            "lateral_modulus_mm",
-            "external_friction_angle_deg",
-            lambda k: solved.external_friction_angle(k, adhesion),
-        ),
+        "lateral": ("lateral_modulus_mm", "external_friction_angle_deg", solved.external_friction_angle),
     }
+
+    def point(x_name: str, x: float, y_name: str, y: Estimate) -> dict[str, Any]:
+        return {x_name: float(x), y_name: y.value, "low": y.low, "high": y.high}
+
     with np.errstate(all="ignore"):
         return {
-            curve: [_point(x_name, x, y_name, estimate(law(x), y_name, solved.states)) for x in CURVES[x_name]]
+            curve: [point(x_name, x, y_name, estimate(law(x), y_name, solved.states)) for x in CURVES[x_name]]
             for curve, (x_name, y_name, law) in laws.items()
         }
 
 
-def _point(x_name: str, x: float, y_name: str, found: Estimate) -> dict[str, Any]:
-    return {x_name: float(x), y_name: found.value, "low": found.low, "high": found.high}
+LABELS = {
+    "stiffness_kpa_m_n": "stiffness K_s",
+    "exponent": "sinkage exponent N",
+    "friction_angle_deg": "internal friction angle φ",
+    "cohesion_pa": "cohesion c",
+    "external_friction_angle_deg": "external friction angle φ_y",
+    "lateral_modulus_mm": "lateral shear modulus K_y",
+}
+"""Parameters of the site in words."""
+CONTRADICT = 4.0
+"""States contradict each other where a parameter scatters twice as widely between them as its errors allow, and not by
+chance; assumed. Measured curves over slip have 6 to 200, states of one simulated soil 0."""
+TREND = 0.05
+"""Chance of a rank correlation with slip that is called a trend: the usual level (Fisher 1925, Statistical Methods for
+Research Workers), of Kendall's tau (1938, Biometrika 30, 81, 10.1093/biomet/30.1-2.81)."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatesAgreement:
+    """Whether single states tell one value of a parameter.
+
+    Attributes
+    ----------
+    parameter : its key.
+    states : how many of them give a value.
+    reduced_chi_square : of these values about their weighted mean, each with its own error.
+    probability : of a larger one by chance.
+    first, last : values at the least and the largest slip.
+    trend : `falls` or `rises` with slip, '' for neither or where it cannot be told.
+    """
+
+    parameter: str
+    states: int
+    reduced_chi_square: float
+    probability: float
+    first: float
+    last: float
+    trend: str
+
+    @property
+    def agree(self) -> bool:
+        """Whether one soil may have given them."""
+        return self.reduced_chi_square < CONTRADICT or self.probability > SIGNIFICANCE
+
+    @property
+    def text(self) -> str:
+        """In words, for those that do not agree."""
+        how = f" {self.trend} with slip from" if self.trend else " from"
+        first, last = (float(f"{value:.3g}") for value in (self.first, self.last))
+        symbol = LABELS[self.parameter].rpartition(" ")[2]
+        return f"{symbol}{how} {first:g} to {last:g}, chi-square {self.reduced_chi_square:.0f} a state"
+
+
+def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -> StatesAgreement | None:
+    """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
+    from scipy.special import gammaincc
+    from scipy.stats import kendalltau
+
+    pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]
+    value, sigma = np.array(pairs, float).reshape(-1, 2).T
+    solved = np.isfinite(value)
+    value, weight, slip = value[solved], 1 / sigma[solved] ** 2, slip[solved]
+    degrees = len(value) - 1
+    if degrees < 1:
+        return None
+    chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
+    varied = np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > 0
+    rank = kendalltau(slip, value) if varied else None
+    trend = "" if rank is None or rank.pvalue > TREND else "rises" if rank.statistic > 0 else "falls"
+    order = np.argsort(slip, kind="stable")
+    ends = float(value[order[0]]), float(value[order[-1]])
+    chance = float(gammaincc(degrees / 2, chi_square / 2))
+    return StatesAgreement(parameter, degrees + 1, chi_square / degrees, chance, *ends, trend)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """Share of the variance of a parameter that goes back to one measured quantity.
+
+    Attributes
+    ----------
+    parameter, quantity : which of which.
+    alone : variance with only this quantity in error, over that with all. [-]
+    saved : share of the variance that is gone with this quantity exact; both agree where errors do not interact. [-]
+
+    None where there is no solution.
+    """
+
+    parameter: str
+    quantity: str
+    alone: float | None
+    saved: float | None
+
+
+def sensitivities(
+    states: WheelStates,
+    wheel: Wheel,
+    assumptions: Assumptions | None = None,
+    *,
+    reading: ShearSign = "signed",
+    draws: int = 1024,
+    seed: int = 0,
+) -> list[Sensitivity]:
+    """Shares of variance of every parameter that is solved for, averaged over the states.
+
+    Parameters as in `identify`. Raises ParameterError where all errors are 0.
+
+    References
+    ----------
+    Ding et al. (2024), 10.1038/s41467-024-46233-8, compare the errors of sinkage and forces in this way.
+    """
+    if not np.nan_to_num(states.sigmas).any():
+        raise ParameterError("all errors are 0; there is nothing to divide among the measured quantities")
+    at = np.unique(np.linspace(0, len(states) - 1, SENSITIVITY_STATES).astype(int))
+    few = WheelStates(tuple(states.id[k] for k in at), states.values[at], states.sigmas[at])
+
+    def variances(sigmas: FloatArray) -> dict[str, float]:
+        result = identify(replace(few, sigmas=sigmas), wheel, assumptions, reading=reading, draws=draws, seed=seed)
+        return {name: value for name in LABELS if (value := _variance(result, name)) is not None}
+
+    def share(part: float | None, total: float) -> float | None:
+        return None if part is None or total == 0 else part / total
+
+    whole = variances(few.sigmas)
+    shares = []
+    for k, quantity in enumerate(COLUMNS):
+        if not np.nan_to_num(few.sigmas[:, k]).any() or not np.isfinite(few.values[:, k]).any():
+            continue
+        only = np.where(np.arange(len(COLUMNS)) == k, few.sigmas, 0.0)
+        alone, without = variances(only), variances(few.sigmas - only)
+        for name, total in whole.items():
+            left = share(without.get(name), total)
+            shares.append(
+                Sensitivity(name, quantity, share(alone.get(name), total), None if left is None else 1 - left)
+            )
+    return sorted(shares, key=lambda share: [*LABELS].index(share.parameter))
+
+
+def _variance(result: Identification, name: str) -> float | None:
+    """Mean over the states that have a solution; of several assumed K_y the first."""
+    parts = [row[name] for row in result.observations if name in row]
+    if name == "external_friction_angle_deg":
+        parts = [row["corners"][0][name] for row in result.observations if row["corners"]]
+    sigmas = [part.sigma for part in parts if part.sigma is not None]
+    return float(np.mean(np.square(sigmas))) if sigmas else None

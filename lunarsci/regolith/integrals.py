@@ -33,6 +33,7 @@ from lunarsci.regolith.forces import (
     WheelForces,
     check_states,
     closed_form_forces,
+    finite,
     motion_ratios,
     signed_share,
     slip_ratio,
@@ -165,19 +166,19 @@ def contact_kernel(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: An
 def _eight_by_eight(sinkage: Any, velocity: Any, soils: Any, contacts: Any, wheel: Any, model: Any, rule: Any) -> Any:
     """Forces and moments, (d 6 n / 8, 8), at sinkages (d n / 8, 8) and velocities (3 n / 8, 8)."""
     blocks = len(velocity) // 3
-    found = np.empty((6 * len(sinkage), LANES))
+    forces = np.empty((6 * len(sinkage), LANES))
     r, b, h, r_s = wheel
     for d in range(len(soils)):
         s, c = soils[d], contacts[d]
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
-        own = (r, b, h, r_s, c[1], c[2], c[3])
+        geometry = (r, b, h, r_s, c[1], c[2], c[3])
         choices = (model[0], model[1], model[2], model[3], c[0], model[5], model[6], model[7], model[8])
         for i in range(blocks):
             moving = (load(velocity, i), load(velocity, blocks + i), load(velocity, 2 * blocks + i))
-            sums = contact_kernel(load(sinkage, d * blocks + i), moving, own, soil, choices, rule)
+            sums = contact_kernel(load(sinkage, d * blocks + i), moving, geometry, soil, choices, rule)
             for k in range(6):
-                store(found, (6 * d + k) * blocks + i, sums[k])
-    return found
+                store(forces, (6 * d + k) * blocks + i, sums[k])
+    return forces
 
 
 def forces_on_soils(
@@ -206,8 +207,8 @@ def forces_on_soils(
         for one in (sinkage, velocity.T)
     )
     geometry, rule = wheel.vector()[:4], (NODES, WEIGHTS)
-    found = _eight_by_eight(deep, moving, soils, np.ascontiguousarray(contacts), geometry, model.vector(), rule)
-    return np.asarray(found.reshape(len(soils), 6, -1)[:, :, :count])
+    forces = _eight_by_eight(deep, moving, soils, np.ascontiguousarray(contacts), geometry, model.vector(), rule)
+    return np.asarray(forces.reshape(len(soils), 6, -1)[:, :, :count])
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,6 +314,4 @@ def _forces(
     wheel: Wheel, soil: Soil, z: FloatArray, velocity: FloatArray, model: ContactModel, shape: tuple[int, ...]
 ) -> ContactForces:
     forces = forces_on_soils(z[None], velocity, np.array([soil.vector()]), wheel, model)[0]
-    if not np.isfinite(forces).all():
-        raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
-    return ContactForces(*(force.reshape(shape) for force in forces))
+    return ContactForces(*(force.reshape(shape) for force in finite(forces)))

@@ -1,4 +1,4 @@
-"""From the forces on a wheel back to what makes them: its sinkage, the stresses under it, and soil parameters.
+"""From the forces on a wheel back to what makes them: the stresses under it, and soil parameters.
 
 Bearing, longitudinal shear and lateral shear (Eqs 18-24 solved for their soil) each tie a pair of parameters together,
 (K_s, N), (c, phi), (K_y, phi_y): one state gives a curve, and a point only once one of the pair is assumed.
@@ -14,130 +14,17 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import ParameterError
+from lunarsci.errors import NOT_NEGATIVE, POSITIVE, ParameterError, check_ranges
 from lunarsci.regolith.forces import (
-    LEAST_SINKAGE_M,
     contact_angles,
     longitudinal_mobilisation,
     stress_moments,
     travel_ratio,
 )
-from lunarsci.regolith.integrals import forces_by
-from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import SLIP_SINKAGE_LAWS, ContactModel, ShearSign, SlipSinkageLaw, Wheel
+from lunarsci.regolith.wheel import SLIP_SINKAGE_LAWS, SlipSinkageLaw
 
-DEEPEST = 0.95
-"""Deepest sinkage looked at, as a share of the wheel radius."""
 STEEPEST_DEG = 85.0
 """No soil has a friction angle near this; a larger one means that the forces do not fit the model. Assumed."""
-
-
-def sinkage_under_load(
-    wheel: Wheel,
-    soil: Soil,
-    load_n: float,
-    slip_ratio: float = 0.0,
-    side_slip_deg: float = 0.0,
-    *,
-    reading: ShearSign = "signed",
-    model: ContactModel | None = None,
-) -> float:
-    """Sinkage z at which F_N equals the load (Eq. 21), 0 < z < 0.95 r. [m]
-
-    Parameters
-    ----------
-    load_n : wheel load W > 0. [N]
-    slip_ratio : s, -1 to 1. [-]
-    side_slip_deg : beta, -90 to 90; it only matters to a model with combined shear. [deg]
-    model : exact integrals with these choices; None for the closed form.
-
-    Raises
-    ------
-    ParameterError when the load is not above 0 or the soil cannot carry it at any depth.
-    """
-    from scipy.optimize import brentq
-
-    if not load_n > 0:
-        raise ParameterError(f"load is {load_n:g} N; give a load above 0 N")
-
-    def excess(sinkage_m: float) -> float:
-        return _normal_force(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading, model) - load_n
-
-    shallow, deep = LEAST_SINKAGE_M, DEEPEST * wheel.radius_m
-    if excess(shallow) > 0:
-        raise ParameterError(f"{load_n:g} N does not press the wheel in at all on this soil; check load and soil")
-    if excess(deep) < 0:
-        raise ParameterError(f"the soil carries less than {load_n:g} N at {deep:.3f} m sinkage; check load and soil")
-    return float(brentq(excess, shallow, deep, xtol=1e-12))
-
-
-def stiffness_under_load(
-    wheel: Wheel,
-    soil: Soil,
-    load_n: float,
-    sinkage_m: float,
-    slip_ratio: float = 0.0,
-    side_slip_deg: float = 0.0,
-    *,
-    reading: ShearSign = "signed",
-    model: ContactModel | None = None,
-) -> float:
-    """Stiffness K_s at which the soil carries the load at a measured sinkage; F_N is linear in it. [kPa m^-N]
-
-    Parameters as in `sinkage_under_load`, and sinkage_m, above 1e-7 and below the radius [m]. In a rut, where F_N is
-    not linear, it is good to the first order.
-
-    Raises
-    ------
-    ParameterError where no stiffness above 0 does, as cohesion carries the load alone.
-    """
-    one, two = (
-        _normal_force(wheel, soil.replace(stiffness_kpa_m_n=k * soil.stiffness_kpa_m_n), sinkage_m, slip_ratio,
-                      side_slip_deg, reading, model)
-        for k in (1, 2)
-    )  # fmt: skip
-    times = 1 + (load_n - one) / (two - one)
-    if not times > 0:
-        raise ParameterError(f"cohesion alone carries {load_n:g} N at {sinkage_m:.4f} m; check load, sinkage and soil")
-    return times * soil.stiffness_kpa_m_n
-
-
-def _normal_force(
-    wheel: Wheel,
-    soil: Soil,
-    sinkage_m: float,
-    slip_ratio: float,
-    side_slip_deg: float,
-    reading: ShearSign,
-    model: ContactModel | None,
-) -> float:
-    found = forces_by(model, wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading)
-    return float(found.normal_force_n)
-
-
-def settle_under_load(
-    wheel: Wheel,
-    soil: Soil,
-    load_n: float,
-    slip_ratio: float = 0.0,
-    side_slip_deg: float = 0.0,
-    law: SlipSinkageLaw | None = None,
-    *,
-    reading: ShearSign = "signed",
-    model: ContactModel | None = None,
-) -> tuple[float, Soil]:
-    """Sinkage under a load [m], and the soil: where slip deepens the one by a law, it softens the other, which carries
-    no more than the load.
-
-    Parameters as in `sinkage_under_load`; law as in `slip_sinkage`, None for none.
-    """
-    still = slip_ratio if law is None else 0.0
-    found = sinkage_under_load(wheel, soil, load_n, still, side_slip_deg, reading=reading, model=model)
-    if law is None:
-        return found, soil
-    deep = float(slip_sinkage(found, slip_ratio, law))
-    soft = stiffness_under_load(wheel, soil, load_n, deep, slip_ratio, side_slip_deg, reading=reading, model=model)
-    return deep, soil.replace(stiffness_kpa_m_n=soft)
 
 
 def reece_stiffness(
@@ -171,12 +58,10 @@ def reece_stiffness(
     ----------
     Reece (1965), Proc. Inst. Mech. Eng. 180, 45, 10.1243/PIME_PROC_1965_180_009_02.
     """
-    positive = {"exponent": exponent, "width": width_m, "density": density_kg_m3, "gravity": gravity_m_s2}
-    for name, value in positive.items():
-        if not 0 < value < np.inf:
-            raise ParameterError(f"{name} is {value:g}; give a number above 0")
-    if min(k_c, k_phi, cohesion_pa) < 0 or k_c + k_phi == 0:
-        raise ParameterError("k_c, k_phi and the cohesion must be 0 or more, and one of the moduli above 0")
+    moduli = {"k_c": k_c, "k_phi": k_phi, "cohesion": cohesion_pa}
+    sizes = {"exponent": exponent, "width": width_m, "density": density_kg_m3, "gravity": gravity_m_s2}
+    check_ranges("", moduli, dict.fromkeys(moduli, NOT_NEGATIVE))
+    check_ranges("", sizes | {"sum of the moduli": k_c + k_phi}, dict.fromkeys((*sizes, "sum of the moduli"), POSITIVE))
     pressure = cohesion_pa * k_c + density_kg_m3 * gravity_m_s2 * width_m * k_phi
     return float(pressure / width_m**exponent / 1e3)
 

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.errors import POSITIVE, NumberRange, ParameterError, check_ranges
 
 AXES = ("along", "across")
 SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
 """Quantities of the wheels with a share of their own. Slip and side slip follow from those of the way."""
 FEWEST_DEGREES, MOST_DEGREES = 2.5, 40.0
 """Of freedom: below 2 there is no variance, and drives on other ground are never all alike; assumed."""
+DEGREES = NumberRange(FEWEST_DEGREES, MOST_DEGREES, f"{FEWEST_DEGREES:g} to {MOST_DEGREES:g} of them")
 STATES_TO_WAY, STATES_WORTH = 0.6, 5.0
 """See `FIRST`."""
 GRID, REACH = 41, 8.0
@@ -43,12 +44,7 @@ class VarianceLaw:
     scale: float
 
     def __post_init__(self) -> None:
-        if not FEWEST_DEGREES <= self.degrees <= MOST_DEGREES:
-            raise ParameterError(
-                f"degrees of freedom are {self.degrees}; give {FEWEST_DEGREES:g} to {MOST_DEGREES:g} of them"
-            )
-        if not 0 < self.scale < math.inf:
-            raise ParameterError(f"the scale of a discrepancy is {self.scale}; give a number above 0")
+        check_ranges("a discrepancy's", self, {"degrees": DEGREES, "scale": POSITIVE})
 
     @property
     def variance(self) -> float:
@@ -74,10 +70,10 @@ class VarianceLaw:
         density = -0.5 * self.degrees * (ln_variance + self.scale**2 * np.exp(-ln_variance))
         return ln_variance, density
 
-    def with_share(self, miss: float, known: float, size: float) -> "VarianceLaw":
-        """After a drive that was off by `miss`, of which `known` is variance of other origin, for a size of 1."""
+    def with_share(self, miss: float, other: float, size: float) -> "VarianceLaw":
+        """After a drive that was off by `miss`, of which `other` is variance of other origin, for a size of 1."""
         ln_variance, density = self.grid()
-        total = np.exp(ln_variance) * size**2 + known
+        total = np.exp(ln_variance) * size**2 + other
         return _matched(ln_variance, np.exp(density - 0.5 * (np.log(total) + miss**2 / total)))
 
     def with_size(self, share: float, drives: float) -> "VarianceLaw":
@@ -110,8 +106,8 @@ def _matched(ln_variance: FloatArray, weight: FloatArray) -> VarianceLaw:
     low, high = (float(polygamma(1, 0.5 * degrees)) for degrees in (MOST_DEGREES, FEWEST_DEGREES))
     degrees = MOST_DEGREES
     if spread > low:
-        found = brentq(lambda nu: polygamma(1, 0.5 * nu) - min(spread, high), FEWEST_DEGREES, MOST_DEGREES)
-        degrees = _within(float(found))
+        root = brentq(lambda nu: polygamma(1, 0.5 * nu) - min(spread, high), FEWEST_DEGREES, MOST_DEGREES)
+        degrees = _within(float(root))
     ln_scale = 0.5 * (mean - math.log(0.5 * degrees) + float(psi(0.5 * degrees)))
     return VarianceLaw(degrees, math.exp(ln_scale))
 
@@ -142,20 +138,20 @@ class PhysicsDiscrepancy:
         """Of an end whose way has the matrix `way_m2`, tails included. (2, 2) from (2, 2) [m2]"""
         return np.asarray(self.along.variance * way_m2 + self.across.variance * across_of(way_m2))
 
-    def with_miss(self, miss_m: FloatArray, known_m2: FloatArray, way_m2: FloatArray) -> "PhysicsDiscrepancy":
+    def with_miss(self, miss_m: FloatArray, other_m2: FloatArray, way_m2: FloatArray) -> "PhysicsDiscrepancy":
         """After a drive whose end was missed.
 
         Parameters
         ----------
         miss_m : measured less predicted. (2,) [m]
-        known_m2 : covariance of the miss without discrepancy: of the soil, and of the measured place. (2, 2) [m2]
+        other_m2 : covariance of the miss without discrepancy: of the soil, and of the measured place. (2, 2) [m2]
         way_m2 : matrix of the way, as of `way_matrix`. (2, 2) [m2]
         """
         (one, of_one), (other, of_other) = self.along.grid(), self.across.grid()
         total = (
             np.exp(one)[:, None, None, None] * way_m2
             + np.exp(other)[None, :, None, None] * across_of(way_m2)
-            + known_m2
+            + other_m2
         )
         squared = np.einsum("i,abij,j->ab", miss_m, np.linalg.inv(total), miss_m)
         ln_weight = of_one[:, None] + of_other - 0.5 * (np.linalg.slogdet(total)[1] + squared)
@@ -169,16 +165,16 @@ class PhysicsDiscrepancy:
         share, which counts as up to five drives. States that fit say nothing: the next drive goes where slopes are
         others, and what a law is off by there does not show here.
         """
-        told = STATES_TO_WAY * unexplained
+        missed = STATES_TO_WAY * unexplained
         along, across = (
-            law.with_size(math.hypot(law.scale, told), STATES_WORTH * told**2 / (told**2 + law.scale**2))
+            law.with_size(math.hypot(law.scale, missed), STATES_WORTH * missed**2 / (missed**2 + law.scale**2))
             for law in (self.along, self.across)
         )
         return replace(self, along=along, across=across)
 
-    def with_quantity(self, name: str, miss: float, known: float, size: float) -> "PhysicsDiscrepancy":
-        """After a drive on which a quantity was off by `miss` in the mean, all in its unit; `known` as a variance."""
-        law = self.quantities[name].with_share(miss, known, size)
+    def with_quantity(self, name: str, miss: float, other: float, size: float) -> "PhysicsDiscrepancy":
+        """After a drive on which a quantity was off by `miss` in the mean, all in its unit; `other` is a variance."""
+        law = self.quantities[name].with_share(miss, other, size)
         return replace(self, quantities={**self.quantities, name: law})
 
     def with_score(self, **score: Any) -> "PhysicsDiscrepancy":
@@ -208,8 +204,10 @@ class PhysicsDiscrepancy:
         }
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> "PhysicsDiscrepancy":
-        """From plain values. Raises KeyError, TypeError, ValueError or ParameterError for what is none."""
+    def of(cls, document: Mapping[str, Any] | None) -> "PhysicsDiscrepancy":
+        """From plain values; `FIRST` from None. Raises KeyError, TypeError, ValueError for what is none."""
+        if document is None:
+            return FIRST
         along, across = (VarianceLaw(**document[axis]) for axis in AXES)
         quantities = {str(name): VarianceLaw(**law) for name, law in document["quantities"].items()}
         return cls(along, across, quantities, tuple(dict(entry) for entry in document.get("scored", ())))

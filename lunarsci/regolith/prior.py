@@ -1,16 +1,24 @@
-"""What is held of a soil beforehand: independent normal laws of transformed parameters."""
+"""What is held of a soil beforehand: independent normal laws of transformed parameters.
+
+What to ask of numbers that would be likely in another unit. A number is set against the law of what such numbers are,
+as it is written and as it would be in other units. Another reading is held for as likely beforehand as one file in a
+hundred. Where it is the likelier after all, a question is asked. A number that no unit explains is asked about where it
+is rarer than a slip of any size would be.
+"""
 
 import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
+from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import FINITE, NOT_NEGATIVE, POSITIVE, DataError, NumberRange, ParameterError, check_ranges
 from lunarsci.io.documents import toml_of
 from lunarsci.io.inputs import InputFile, text
 from lunarsci.io.tables import table_hashes
@@ -36,12 +44,18 @@ UNITS = dict(zip(PARAMETERS, ("kPa/m^N", "-", "-", "Pa", "deg", "mm", "deg", "mm
     (*CONTACT, *ROLLING), "-"
 )
 """Unit of every parameter."""
-TRANSFORMS = ("ln", "ln tan", "value")
+TRANSFORMS = {
+    "ln": POSITIVE,
+    "ln tan": NumberRange(0.0, 90.0, "an angle above 0 and below 90 deg", (0.0, 90.0)),
+    "value": FINITE,
+}
+"""What a law may be of, and where its median lies."""
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
-STRANGE = 3.0
-"""Widths of the prior beyond which no parameter lies: 3 in 1000 by chance; assumed."""
-NINETY_FIVE = 1.959964
+SIGNIFICANCE = 1e-3
+"""Chance below which a scatter, a residual or a trend counts as none; assumed, one for all tests of wheel states."""
+STRANGE, NINETY_FIVE = NormalDist().inv_cdf(1.0 - 0.5 * SIGNIFICANCE), 1.959964
+"""Widths of the prior beyond which no parameter lies, and half of those that hold 95 %. [standard deviations]"""
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 
@@ -68,12 +82,7 @@ class Law:
     def __post_init__(self) -> None:
         if self.of not in TRANSFORMS:
             raise ParameterError(f"a prior of '{self.of}' is unknown; give one of {', '.join(TRANSFORMS)}")
-        if not math.isfinite(self.median) or (self.of != "value" and not self.median > 0):
-            raise ParameterError(f"median of a prior is {self.median:g}; give a number above 0")
-        if self.of == "ln tan" and not self.median < 90:
-            raise ParameterError(f"median of an angle is {self.median:g}; give one below 90 deg")
-        if not 0 <= self.sd < math.inf:
-            raise ParameterError(f"standard deviation of a prior is {self.sd:g}; give 0 or more")
+        check_ranges("a prior's", self, {"median": TRANSFORMS[self.of], "sd": NOT_NEGATIVE})
 
     @property
     def center(self) -> float:
@@ -179,3 +188,65 @@ def values_of(
     names = names[: transforms.shape[-1]]
     columns = [prior[name].back(transforms[..., k]) for k, name in enumerate(names)]
     return np.stack(columns, axis=-1)
+
+
+SLIPS = 0.01
+"""Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed."""
+AS_WRITTEN = "--as-written"
+"""The option that takes all numbers as they are."""
+DECADES = 6.0
+"""Over which a slip of any size is taken to be even, in the logarithm; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A doubt about a number that its user can settle.
+
+    Attributes
+    ----------
+    quantity, value : as it is written.
+    usual : the middle of what such numbers are.
+    likely_unit : in which it would be likely; '' where none explains it.
+    option : what settles it.
+    """
+
+    quantity: str
+    value: float
+    usual: float
+    likely_unit: str
+    option: str
+
+    @property
+    def doubt(self) -> str:
+        """What to ask, without what settles it."""
+        likely = f"is it in {self.likely_unit}?" if self.likely_unit else "is it meant so?"
+        return f"{self.quantity} is {self.value:.3g}, where about {self.usual:.3g} is usual; {likely}"
+
+    def __str__(self) -> str:
+        return f"{self.doubt} ({self.option})"
+
+
+def asked_in(questions: "Sequence[Question]") -> dict[str, Any]:
+    """The key `questions` of a result; nothing where nothing is asked."""
+    return {"questions": [asdict(one) for one in questions]} if questions else {}
+
+
+def question(
+    quantity: str, value: float, law: Law, units: Mapping[str, float], option: str = AS_WRITTEN
+) -> Question | None:
+    """What to ask of a number; None where it is most likely as it is written. 0 has no unit.
+
+    Parameters
+    ----------
+    law : of what such numbers are.
+    units : the others by name, each with the size of one of them in the unit that is meant.
+    option : what settles it.
+    """
+    if not value:
+        return None
+    plain, readings = law.ln_density(value), {name: law.ln_density(value * size) for name, size in units.items()}
+    likely = max(readings, key=lambda name: readings[name], default="")
+    explained = bool(likely) and math.log(SLIPS) + readings[likely] > plain
+    if not explained and plain > math.log(SLIPS) - math.log(DECADES * math.log(10.0)):
+        return None
+    return Question(quantity, value, law.median, likely if explained else "", option)

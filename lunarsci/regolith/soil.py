@@ -8,16 +8,28 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.io.documents import toml_document
+from lunarsci.errors import (
+    ACUTE_DEG,
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    DataError,
+    LunarSciWarning,
+    ParameterError,
+    check_ranges,
+)
+from lunarsci.io.documents import toml_of
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
-from lunarsci.regolith.prior import default_prior
-from lunarsci.regolith.questions import Question, question
+from lunarsci.regolith.prior import Question, default_prior, question
 
-_POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
-_ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
+RANGES = {
+    **dict.fromkeys(("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm"), POSITIVE),
+    **dict.fromkeys(("friction_angle_deg", "external_friction_angle_deg"), ACUTE_DEG),
+    "cohesion_pa": NOT_NEGATIVE,
+    "sinkage_exponent_slip": FINITE,
+}
 OTHER_UNITS: dict[str, dict[str, float]] = {
     "stiffness_kpa_m_n": {"Pa/m^N": 1e-3, "MPa/m^N": 1e3, "psi/in^N": 271.4, "tenths of kPa/m^N": 0.1,
                           "tens of kPa/m^N": 10.0},
@@ -60,16 +72,7 @@ class Soil:
     sinkage_exponent_slip: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in _POSITIVE:
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"soil {name} is {getattr(self, name)}; give a number above 0")
-        for name in _ANGLES:
-            if not 0 <= getattr(self, name) < 90:
-                raise ParameterError(f"soil {name} is {getattr(self, name)}; give an angle from 0 to below 90 deg")
-        if not math.isfinite(self.sinkage_exponent_slip):
-            raise ParameterError(f"soil sinkage_exponent_slip is {self.sinkage_exponent_slip}; give a finite number")
-        if not 0 <= self.cohesion_pa < math.inf:
-            raise ParameterError(f"soil cohesion_pa is {self.cohesion_pa}; give 0 Pa or more")
+        check_ranges("soil", self, RANGES)
 
     def vector(self) -> tuple[float, float, float, float, float, float, float, float]:
         """(K_s, n0, n1, c, tan phi, K_x, tan phi_y, K_y), the order the compiled formulas take, in Pa and m."""
@@ -86,21 +89,19 @@ class Soil:
 
     def replace(self, **changes: float) -> "Soil":
         """The same soil with some parameters changed. Raises ParameterError for a name that is none."""
-        known = [field.name for field in dataclasses.fields(self)]
-        for name in changes:
-            if name not in known:
-                raise ParameterError(f"'{name}' is not a soil parameter; {one_of(name, known)}")
+        if wrong := [name for name in changes if name not in RANGES]:
+            raise ParameterError(f"'{wrong[0]}' is not a soil parameter; {one_of(wrong[0], RANGES)}")
         return dataclasses.replace(self, **changes)
 
 
-def known_soils() -> dict[str, dict[str, Any]]:
+def soil_tables() -> dict[str, dict[str, Any]]:
     """The soils that come with lunarsci, name to table (parameters and `source`)."""
     return tomllib.loads((files(__package__) / "soils.toml").read_text("utf-8"))
 
 
 def soil_hash(soil: str) -> tuple[dict[str, str], dict[str, str]]:
     """Where a soil comes from, for the provenance: (user's file, own table) to SHA-256, one of them empty."""
-    if soil in known_soils():
+    if soil in soil_tables():
         return {}, table_hashes("soils.toml", package=__package__)
     return {soil: sha256(Path(soil).read_bytes())}, {}
 
@@ -110,19 +111,17 @@ def read_soil(soil: str) -> Soil:
 
     Warns with LunarSciWarning of values of a file that no lunar soil is known to have.
     """
-    known = known_soils()
-    if soil in known:
-        return _soil(known[soil], soil)
+    tables = soil_tables()
+    if soil in tables:
+        return _soil(tables[soil], soil)
     try:
-        document = toml_document(Path(soil).read_text("utf-8"))
+        content = Path(soil).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        near = meant(soil, known)
+        near = meant(soil, tables)
         raise DataError(
-            f"{soil}: {near}neither a soil of lunarsci ({', '.join(known)}) nor a readable TOML file"
+            f"{soil}: {near}neither a soil of lunarsci ({', '.join(tables)}) nor a readable TOML file"
         ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(f"{soil}: not valid TOML: {error}") from error
-    read = _soil(document, soil)
+    read = _soil(toml_of(soil, content), soil)
     warn_of_unusual(read, soil)
     return read
 
@@ -144,9 +143,8 @@ def unusual(soil: Soil, called: str = "soil") -> list[Question]:
 
 def _soil(table: dict[str, Any], origin: str) -> Soil:
     values = {name: value for name, value in table.items() if name not in ("source", "assumed")}
-    known = [field.name for field in dataclasses.fields(Soil)]
-    if unknown := [name for name in values if name not in known]:
-        raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; {one_of(unknown[0], known)}")
+    if unknown := [name for name in values if name not in RANGES]:
+        raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; {one_of(unknown[0], RANGES)}")
     if tables := [name for name, value in values.items() if isinstance(value, dict)]:
         raise DataError(
             f"{origin}: {tables[0]} is a law, as of a prior, and a soil has numbers; see `lunarsci template soil`"

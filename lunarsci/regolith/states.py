@@ -14,14 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import NOT_NEGATIVE, DataError, LunarSciWarning, check_ranges
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, numbers_of, read_csv_table, without_repeats
-from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
-from lunarsci.regolith.questions import SLIPS as SLIPS_OF_UNITS
-from lunarsci.regolith.questions import Question, question
-from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
-from lunarsci.regolith.written_columns import (
+from lunarsci.regolith.columns import (
     FORCES,
     LENGTHS,
     OPTION,
@@ -31,9 +27,12 @@ from lunarsci.regolith.written_columns import (
     NamedColumns,
     by_rim,
     by_travel,
+    check_written_for,
     named_columns,
 )
-from lunarsci.regolith.written_names import check_written_for
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law, Question, question
+from lunarsci.regolith.prior import SLIPS as SLIPS_OF_UNITS
+from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,22 +40,19 @@ if TYPE_CHECKING:
 
 LOAD_UNITS = {"kN": FORCES["kn"], "mN": FORCES["mn"]}
 """In newtons, by definition; a kilogram and a pound of force make loads that other wheels of that size have."""
-PULL_OVER_LOAD = Law("ln", 0.25, 0.7, "0.1 to 0.5 at slips of 0.2 and more (Wong 2008, ISBN 978-0-470-17038-0)")
-"""Largest drawbar pull of a wheel test, as a share of the load; the width is assumed."""
-PULLING = 0.2
-"""Slip from which a wheel test shows what a wheel pulls; assumed."""
+PULL_OVER_LOAD, PULLING = Law("ln", 0.25, 0.7, "Wong 2008, ISBN 978-0-470-17038-0; width assumed"), 0.2
+"""Largest drawbar pull of a wheel test, as a share of the load: 0.1 to 0.5 from such a slip on. [-]"""
 SINKAGE = Law("ln", 0.12, 0.8, "5 to 40 % of wheels' radii; assumed")
-"""Median sinkage over the radius; assumed."""
 SLIPS: Mapping[str, Law] = {
     "%": Law("ln", 25.0, 1.0, "wheel tests go from 5 to 80 %; assumed"),
     TRAVEL: Law("ln", 0.4, 1.0, "the same as r w / v - 1; assumed"),
 }
-"""Median of slips that are no ratios from -1 to 1, as they are written; assumed."""
+USUAL_SLIP = 0.3
+"""Priors of a median sinkage over the radius, and of the median of slips that are no ratios from -1 to 1, as they are
+written; the middle of what wheel tests try; assumed."""
 ROUND, OFF, SURELY_ROUND = 0.05, 0.02, 1e4
 """Step of the slips that wheel tests are set to, how far off one a round number is at most, in steps, and the odds from
 which they are taken for set ones; assumed."""
-USUAL_SLIP = 0.3
-"""Middle of what wheel tests try; assumed."""
 
 
 def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | None]:
@@ -69,24 +65,14 @@ def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | No
     return likely, Question("median sinkage", median, usual, likely, f"{OPTION} sinkage_m={likely}")
 
 
-def another_unit(median: float, wheel: Wheel) -> str:
-    """The unit of a median sinkage that is named in m, and beyond the wheel; '' where no other one makes it likely."""
-    unit, _ = likely_sinkage_unit(median, wheel)
-    low = [SINKAGE.ln_density(median * LENGTHS[one] / wheel.radius_m) for one in ("m", unit)]
-    fits = median * LENGTHS[unit] < wheel.radius_m
-    return unit if fits and low[1] + math.log(SLIPS_OF_UNITS) > low[0] else ""
-
-
 def likely_slip(slip: FloatArray) -> str:
     """The definition, or unit, of slips (n,) that are no ratios from -1 to 1; '' where they are."""
-    known = slip[np.isfinite(slip)]
-    if not known.size:
-        return ""
-    if (np.abs(known) <= 1).all():
-        return TRAVEL if _set_by_travel(known) else ""
-    if known.max() <= 1:
+    slip = slip[np.isfinite(slip)]
+    if (np.abs(slip) <= 1).all():
+        return TRAVEL if _set_by_travel(slip) else ""
+    if slip.max() <= 1:
         return "rim"
-    middle = float(np.median(known[known > 0]))
+    middle = float(np.median(slip[slip > 0]))
     return max(SLIPS, key=lambda unit: SLIPS[unit].ln_density(middle))
 
 
@@ -99,13 +85,6 @@ def _set_by_travel(slip: FloatArray) -> bool:
     steps = (each / ROUND, each / (1 + each) / ROUND)
     written, turned = (int((np.abs(one - np.rint(one)) < OFF).sum()) for one in steps)
     return (turned - written) * -math.log(2 * OFF) > math.log(SURELY_ROUND)
-
-
-def slip_question(slip: FloatArray, unit: str) -> Question:
-    """What to ask of slips that are read in another unit or definition than their name says."""
-    worst = float(slip[np.nanargmax(np.abs(slip))])
-    told = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
-    return Question("slip_ratio", worst, USUAL_SLIP, told, f"{OPTION} slip_ratio={unit}")
 
 
 def force_questions(
@@ -153,29 +132,23 @@ def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
     of_load = {f"{unit} (the load)": 1.0 / FORCES[unit.lower()] for unit in ("kN", "kgf", "lbf")}
-    found = question(
+    asked = question(
         "largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, LOAD_UNITS | {share: load} | of_load
     )
-    if found is None:
+    if asked is None:
         return None
-    unit = OVER_LOAD if found.likely_unit == share else found.likely_unit.partition(" ")[0] or "N"
-    column = "normal_force_n" if found.likely_unit in of_load else "drawbar_pull_n"
-    return replace(found, option=f"{OPTION} {column}={unit}")
+    unit = OVER_LOAD if asked.likely_unit == share else asked.likely_unit.partition(" ")[0] or "N"
+    column = "normal_force_n" if asked.likely_unit in of_load else "drawbar_pull_n"
+    return replace(asked, option=f"{OPTION} {column}={unit}")
 
 
 def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:
     named = "normal_force_n" not in unitless
     units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
-    found = question("median normal_force_n", middle, law, units)
-    if found is None and not named:
-        found = Question("median normal_force_n", middle, law.median, "N", OPTION)
-    return found and replace(found, option=f"{OPTION} normal_force_n={found.likely_unit or 'N'}")
-
-
-def converted_slip(slip: FloatArray, unit: str) -> FloatArray:
-    """lunarsci's slip ratio from slips of a unit or definition."""
-
-    return by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
+    asked = question("median normal_force_n", middle, law, units)
+    if asked is None and not named:
+        asked = Question("median normal_force_n", middle, law.median, "N", OPTION)
+    return asked and replace(asked, option=f"{OPTION} normal_force_n={asked.likely_unit or 'N'}")
 
 
 REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
@@ -185,7 +158,7 @@ IDENTIFIERS = (
     *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
     *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
 )
-KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
+EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"
 """In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
 LEAST_SINKAGE_M = 1e-6
@@ -207,9 +180,7 @@ class MeasurementErrors:
     side_slip_relative: float = 0.04 / 3
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ParameterError(f"error of {name} is {getattr(self, name)}; give 0 or more")
+        check_ranges("error of", self, dict.fromkeys(self.__slots__, NOT_NEGATIVE))
 
     def of(self, column: str, values: FloatArray) -> FloatArray:
         """Standard deviation of a column, in the column's unit; shape of `values`."""
@@ -286,7 +257,7 @@ class StateTable:
         """Name of the wheel of each row."""
         return tuple(self.table["wheel"].fillna("").str.strip())
 
-    def kept(self, rows: BoolArray) -> "StateTable":
+    def subset(self, rows: BoolArray) -> "StateTable":
         """Some of the rows."""
         table = self.table[rows].reset_index(drop=True)
         return replace(self, table=table, values=self.values[rows], sigmas=self.sigmas[rows], valid=self.valid[rows])
@@ -309,7 +280,7 @@ def read_state_table(
 
     Columns: those of `COLUMNS`, `NAME_sigma` for the standard deviation of NAME (else that of `errors`), `valid`, and
     what tells states apart (`IDENTIFIERS`); or the same by other names and in other units, as
-    `lunarsci.regolith.written_columns` says, and by `units`, with a warning. Any other one that is nearly one of them
+    `lunarsci.regolith.columns` says, and by `units`, with a warning. Any other one that is nearly one of them
     is refused: a slip of the pen. Rows that are there twice count once, with a warning, where `time_s` and `wheel`
     tell.
 
@@ -337,7 +308,7 @@ def read_state_table(
             f"{file}: no column normal_force_n: states of a drive without forces; `lunarsci twin update` learns the "
             "soil from them, `lunarsci twin loads --motion motion.csv --states states.csv` adds forces"
         )
-    unused = check_columns(file, columns, KNOWN, (*(("time_s", "wheel") if wheels else ()), *needed))
+    unused = check_columns(file, columns, EVERY_COLUMN, (*(("time_s", "wheel") if wheels else ()), *needed))
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
     if not any_wheel:
@@ -357,12 +328,12 @@ def read_state_table(
 def _named(source: InputFile, wheel: Wheel, units: str) -> NamedColumns:
     """The columns under their own names; a sinkage without a unit in the one that makes it likely under this wheel."""
     table = read_csv_table(source)
-    named = named_columns(source.name, table, KNOWN, units)
+    named = named_columns(source.name, table, EVERY_COLUMN, units)
     if "sinkage_m" not in named.unitless:
         return named
     written = _numbers(source.name, named.table, "sinkage_m")
     unit, asked = likely_sinkage_unit(float(np.median(written[np.isfinite(written)])), wheel)
-    again = named_columns(source.name, table, KNOWN, ",".join(filter(None, (units, f"sinkage_m={unit}"))))
+    again = named_columns(source.name, table, EVERY_COLUMN, ",".join(filter(None, (units, f"sinkage_m={unit}"))))
     return replace(again, questions=() if asked is None else (asked,))
 
 
@@ -392,16 +363,16 @@ def _valid(file: str, cells: Any) -> BoolArray:
 
 def _check_scale(file: str, values: FloatArray, radius_m: float) -> None:
     """Refuse values that are mostly of a wrong sign or unit."""
-    for column, low, high, said in (
+    for column, low, high, rule in (
         ("sinkage_m", 0.0, radius_m, f"it is in metres, down is positive, and the wheel's radius is {radius_m:g} m"),
         ("slip_ratio", -1.0, 1.0, "it is a ratio from -1 to 1, no percentage"),
         ("side_slip_deg", -90.0, 90.0, "it lies within -90 to 90 deg"),
         ("normal_force_n", 0.0, np.inf, "the ground presses upwards, which is positive"),
     ):
-        known = values[np.isfinite(values[:, COLUMNS.index(column)]), COLUMNS.index(column)]
-        middle = float(np.median(known)) if known.size else np.nan
+        measured = values[np.isfinite(values[:, COLUMNS.index(column)]), COLUMNS.index(column)]
+        middle = float(np.median(measured)) if measured.size else np.nan
         if middle < low or middle > high or (column == "sinkage_m" and middle in (low, high)):
-            raise DataError(f"{file}: {column} has a median of {middle:.3g}; {said}")
+            raise DataError(f"{file}: {column} has a median of {middle:.3g}; {rule}")
 
 
 def _sigmas(file: str, table: "pd.DataFrame", values: FloatArray, errors: MeasurementErrors) -> FloatArray:
@@ -431,97 +402,105 @@ def read_states(
     """
     import pandas as pd
 
-    found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
-    found, questions = _with_slip(found)
-    found, asked = _with_sinkage(found, wheel)
-    questions += asked
-    if found.unused:
+    read = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
+    read, asked_of_slip = _with_slip(read)
+    read, asked = _with_sinkage(read, wheel)
+    frame, named, rows = read.table, read.named, _complete_rows(read)
+    if read.unused:
         # An error under another name than NAME_sigma would go unread.
-        stems = [name.rpartition("_")[0] for name in found.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
+        stems = [name.rpartition("_")[0] for name in read.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
         hint = "; did you mean " + ", ".join(f"{stem}_sigma" for stem in stems) + "?" if stems else ""
-        warnings.warn(f"{found.file}: columns not used: {', '.join(found.unused)}{hint}", LunarSciWarning, stacklevel=2)
-    keep, frame = _kept_rows(found), found.table
-    values = found.values[keep]
-    _check_values(found.file, values, np.flatnonzero(keep), wheel)
+        warnings.warn(f"{read.file}: columns not used: {', '.join(read.unused)}{hint}", LunarSciWarning, stacklevel=2)
+    values = read.values[rows]
+    check_values(read.file, values, np.flatnonzero(rows), wheel, REQUIRED)
+    if fast := int((np.abs(values[:, 1]) > MAX_VALID_SLIP).sum()):
+        warnings.warn(
+            f"{read.file}: |slip_ratio| above {MAX_VALID_SLIP} in {fast} rows, where the model is no longer accurate",
+            LunarSciWarning,
+            stacklevel=2,
+        )
     numbered = pd.Series([str(n) for n in range(1, len(frame) + 1)])
     ids = frame["id"].fillna(numbered) if "id" in frame else numbered
     stated = any(f"{name}_sigma" in frame for name in COLUMNS[3:])
-    alike = "forces_from" in frame and bool((frame["forces_from"][keep] == FROM_MOTION).all())
-    sigmas = np.where(np.isfinite(values), found.sigmas[keep], 0.0)
-    wheels = tuple(sorted(set(found.wheels))) if "wheel" in frame else ()
-    unstated = tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame)
-    questions += found.named.questions + force_questions(values, wheel, found.named.unitless, found.named.answered)
-    told = found.named.read_as
-    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike, wheels, unstated, told, questions)
+    return WheelStates(
+        tuple(ids[rows].astype(str)),
+        values,
+        np.where(np.isfinite(values), read.sigmas[rows], 0.0),
+        stated=stated,
+        alike="forces_from" in frame and bool((frame["forces_from"][rows] == FROM_MOTION).all()),
+        wheels=tuple(sorted(set(read.wheels))) if "wheel" in frame else (),
+        unstated=tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame),
+        read_as=named.read_as,
+        questions=(
+            *(*asked_of_slip, *asked, *named.questions),
+            *force_questions(values, wheel, named.unitless, named.answered),
+        ),
+    )
 
 
-def _with_sinkage(found: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Question, ...]]:
+def _with_sinkage(read: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Question, ...]]:
     """A table with sinkages of wheels that are not above their heads, and what to ask where they were."""
-    known = found.values[found.valid & np.isfinite(found.values[:, 0]), 0]
-    if not known.size or (middle := float(np.median(known))) < wheel.radius_m:
-        return found, ()
-    if not (unit := another_unit(middle, wheel)):
-        return found, ()
-    usual, size = SINKAGE.median * wheel.radius_m, LENGTHS[unit]
-    values, sigmas = found.values.copy(), found.sigmas.copy()
-    values[:, 0] *= size
-    sigmas[:, 0] *= size if "sinkage_m_sigma" in found.table else 1.0
+    measured = read.values[read.valid & np.isfinite(read.values[:, 0]), 0]
+    if not measured.size or (middle := float(np.median(measured))) < wheel.radius_m:
+        return read, ()
+    unit, _ = likely_sinkage_unit(middle, wheel)
+    as_m, other = (SINKAGE.ln_density(middle * LENGTHS[one] / wheel.radius_m) for one in ("m", unit))
+    if not (middle * LENGTHS[unit] < wheel.radius_m and other + math.log(SLIPS_OF_UNITS) > as_m):
+        return read, ()
+    values, sigmas = read.values.copy(), read.sigmas.copy()
+    values[:, 0] *= LENGTHS[unit]
+    sigmas[:, 0] *= LENGTHS[unit] if "sinkage_m_sigma" in read.table else 1.0
+    usual = SINKAGE.median * wheel.radius_m
     asked = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
-    return replace(found, values=values, sigmas=sigmas), (asked,)
+    return replace(read, values=values, sigmas=sigmas), (asked,)
 
 
-def _with_slip(found: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
+def _with_slip(read: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
     """A table with slips as ratios from -1 to 1, and what to ask where they were none."""
-    slip = found.values[:, 1]
-    if "slip_ratio" in found.named.answered or not (unit := likely_slip(slip[found.valid])):
-        return found, ()
-    values = found.values.copy()
-    values[:, 1] = converted_slip(slip, unit)
-    return replace(found, values=values), (slip_question(slip[found.valid], unit),)
+    slip = read.values[:, 1]
+    if "slip_ratio" in read.named.answered or not (unit := likely_slip(slip[read.valid])):
+        return read, ()
+    values = read.values.copy()
+    values[:, 1] = by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
+    worst = float(slip[read.valid][np.nanargmax(np.abs(slip[read.valid]))])
+    meaning = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
+    asked = Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
+    return replace(read, values=values), (asked,)
 
 
-def _kept_rows(found: StateTable) -> BoolArray:
-    complete = np.isfinite(found.values[:, [COLUMNS.index(name) for name in REQUIRED]]).all(axis=1)
-    keep = complete & found.valid
-    if not keep.any():
-        raise DataError(f"{found.file}: no row has all of {', '.join(REQUIRED)}; fill them in")
-    if not keep.all():
+def _complete_rows(read: StateTable) -> BoolArray:
+    rows = np.isfinite(read.values[:, [COLUMNS.index(name) for name in REQUIRED]]).all(axis=1) & read.valid
+    if not rows.any():
+        raise DataError(f"{read.file}: no row has all of {', '.join(REQUIRED)}; fill them in")
+    if not rows.all():
         warnings.warn(
-            f"{found.file}: {(~keep).sum()} of {keep.size} rows left out (a required value missing, or marked not "
+            f"{read.file}: {(~rows).sum()} of {rows.size} rows left out (a required value missing, or marked not "
             "valid)",
             LunarSciWarning,
             stacklevel=3,
         )
-    return keep
+    return rows
 
 
 def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
     """What could be wrong with sinkages that no wheel has, and the option that says so."""
-    if (least := float(np.nanmin(sinkage_m))) >= LEAST_SINKAGE_M:
+    if not (least := float(np.nanmin(sinkage_m, initial=np.inf))) < LEAST_SINKAGE_M:
         return f"is it in another unit ({OPTION} sinkage_m=mm)?"
     return f"is its zero off ({OPTION} sinkage_m={math.ceil(1e3 * (1e-3 - least)) / 1e3:+.3g})?"
 
 
-def _check_values(name: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> None:
-    z, s, beta, load = values[:, 0], values[:, 1], values[:, 2], values[:, 3]
-    for column, bad, rule in (
-        (
-            "sinkage_m",
-            ~((z >= LEAST_SINKAGE_M) & (z < wheel.radius_m)),
-            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m; {_doubt_of_sinkage(z)}",
-        ),
-        ("slip_ratio", np.abs(s) > 1, "within -1 to 1"),
-        ("side_slip_deg", np.abs(beta) > 90, "within -90 to 90 deg"),
-        ("normal_force_n", ~(load > 0), "above 0 N"),
-    ):
+def check_values(file: str, values: FloatArray, rows: IndexArray, wheel: Wheel, required: Collection[str]) -> None:
+    """Raise DataError for a value in the order of `COLUMNS` that no wheel can have, or a blank that is required."""
+    depth, under = values[:, 0], f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m"
+    rules = (
+        ((depth >= LEAST_SINKAGE_M) & (depth < wheel.radius_m), f"{under}; {_doubt_of_sinkage(depth)}"),
+        (np.abs(values[:, 1]) <= 1, "within -1 to 1"),
+        (np.abs(values[:, 2]) <= 90, "within -90 to 90 deg"),
+        (values[:, 3] > 0, "above 0 N"),
+    )
+    for k, (good, rule) in enumerate(rules):
+        bad = ~good & (np.isfinite(values[:, k]) | (COLUMNS[k] in required))
         if bad.any():
             first = int(np.argmax(bad))
-            value = values[first, COLUMNS.index(column)]
-            raise DataError(f"{name}, row {rows[first] + 1}, {column}: {value:g} is impossible; it must lie {rule}")
-    fast = int((np.abs(s) > MAX_VALID_SLIP).sum())
-    if fast:
-        warnings.warn(
-            f"{name}: |slip_ratio| above {MAX_VALID_SLIP} in {fast} rows, where the model is no longer accurate",
-            LunarSciWarning,
-            stacklevel=3,
-        )
+            text = f"{values[first, k]:g} is impossible; it must lie {rule}"
+            raise DataError(f"{file}, row {rows[first] + 1}, {COLUMNS[k]}: {text}")

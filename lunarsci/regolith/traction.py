@@ -1,24 +1,95 @@
-"""What a loaded wheel pulls over slip: its curve, and the figures by which wheels are compared."""
+"""A loaded wheel: how deep it sinks, what it pulls over slip, and the figures by which wheels are compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import WheelForces
+from lunarsci.errors import POSITIVE, ParameterError, check_ranges
+from lunarsci.regolith.forces import LEAST_SINKAGE_M, WheelForces
 from lunarsci.regolith.integrals import ContactForces, forces_by
-from lunarsci.regolith.inversion import settle_under_load
+from lunarsci.regolith.inversion import slip_sinkage
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import ContactModel, ShearSign, SlipSinkageLaw, Wheel
 
+DEEPEST = 0.95
+"""Deepest sinkage looked at, as a share of the wheel radius."""
 DESIGN_SLIP = 0.2
 """Slip at which wheels are compared, first of the Lunar Roving Vehicle: Freitag, Green & Melzer (1970), Waterways
 Experiment Station TR M-70-2. [-]"""
 STEEPEST_DEG = 45.0
 """No slope steeper than this is looked at; no lunar soil stands so. Assumed."""
+
+
+def sinkage_under_load(
+    wheel: Wheel,
+    soil: Soil,
+    load_n: float,
+    slip_ratio: float = 0.0,
+    side_slip_deg: float = 0.0,
+    *,
+    reading: ShearSign = "signed",
+    model: ContactModel | None = None,
+) -> float:
+    """Sinkage z at which F_N equals the load (Eq. 21), 0 < z < 0.95 r. [m]
+
+    Parameters
+    ----------
+    load_n : wheel load W > 0. [N]
+    slip_ratio : s, -1 to 1. [-]
+    side_slip_deg : beta, -90 to 90; it only matters to a model with combined shear. [deg]
+    model : exact integrals with these choices; None for the closed form.
+
+    Raises
+    ------
+    ParameterError when the load is not above 0 or the soil cannot carry it at any depth.
+    """
+    from scipy.optimize import brentq
+
+    check_ranges("", {"load_n": load_n}, {"load_n": POSITIVE})
+
+    def excess(sinkage_m: float) -> float:
+        return (
+            float(forces_by(model, wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading).normal_force_n) - load_n
+        )
+
+    shallow, deep = LEAST_SINKAGE_M, DEEPEST * wheel.radius_m
+    if excess(shallow) > 0:
+        raise ParameterError(f"{load_n:g} N does not press the wheel in at all on this soil; check load and soil")
+    if excess(deep) < 0:
+        raise ParameterError(f"the soil carries less than {load_n:g} N at {deep:.3f} m sinkage; check load and soil")
+    return float(brentq(excess, shallow, deep, xtol=1e-12))
+
+
+def stiffness_under_load(
+    wheel: Wheel,
+    soil: Soil,
+    load_n: float,
+    sinkage_m: float,
+    slip_ratio: float = 0.0,
+    side_slip_deg: float = 0.0,
+    *,
+    reading: ShearSign = "signed",
+    model: ContactModel | None = None,
+) -> float:
+    """Stiffness K_s at which the soil carries the load at a measured sinkage; F_N is linear in it. [kPa m^-N]
+
+    Parameters as in `sinkage_under_load`, and sinkage_m, above 1e-7 and below the radius [m]. In a rut, where F_N is
+    not linear, it is good to the first order.
+
+    Raises
+    ------
+    ParameterError where no stiffness above 0 does, as cohesion carries the load alone.
+    """
+    soils = [soil.replace(stiffness_kpa_m_n=k * soil.stiffness_kpa_m_n) for k in (1, 2)]
+    forces = [forces_by(model, wheel, one, sinkage_m, slip_ratio, side_slip_deg, reading) for one in soils]
+    one, two = (float(force.normal_force_n) for force in forces)
+    times = 1 + (load_n - one) / (two - one)
+    if not times > 0:
+        raise ParameterError(f"cohesion alone carries {load_n:g} N at {sinkage_m:.4f} m; check load, sinkage and soil")
+    return times * soil.stiffness_kpa_m_n
 
 
 class LoadedState(NamedTuple):
@@ -60,12 +131,19 @@ class LoadedWheel:
     model: ContactModel | None = None
 
     def at(self, slip: float, load_n: float | None = None) -> LoadedState:
-        """The wheel at a slip, under another load where one is given. Raises ParameterError as `settle_under_load`."""
-        law = self.law if slip >= 0 else None
-        load = self.load_n if load_n is None else load_n
-        sinkage, soil = settle_under_load(
-            self.wheel, self.soil, load, slip, self.side_slip_deg, law, reading=self.reading, model=self.model
-        )
+        """The wheel at a slip, under another load where one is given.
+
+        Where slip deepens the sinkage by a law, it softens the soil, which carries no more than the load. Raises
+        ParameterError as `sinkage_under_load`.
+        """
+        law, load = self.law if slip >= 0 else None, self.load_n if load_n is None else load_n
+        soil, how = self.soil, dict[str, Any](reading=self.reading, model=self.model)
+        still = slip if law is None else 0.0
+        sinkage = sinkage_under_load(self.wheel, soil, load, still, self.side_slip_deg, **how)
+        if law is not None:
+            sinkage = float(slip_sinkage(sinkage, slip, law))
+            soft = stiffness_under_load(self.wheel, soil, load, sinkage, slip, self.side_slip_deg, **how)
+            soil = soil.replace(stiffness_kpa_m_n=soft)
         forces = forces_by(self.model, self.wheel, soil, sinkage, slip, self.side_slip_deg, self.reading)
         return LoadedState(slip, sinkage, soil, forces)
 
@@ -111,9 +189,7 @@ class Traction(NamedTuple):
 
 
 def traction(loaded: LoadedWheel, curve: Sequence[LoadedState]) -> Traction:
-    """Figures of a loaded wheel from its curve over slip, in order of slip. Raises ParameterError for an empty one."""
-    if not curve:
-        raise ParameterError("no slips; give one or more")
+    """Figures of a loaded wheel from its curve over slip, in order of slip."""
     there = loaded.at(DESIGN_SLIP)
     pull = float(there.forces.drawbar_pull_n)
     good = [(value, state.slip) for state in curve if (value := state.efficiency(loaded.wheel)) is not None]

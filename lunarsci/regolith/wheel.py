@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import NOT_NEGATIVE, POSITIVE, SHARE, DataError, NumberRange, ParameterError, check_ranges
 from lunarsci.rovers import RoverDescription, read_rover
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
@@ -24,28 +24,20 @@ DENSITY_KG_M3 = 1500.0
 """Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 
 
-def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coefficient: float) -> float:
-    """Equivalent shearing radius of a wheel with grousers, r_s = r + lambda_s h.
-
-    Parameters
-    ----------
-    radius_m : radius r of the wheel shell. [m]
-    grouser_height_m : grouser height h. [m]
-    grouser_shear_coefficient : lambda_s, 0 to 1; 0.5 is typical, 0.65 is used for Yutu-2. [-]
-
-    Returns
-    -------
-    r_s. [m]
-
-    References
-    ----------
-    Eq. 4 of Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
-    """
-    return radius_m + grouser_shear_coefficient * grouser_height_m
-
-
 LARGEST_M = 2.5
 """Radius or width; the largest tyres built are 2.0 m in radius (59/80R63, of mining trucks). Assumed. [m]"""
+RANGES = {
+    **dict.fromkeys(
+        ("radius_m", "width_m"), NumberRange(0.0, LARGEST_M, "a length in m above 0 (is it in mm or cm?)", (0.0,))
+    ),
+    "grouser_height_m": NOT_NEGATIVE,
+    "grouser_shear_coefficient": SHARE,
+}
+CONTACT_RANGES = {
+    **dict.fromkeys(("density_kg_m3", "gravity_m_s2"), POSITIVE),
+    "rebound": SHARE,
+    **dict.fromkeys(("rut_m", "reload_n_m3", "reload_rise_n_m4"), NOT_NEGATIVE),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,24 +66,16 @@ class Wheel:
     exit_c3: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("radius_m", "width_m"):
-            if not getattr(self, name) > 0:
-                raise ParameterError(f"wheel {name} is {getattr(self, name)}; give a length above 0 m")
-            if getattr(self, name) > LARGEST_M:
-                raise ParameterError(f"wheel {name} is {getattr(self, name):g}; is it in mm or cm?")
-        if not self.grouser_height_m >= 0:
-            raise ParameterError(f"wheel grouser_height_m is {self.grouser_height_m}; give 0 m or more")
-        if self.grouser_height_m >= self.radius_m:
+        check_ranges("wheel", self, RANGES)
+        if not self.grouser_height_m < self.radius_m:
             raise ParameterError(f"wheel grouser_height_m is {self.grouser_height_m:g}, not less than radius_m; in mm?")
-        if not 0 <= self.grouser_shear_coefficient <= 1:
-            raise ParameterError("wheel grouser_shear_coefficient must lie within 0 to 1")
         if not self.exit_c3 < self.max_stress_c1 < 1:
             raise ParameterError("wheel contact angles need exit_c3 < max_stress_c1 < 1")
 
     @property
     def shearing_radius_m(self) -> float:
-        """r_s of Eq. 4. [m]"""
-        return shearing_radius(self.radius_m, self.grouser_height_m, self.grouser_shear_coefficient)
+        """Equivalent shearing radius r_s = r + lambda_s h of a wheel with grousers (Eq. 4). [m]"""
+        return self.radius_m + self.grouser_shear_coefficient * self.grouser_height_m
 
     def vector(self) -> tuple[float, float, float, float, float, float, float]:
         """(r, b, h, r_s, c1, c2, c3), the order the compiled formulas take. [m, m, m, m, -, -, -]"""
@@ -176,15 +160,7 @@ class ContactModel:
                 raise ParameterError(f"{name} '{value}' is unknown; choose one of: {', '.join(choices)}")
         if self.shear != "separate" and self.reading != "signed":
             raise ParameterError(f"reading '{self.reading}' belongs to separate shear; take reading 'signed'")
-        for name in ("density_kg_m3", "gravity_m_s2"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"{name} is {getattr(self, name):g}; give a number above 0")
-        if self.rebound is not None and not 0 <= self.rebound <= 1:
-            raise ParameterError(f"rebound is {self.rebound:g}; give a share from 0 to 1")
-        for name in ("rut_m", "reload_n_m3", "reload_rise_n_m4"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ParameterError(f"{name} is {getattr(self, name):g}; give 0 or more")
-
+        check_ranges("", self, CONTACT_RANGES)
         if self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0:
             raise ParameterError("a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4")
 

@@ -19,9 +19,9 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.compare import Site, compare_site, nearest, reference_soils
 from lunarsci.regolith.forces import WheelForces, closed_form_forces, contact_angles
 from lunarsci.regolith.identify import Assumptions, Identification, identify
-from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
+from lunarsci.regolith.traction import sinkage_under_load
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
 from lunarsci.twin.rover import Rover

@@ -44,15 +44,15 @@ class RoverDescription:
         return self.tables[name]
 
 
-def known_rovers() -> tuple[str, ...]:
+def rover_names() -> tuple[str, ...]:
     """Names of the rovers that come with lunarsci."""
     tables = (path.name for path in files(__package__).iterdir() if path.name.endswith(".toml"))
     return tuple(sorted(name.removesuffix(".toml") for name in tables if name != WHEELS))
 
 
-def known_wheels() -> tuple[str, ...]:
+def wheel_names() -> tuple[str, ...]:
     """Names of the wheels that come with lunarsci without a rover."""
-    return tuple(tomllib.loads(_own(WHEELS)))
+    return tuple(tomllib.loads(_file(WHEELS)))
 
 
 def called(rover: str, name: str) -> str:
@@ -61,7 +61,7 @@ def called(rover: str, name: str) -> str:
     >>> called("wheel.toml", "HIT rig"), called("yutu2", "Yutu-2 (Chang'E-4)"), called("wheel.toml", "")
     ('HIT rig (wheel.toml)', 'yutu2', 'wheel.toml')
     """
-    alone = name in ("", rover) or rover in known_rovers() or rover in known_wheels()
+    alone = name in ("", rover) or rover in rover_names() or rover in wheel_names()
     return rover if alone else f"{name} ({rover})"
 
 
@@ -70,17 +70,17 @@ def read_rover(rover: str) -> RoverDescription:
 
     The name of a wheel gives a description that has a wheel and nothing else.
     """
-    if rover in known_rovers():
-        return _parse(_own(f"{rover}.toml"), origin=rover)
-    if rover in known_wheels():
-        text = _own(WHEELS)
+    if rover in rover_names():
+        return _parse(_file(f"{rover}.toml"), origin=rover)
+    if rover in wheel_names():
+        text = _file(WHEELS)
         return _described({"wheel": tomllib.loads(text)[rover]}, rover, text)
     try:
         text = Path(rover).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        near = meant(rover, (*known_rovers(), *known_wheels()))
-        known = f"{', '.join(known_rovers())}; wheels: {', '.join(known_wheels())}"
-        raise DataError(f"{rover}: {near}neither a rover of lunarsci ({known}) nor a readable TOML file") from error
+        near = meant(rover, (*rover_names(), *wheel_names()))
+        names = f"{', '.join(rover_names())}; wheels: {', '.join(wheel_names())}"
+        raise DataError(f"{rover}: {near}neither a rover of lunarsci ({names}) nor a readable TOML file") from error
     return _parse(text, origin=rover)
 
 
@@ -98,7 +98,7 @@ def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescrip
     return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text, left)
 
 
-def _own(name: str) -> str:
+def _file(name: str) -> str:
     return (files(__package__) / name).read_text("utf-8")
 
 
@@ -141,12 +141,11 @@ class MadeFor:
     ground: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("rover", "name", "sha256", "ground"):
-            if not isinstance(getattr(self, key), str):
-                raise ParameterError(f"made_for {key} is {getattr(self, key)!r}; give a text")
-        for key, value in self.limits.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise ParameterError(f"made_for {key} is {value!r}; give a number")
+        texts = {key: getattr(self, key) for key in ("rover", "name", "sha256", "ground")}
+        for key, value in (*texts.items(), *self.limits.items()):
+            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if not (isinstance(value, str) if key in texts else number):
+                raise ParameterError(f"made_for {key} is {value!r}; give a {'text' if key in texts else 'number'}")
 
     @classmethod
     def from_table(cls, table: Any) -> "MadeFor":
@@ -175,8 +174,8 @@ class MadeFor:
 
 def made_for(description: RoverDescription, limits: Mapping[str, float | None]) -> MadeFor:
     """The record of a rover; limits that are None are left out."""
-    kept = {name: float(value) for name, value in limits.items() if value is not None}
-    return MadeFor(description.origin, description.name, _sha256(description), kept)
+    given = {name: float(value) for name, value in limits.items() if value is not None}
+    return MadeFor(description.origin, description.name, _sha256(description), given)
 
 
 def _sha256(description: RoverDescription) -> str:

@@ -19,9 +19,19 @@ from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
 from lunarsci.errors import DataError
 from lunarsci.io import records
-from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
+from lunarsci.parallel.blocks import arrays_in_blocks, rows_in_memory, saved_rows
 from lunarsci.spectra import band_shape as model
-from lunarsci.spectra.band_shape import BandGrid, BandWork, Smoother, deepest_of, fit, minima, shape, smooth, window_of
+from lunarsci.spectra.band_shape import (
+    BandGrid,
+    BandWork,
+    Smoother,
+    deepest_of,
+    fit,
+    minima,
+    shape,
+    smooth,
+    window_of,
+)
 from lunarsci.spectra.band_status import (
     ABSENT_NM,
     AREA_CALIBRATION,
@@ -755,7 +765,7 @@ def measure_batch(
             result = arrays_in_blocks(
                 partial(_measured, wanted=continuum_name, smoothing=used, narrow=True),
                 len(alike),
-                rows_in_memory(64.0 * channels.size, most=kept_rows(len(alike), BLOCK_ROWS)),
+                rows_in_memory(64.0 * channels.size, most=saved_rows(len(alike), BLOCK_ROWS)),
                 stage="bands",
                 about=lambda alike=alike: {
                     "spectra": alike.digest(),

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from lunarsci.parallel.checkpoint import spans
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray, spans
 from lunarsci.spectra.spectrum import Spectrum
 
 _DIGESTED = 4096

@@ -12,10 +12,9 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import GRAVITIES, LUNAR_GRAVITY
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.names import one_of
-from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
-from lunarsci.regolith.questions import Question, question
+from lunarsci.regolith.columns import written_for
+from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law, Question, question
 from lunarsci.regolith.wheel import Wheel, read_wheel
-from lunarsci.regolith.written_names import written_for
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.electrics import Motors, PowerSupply, read_part
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from strips import EIGHTY_FIVE_NM, mixtures
 
-from lunarsci.parallel.checkpoint import KeptBlocks
+from lunarsci.parallel.blocks import SavedBlocks
 from lunarsci.spectra.cubes.output import fetched, measured
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
@@ -82,9 +82,9 @@ def cost_of_block(wavelength_nm: np.ndarray, products: str, folder: Path) -> Blo
     reading_s, given = processor_s(lambda: fetched(cube, region, rows), 4)
     measured(made, cube.wavelength_nm, given)  # compiled
     worker_s, arrays = processor_s(lambda: measured(made, cube.wavelength_nm, given))
-    kept = KeptBlocks(folder / f"kept-{len(wavelength_nm)}-{products}", {}, LINES, LINES)
+    kept = SavedBlocks(folder / f"kept-{len(wavelength_nm)}-{products}", {}, LINES, LINES)
     sending_s, sent = processor_s(lambda: pickle.dumps(given, protocol=5), 4)
-    keeping_s, _ = processor_s(lambda: kept.keep(rows, arrays), 4)
+    keeping_s, _ = processor_s(lambda: kept.save(rows, arrays), 4)
     loading_s, found = processor_s(lambda: kept.load(rows), 4)
     writing_s, _ = processor_s(lambda: [io.BytesIO().write(array.tobytes()) for array in found.values()], 4)
     size = sum(array.nbytes for array in arrays.values())
@@ -97,8 +97,8 @@ def scheduler_s() -> float:
     """Processor seconds of a dask scheduler and its client for a block."""
     from distributed import LocalCluster
 
+    from lunarsci.arrays import spans
     from lunarsci.parallel.blocks import computing, run_blocks
-    from lunarsci.parallel.checkpoint import spans
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,

@@ -652,7 +652,7 @@ def soil_readers() -> dict[str, Reader]:
     def wheel_states(path: Path) -> Any:
         from lunarsci.regolith.wheel import read_wheel
 
-        of_file("regolith.written_names:rover_of_states", None, "yutu2")(path)
+        of_file("regolith.columns:rover_of_states", None, "yutu2")(path)
         return of_file("regolith.states:read_states", read_wheel("yutu2"))(path)
 
     def to_predict(path: Path) -> Any:

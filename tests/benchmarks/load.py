@@ -120,8 +120,7 @@ def made_belief(drives: int) -> Any:
     """A belief after so many SYNTHETIC drives, each of which says a little and is kept."""
     from dataclasses import replace
 
-    from lunarsci.regolith.belief import first_belief
-    from lunarsci.regolith.belief_history import with_drive
+    from lunarsci.regolith.belief import first_belief, with_drive
 
     rng, belief = np.random.default_rng(0), first_belief()
     for number in range(drives):

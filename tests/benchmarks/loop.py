@@ -39,8 +39,7 @@ from mujoco_rover import Driven
 from result_lines import computed, rows_of
 from true_drives import DRIVEN_BY, Case, chain, terrains
 
-from lunarsci.regolith.belief import first_belief
-from lunarsci.regolith.belief_history import ground_moments
+from lunarsci.regolith.belief import first_belief, ground_moments
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord

@@ -258,7 +258,7 @@ def learned() -> Any:
 
 @cache
 def history() -> Any:
-    from lunarsci.twin.jobs.history import history as told
+    from lunarsci.cli.twin.history import history as told
 
     return told(written("SYNTHETIC belief.json", learned().belief.to_json()))
 
@@ -571,7 +571,7 @@ def craters(count: int) -> "Figure":
 
 def histories(count: int) -> "Figure":
     """Many drives, of which one taught nothing, beside another belief with a long name."""
-    from lunarsci.regolith.belief_figure import belief_history_figure
+    from lunarsci.regolith.figure import belief_history_figure
 
     belief = learned().belief
     entries = [{**belief.history[0], "refused": "too far off" if k == 3 else None} for k in range(count)]

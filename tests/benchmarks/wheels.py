@@ -31,9 +31,9 @@ from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.inference.prediction import WheelLaw, candidates, compare_laws, predict_forces
 from lunarsci.regolith.integrals import integrated_forces, integrated_forces_in_motion
-from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
+from lunarsci.regolith.traction import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.wheel import ContactModel, Wheel, read_wheel
 
 __all__ = [

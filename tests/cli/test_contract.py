@@ -19,7 +19,7 @@ from lunarsci.cli.shared.emit import field_of
 from lunarsci.cli.shared.report import Report
 from typer import BadParameter
 
-from lunarsci.parallel.checkpoint import KeptBlocks
+from lunarsci.parallel.blocks import SavedBlocks
 
 Run = Callable[..., "object"]
 NUMBERS = re.compile(r"(?<![\w\"])-?\d[\d.e+-]*")
@@ -436,7 +436,7 @@ def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run: Run, rock: 
 
 def test_blocks_of_another_computation_are_wrong_usage(run: Run, rock: Path) -> None:
     target, partial = rock.parent / "out.csv", rock.parent / "out.csv.partial" / "bands"
-    KeptBlocks(partial, {"options": "others"}, 20, 16).close(remove=False)
+    SavedBlocks(partial, {"options": "others"}, 20, 16).close(remove=False)
     many = [rock.parent / f"{k}.csv" for k in range(20)]
     for name in many:
         name.write_bytes(rock.read_bytes())

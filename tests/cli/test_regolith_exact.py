@@ -119,7 +119,7 @@ def test_a_rut_carries_more(run: Run) -> None:
         (("--load", "36", "--reece-cohesive", "1", "--reece-frictional", "1", "--stiffness", "800"), "give one"),
         (("--load", "36", "--rut", "0.01"), "a rut needs"),
         (("--load", "36", "--slip", "-1.1"), "within -1 to 1"),
-        (("--load", "36", "--slip", "1", "--side-slip", "90"), "leave open"),
+        (("--load", "36", "--slip", "1", "--side-slip", "90"), "leaves it open"),
         (
             (
                 "--sinkage",

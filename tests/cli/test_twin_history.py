@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from lunarsci.io.inputs import read_input
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.belief_history import with_drive
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.regolith.physics_discrepancy import FIRST
 
 Run = Callable[..., Any]

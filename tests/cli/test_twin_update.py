@@ -12,8 +12,7 @@ import pytest
 
 from lunarsci.io.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.belief_history import with_drive
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.twin.telemetry.sinkage import read_track
 
 Run = Callable[..., Any]

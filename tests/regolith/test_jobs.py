@@ -17,7 +17,7 @@ from scipy import stats
 from lunarsci import compare_soils, identify, infer, wheel_forces
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.regolith.figure import PARAMETER_LABELS
-from lunarsci.regolith.identify import Estimate
+from lunarsci.regolith.identify import Estimate, agreement
 from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.jobs.infer import InferredSoil
@@ -25,7 +25,6 @@ from lunarsci.regolith.jobs.requests import WheelForcesRequest
 from lunarsci.regolith.jobs.wheel_forces import contact_model
 from lunarsci.regolith.prior import CONTACT, PARAMETERS
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.states_agreement import agreement
 from lunarsci.regolith.wheel import Wheel
 
 

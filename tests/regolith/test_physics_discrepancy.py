@@ -10,12 +10,14 @@ from scipy.stats import t
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import read_input
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.belief_history import (
+from lunarsci.regolith.belief import (
     OTHER_PHYSICS,
-    ground_intervals,
+    SoilBelief,
+    first_belief,
     ground_moments,
+    parameter_rows,
     past_beliefs,
+    read_belief,
     rolled_back,
     with_drive,
 )
@@ -117,5 +119,6 @@ def test_the_grounds_own_values_are_known_less_well_and_never_worse_than_before(
         weight = 1.0 / (0.04 / 0.96 + OTHER_PHYSICS[name] ** 2)
         assert spread[k] / widths[k] == pytest.approx(1.0 / np.sqrt(1.0 + weight))
         assert (mean - first.mean)[k] / widths[k] == pytest.approx(0.5 / 0.96 * weight / (1.0 + weight))
-    found = ground_intervals(belief)["cohesion_pa"]
-    assert found.low_95 < found.low_68 < found.median < found.high_68 < found.high_95
+    row = parameter_rows(belief)["cohesion_pa"]
+    ends = [row[f"ground_{key}"] for key in ("low_95", "low_68", "median", "high_68", "high_95")]
+    assert ends == sorted(ends) and len({*ends}) == 5

@@ -7,8 +7,8 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import closed_form_forces
-from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.traction import sinkage_under_load
 from lunarsci.reproduce.drive import STAND_IN, Drives, drive_numbers, medians
 from lunarsci.reproduce.numbers import Number, published_numbers
 from lunarsci.reproduce.soil import Rolling

@@ -10,8 +10,8 @@ import pytest
 
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.regolith.columns import ground_name
 from lunarsci.regolith.soil import read_soil
-from lunarsci.regolith.written_names import ground_name
 from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.finer_ground import driven_ground, patch
 from lunarsci.twin.ground.footprint import rover_footprint

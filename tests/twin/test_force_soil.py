@@ -10,9 +10,9 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inference.totals import BalancedStates, infer_from_totals
-from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.traction import sinkage_under_load
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.loads.load_ensemble import AlternatingEstimate, Round, alternate, verdict_of
 from lunarsci.twin.loads.prescribed_motion import FORCE_COLUMNS, PoseStates, prescribed_loads

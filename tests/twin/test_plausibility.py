@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.regolith.prior import Law
-from lunarsci.regolith.questions import SLIPS, question
-from lunarsci.regolith.soil import known_soils
+from lunarsci.regolith.prior import SLIPS, Law, question
+from lunarsci.regolith.soil import soil_tables
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.predict import predict
@@ -68,7 +67,7 @@ def test_rovers_with_another_unit_are_asked_about(yutu2: Rover) -> None:
 
 
 def soil_file(folder: Path, **changes: float) -> str:
-    values = {name: value for name, value in known_soils()["longji"].items() if isinstance(value, float)} | changes
+    values = {name: value for name, value in soil_tables()["longji"].items() if isinstance(value, float)} | changes
     path = folder / "soil.toml"
     path.write_text("\n".join(f"{name} = {value}" for name, value in values.items()))
     return str(path)

@@ -10,8 +10,7 @@ import pytest
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.regolith.belief import first_belief, read_belief
-from lunarsci.regolith.belief_history import contact_rows, parameter_rows, past_beliefs, with_drive
+from lunarsci.regolith.belief import contact_rows, first_belief, parameter_rows, past_beliefs, read_belief, with_drive
 from lunarsci.regolith.prior import PARAMETERS, ROLLING
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors

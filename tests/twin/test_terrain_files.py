@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.heights.units import HeightUnit
+from lunarsci.heights import HeightUnit
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility

@@ -6,6 +6,7 @@ Groups of neighbouring states predicted from all others, without fitting anew.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,21 +16,20 @@ from lunarsci.regolith.inference.problem import (
     STEP,
     JointProblem,
     common_share,
+    error_covariance,
     part_of,
     shares_of,
     states_alike,
 )
-from lunarsci.regolith.prior import values_of
+from lunarsci.regolith.prior import SIGNIFICANCE, values_of
 
 STEPS, HIGHEST_DAMPING = 100, 1e10
 FINE, CONVERGED, ROUGH = 1e-9, 1e-4, 0.1
 """Tolerances of -2 ln posterior: of the soil that is told, of limits and totals, and while model errors are sought."""
 LONGEST = 2.0
 """Step, in standard deviations of the prior."""
-OUTLIER = 1e-3
-"""Chance that the largest residual of all good states is called an outlier; assumed."""
 MOST_OUTLIERS = 0.2
-"""Share of the states that may be left out as outliers; assumed."""
+"""Share of the states that may be left out as outliers; from half of it on a fit is doubted. Assumed."""
 FIRST_SHARE, ROUNDS, SETTLED = 0.2, 8, 0.05
 """Model error that the search for it begins with, large so that the way is smooth; fits at most; change of its
 logarithm that ends it."""
@@ -41,13 +41,13 @@ FARTHEST, PROFILE_TOLERANCE = 8.0, 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
-    """Which states are kept, the most probable parameters, their covariance, and the problem with its model errors.
+    """Which states are no outliers, the most probable parameters, their covariance, the problem with its model errors.
 
     `fitted` carries the share of the load that weighs all forces alike in the fit, `problem` one for each force. Errors
     that are alike in neighbouring states widen the covariance; they do not draw the mode nearer to the prior.
     """
 
-    kept: BoolArray
+    inliers: BoolArray
     point: FloatArray
     covariance: FloatArray
     problem: JointProblem
@@ -69,33 +69,28 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
 
     In the fit all forces have the same share, as a share of its own would let it give up the force that fits worst.
     """
-    kept, share = np.ones(len(problem.inputs), dtype=bool), FIRST_SHARE
+    inliers, share = np.ones(len(problem.inputs), dtype=bool), FIRST_SHARE
     point = problem.center if start is None else start
-    for _ in range(ROUNDS):
-        fitted = replace(problem, model_error=(share,) * 3)
-        part = part_of(fitted, kept)
-        point, covariance = find_mode(part, point, tolerance=ROUGH)
+
+    def fit(tolerance: float) -> tuple[JointProblem, FloatArray, FloatArray, float, JointProblem]:
+        part = part_of(replace(problem, model_error=(share,) * 3), inliers)
+        at, covariance = find_mode(part, point, tolerance=tolerance)
         freedom = float(np.sum(1 - np.diag(covariance) / problem.width**2))
-        own = replace(problem, model_error=shares_of(part, point, freedom))
-        found, before = common_share(part, point, freedom), (share, kept)
-        share, kept = found, _within(own, point, kept)
-        if abs(math.log(share / before[0])) < SETTLED and (kept == before[1]).all():
+        return part, at, covariance, freedom, replace(problem, model_error=shares_of(part, at, freedom))
+
+    for _ in range(ROUNDS):
+        before = share, inliers
+        part, point, _, freedom, each = fit(ROUGH)
+        share, excess = common_share(part, point, freedom), _excess(each, point)
+        # Of too many outliers only the worst are left out.
+        inliers = excess <= max(1.0, float(np.sort(excess)[::-1][int(MOST_OUTLIERS * len(excess))]))
+        if abs(math.log(share / before[0])) < SETTLED and (inliers == before[1]).all():
             break
-    fitted = replace(problem, model_error=(share,) * 3)
-    part = part_of(fitted, kept)
-    point, covariance = find_mode(part, point, tolerance=FINE)
-    freedom = float(np.sum(1 - np.diag(covariance) / problem.width**2))
-    own = replace(problem, model_error=shares_of(part, point, freedom))
-    alike, law = states_alike(part_of(own, kept), point), np.diag(problem.width**-2)
+    part, point, covariance, _, each = fit(FINE)
+    alike, law = states_alike(part_of(each, inliers), point), np.diag(problem.width**-2)
     wide = np.linalg.inv(law + (np.linalg.inv(covariance) - law) / alike)
-    return Mode(kept, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), own, replace(fitted, alike=alike))
-
-
-def _within(problem: JointProblem, point: FloatArray, kept: BoolArray) -> BoolArray:
-    """States that are no outliers; of too many, the worst are none of the others' business."""
-    excess = _excess(problem, point)
-    limit = max(1.0, float(np.sort(excess)[::-1][int(MOST_OUTLIERS * len(kept))]))
-    return np.asarray(excess <= limit, dtype=np.bool_)
+    fitted = replace(problem, model_error=(share,) * 3, alike=alike)
+    return Mode(inliers, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), each, fitted)
 
 
 def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
@@ -104,22 +99,20 @@ def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
 
     white = problem.white(point[None])[0]
     measured = np.isfinite(problem.forces).sum(axis=1)
-    limit = chdtri(np.maximum(measured, 1), OUTLIER / len(white))
+    limit = chdtri(np.maximum(measured, 1), SIGNIFICANCE / len(white))
     return np.asarray(np.sum(white**2, axis=1) / limit)
 
 
 def mode_without_outliers(problem: JointProblem) -> Mode:
     """The mode at the model errors that the problem has, without states that they do not explain."""
-    kept = np.ones(len(problem.inputs), dtype=bool)
-    point = problem.center
+    inliers, point = np.ones(len(problem.inputs), dtype=bool), problem.center
     while True:
-        part = part_of(problem, kept)
-        point, covariance = find_mode(part, point)
-        excess = np.where(kept, _excess(problem, point), 0.0)
+        point, covariance = find_mode(part_of(problem, inliers), point)
+        excess = np.where(inliers, _excess(problem, point), 0.0)
         worst = int(np.argmax(excess))
-        if excess[worst] <= 1 or (~kept).sum() + 1 > MOST_OUTLIERS * len(kept):
-            return Mode(kept, point, covariance, problem, problem)
-        kept[worst] = False
+        if excess[worst] <= 1 or (~inliers).sum() + 1 > MOST_OUTLIERS * len(inliers):
+            return Mode(inliers, point, covariance, problem, problem)
+        inliers[worst] = False
 
 
 def profile_limits(
@@ -159,9 +152,11 @@ def _limit(problem: JointProblem, mode: FloatArray, k: int, side: int, rise: flo
 
 
 def find_mode(
-    problem: JointProblem, start: FloatArray, fixed: BoolArray | None = None, tolerance: float = CONVERGED
+    problem: Any, start: FloatArray, fixed: BoolArray | None = None, tolerance: float = CONVERGED
 ) -> tuple[FloatArray, FloatArray]:
     """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
+
+    `problem` has `white(points)`, the (d, ...) residuals at points (d, p), and `center` and `width` of normal priors.
 
     Parameters marked as fixed stay where they start. It ends where a step lowers -2 ln posterior by less than the
     tolerance, and an undamped one was to do so, too: in a narrow valley damped steps are short.
@@ -200,40 +195,28 @@ def find_mode(
     return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LeftOut:
-    """Residuals of a group of g states that was left out, whitened, state by state F_N, F_DP, F_L.
-
-    Attributes
-    ----------
-    states : which of all states. (n,)
-    away : residuals. (3 g,)
-    spread : their covariance, from the errors (1 on the diagonal) and the parameters. (3 g, 3 g)
-    """
-
-    states: BoolArray
-    away: FloatArray
-    spread: FloatArray
-
-
-def left_out(mode: Mode, groups: IndexArray) -> list[LeftOut]:
-    """Each group predicted from the others, in a linear step from the mode.
+def predictive_densities(mode: Mode, groups: IndexArray) -> FloatArray:
+    """Logarithm of the density of each group of states predicted from the others, in a linear step from the mode.
 
     With rows w of whitened residuals of a group, J their derivatives, H the curvature of all others and a states alike,
-    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'.
+    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'. (groups,)
     """
     problem, width = mode.problem, mode.problem.width
     rows = problem.white(mode.point[None])[0]
     moved = problem.white(mode.point + np.diag(STEP * width))
     slopes = (moved - rows).transpose(1, 2, 0) / (STEP * width)
-    kept = slopes[mode.kept].reshape(-1, len(width))
-    curvature = np.diag(width**-2) + kept.T @ kept / mode.alike
-    found = []
+    inliers = slopes[mode.inliers].reshape(-1, len(width))
+    curvature = np.diag(width**-2) + inliers.T @ inliers / mode.alike
+    by_input = problem.residuals_and_slopes(mode.point[None])[1][0]
+    sizes = 0.5 * np.linalg.slogdet(error_covariance(problem, by_input, np.array(problem.model_error)))[1]
+    densities = []
     for number in range(groups.max() + 1):
-        own = np.asarray(groups == number, dtype=np.bool_)
-        inside = slopes[own & mode.kept].reshape(-1, len(width))
+        group = np.asarray(groups == number, dtype=np.bool_)
+        inside = slopes[group & mode.inliers].reshape(-1, len(width))
         rest = np.linalg.inv(curvature - inside.T @ inside / mode.alike)
-        j, w = slopes[own].reshape(-1, len(width)), rows[own].ravel()
+        j, w = slopes[group].reshape(-1, len(width)), rows[group].ravel()
         unknown = j @ rest @ j.T
-        found.append(LeftOut(own, w + unknown @ w / mode.alike, np.eye(len(w)) + unknown))
-    return found
+        away, spread = w + unknown @ w / mode.alike, np.eye(len(w)) + unknown
+        weighed = float(away @ np.linalg.solve(spread, away)) + float(np.linalg.slogdet(spread)[1])
+        densities.append(-0.5 * weighed - sizes[group].sum())
+    return np.array(densities)

@@ -9,41 +9,64 @@ How far the model itself misses the forces is found from what the fit leaves ove
 says whether a soil of the model explains the states at all.
 """
 
+import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.errors import LunarSciWarning, NumberRange, ParameterError, check_ranges
 from lunarsci.regolith.belief import CLOSED, CONTACT_ANGLES, FitVerdict, SoilBelief, verdict_line
-from lunarsci.regolith.inference.misfit import Lesson
+from lunarsci.regolith.columns import FORCES
 from lunarsci.regolith.inference.mode import (
+    MOST_OUTLIERS,
+    ROUGH,
     Mode,
     find_mode,
     mode_with_errors,
     mode_without_outliers,
     profile_limits,
 )
-from lunarsci.regolith.inference.problem import part_of, problem_of, tail_of
-from lunarsci.regolith.inference.verdict import judge
-from lunarsci.regolith.prior import CONTACT, DETERMINED, PARAMETERS, UNITS, Law, contact_prior, default_prior, values_of
-from lunarsci.regolith.states import WheelStates
+from lunarsci.regolith.inference.problem import (
+    HUBER,
+    LEAST_SHARE,
+    JointProblem,
+    Lesson,
+    error_covariance,
+    part_of,
+    problem_of,
+    tail_of,
+)
+from lunarsci.regolith.prior import (
+    CONTACT,
+    DETERMINED,
+    PARAMETERS,
+    SIGNIFICANCE,
+    UNITS,
+    Law,
+    contact_prior,
+    default_prior,
+    strange,
+    values_of,
+)
+from lunarsci.regolith.states import COLUMNS, LEAST_SINKAGE_M, WheelStates
+from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import ContactModel, Wheel
 from lunarsci.tempering import ACCEPTED, WALK, Moves, carry
 
-LEAST_SINKAGE_M, DEEPEST = 1e-5, 0.95
-"""States beyond are left out: sinkage, as a share of the radius the deepest. Assumed."""
+RANGES = {
+    "model_error": NumberRange(0.0, 1.0, "a share from 0 to below 1", (1.0,)),
+    "draws": NumberRange(100, math.inf, "100 or more"),
+}
 LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 """Of the 68 % and the 95 % interval."""
 PARTICLES = 1000
 """Points of a population, at most."""
 AT_A_STEP, AT_THE_LAST = Moves(3, 20, 0.8), Moves(3, 60, 0.2)
 """When points have moved enough; assumed."""
-TUNING = 1.0
-"""How much the logarithm of a walk's width follows the share of accepted steps, at each; assumed."""
 SMALLEST = 1e-6
 """Width of a walk where the population has none, in widths of the prior."""
 
@@ -113,8 +136,8 @@ class SoilPosterior:
     @property
     def determined(self) -> tuple[str, ...]:
         """Parameters whose standard deviation fell below half that of the prior, and that no other law disputes."""
-        found = self.shrinkage.items()
-        return tuple(name for name, value in found if value > 1 - DETERMINED and name not in self.disputed)
+        gained = self.shrinkage.items()
+        return tuple(name for name, share in gained if share > 1 - DETERMINED and name not in self.disputed)
 
     def intervals(self) -> dict[str, tuple[float, float, float, float, float]]:
         """Median (of a profile the mode), 68 % and 95 % limits of each parameter, in its unit."""
@@ -130,17 +153,17 @@ class SoilPosterior:
 
         keys = ("median", "low68", "high68", "low95", "high95")
         before = np.array([0.0, *map(float, ndtri(LEVELS))])
-        found = []
+        rows = []
         for name, ends in self.intervals().items():
             law = self.prior[name]
             prior = map(float, law.back(law.center + law.width * before))
-            found.append(
+            rows.append(
                 {"parameter": name, "unit": UNITS[name]}
                 | dict(zip(keys, ends, strict=True))
                 | {f"prior_{key}": value for key, value in zip(keys, prior, strict=True)}
                 | {"shrinkage": self.shrinkage[name], "determined": name in self.determined}
             )
-        return found
+        return rows
 
     def combinations(self) -> list[tuple[float, dict[str, float]]]:
         """Directions in prior-scaled parameters and the share of the prior deviation left in each, best known first."""
@@ -213,7 +236,7 @@ def infer_soil(
     states, wheel : what was measured, and with which wheel. States need a slip ratio.
     prior : law of every parameter in `PARAMETERS`; `default_prior()`. Of `CONTACT` too, else `contact_prior()`.
     model : the exact integrals with these choices; None for the closed form.
-    contact : the parameters of `CONTACT` are unknown too; needs a model.
+    contact : the parameters of `CONTACT` are unknown too, by the exact integrals where no model is given.
     model_error : share of the load by which the model misses each force, 0 or more; None finds it, for each of the
         forces, from what the fit leaves over. [-]
     draws : from the posterior, 100 or more.
@@ -234,40 +257,42 @@ def infer_soil(
     ed., ch. 13 (normal approximation).
     """
     laws = {**(contact_prior() if contact else {}), **(prior or default_prior())}
-    _check(laws, model_error, draws, contact and model is None)
+    if missing := [name for name in PARAMETERS if name not in laws]:
+        raise ParameterError(f"no prior for {', '.join(missing)}; give every parameter one")
+    check_ranges("", {"model_error": model_error, "draws": draws}, RANGES)
+    model = ContactModel() if contact and model is None else model
     usable = usable_states(states, wheel)
-    found = fit_soil(states, usable, wheel, laws, model, contact, model_error)
-    fitted, point = found.fitted, found.point
-    part = part_of(fitted, found.kept)
+    best = fit_soil(states, usable, wheel, laws, model, contact, model_error)
+    fitted, point = best.fitted, best.point
+    part = part_of(fitted, best.inliers)
     profiled = None
     if profile:
-        start = point if found.alike == 1 else find_mode(part, point)[0]
-        profiled = profile_limits(part, start, found.covariance, progress)
+        start = point if best.alike == 1 else find_mode(part, point)[0]
+        profiled = profile_limits(part, start, best.covariance, progress)
     rng, autocorrelation = np.random.default_rng(seed), None
     if sample:
         drawn, autocorrelation = carry_population(
             part.ln_likelihood, fitted.center, fitted.width, min(draws, PARTICLES), rng, progress
         )
     else:
-        drawn = point + rng.standard_normal((draws, len(point))) @ np.linalg.cholesky(found.covariance).T
-    names = [name for name, good in zip(states.id, usable, strict=True) if good]
-    white = found.problem.white(point[None])[0][found.kept]
-    measured = np.isfinite(fitted.forces[found.kept])
+        drawn = point + rng.standard_normal((draws, len(point))) @ np.linalg.cholesky(best.covariance).T
+    white = best.problem.white(point[None])[0][best.inliers]
+    measured = np.isfinite(fitted.forces[best.inliers])
     return SoilPosterior(
         point,
-        found.covariance,
+        best.covariance,
         values_of(laws, drawn),
         laws,
-        tuple(name for name, good in zip(names, found.kept, strict=True) if not good),
+        tuple(np.array(states.id)[usable][~best.inliers].tolist()),
         fitted.forces - fitted.at(point),
         float(np.sum(white**2)),
         int(measured.sum()),
         model,
-        judge(found, law_name(model, contact), model_error is not None, states, float(np.mean(~usable))),
+        judge(best, law_name(model, contact), model_error is not None, states, float(np.mean(~usable))),
         tail_of(white[measured]),
         autocorrelation,
         profiled,
-        lesson=Lesson(wheel, found.problem.inputs[found.kept], fitted.forces[found.kept]),
+        lesson=Lesson(wheel, best.problem.inputs[best.inliers], fitted.forces[best.inliers]),
     )
 
 
@@ -290,10 +315,10 @@ def usable_states(states: WheelStates, wheel: Wheel) -> BoolArray:
 
     Raises ParameterError where none is.
     """
-    known = np.isfinite(states.values)
-    inside = (states.values[:, 0] > LEAST_SINKAGE_M) & (states.values[:, 0] < wheel.radius_m * DEEPEST)
+    measured, depth = np.isfinite(states.values), states.values[:, 0]
+    inside = (depth > LEAST_SINKAGE_M) & (depth < wheel.radius_m * DEEPEST)
     inside &= ~((states.values[:, 1] == 1) & (np.abs(states.values[:, 2]) == 90))
-    usable = np.asarray(known[:, :2].all(axis=1) & known[:, 3:].any(axis=1) & inside, dtype=np.bool_)
+    usable = np.asarray(measured[:, :2].all(axis=1) & measured[:, 3:].any(axis=1) & inside, dtype=np.bool_)
     if not usable.any():
         raise ParameterError("no state has a sinkage, a slip ratio and a force in range; the joint inference needs all")
     if not usable.all():
@@ -310,18 +335,6 @@ def law_name(model: ContactModel | None, contact: bool) -> str:
         return CLOSED
     more = [] if model.bulldozing == "none" else [f"bulldozing {model.bulldozing}"]
     return " + ".join([model.shear, *more, *([CONTACT_ANGLES] if contact else [])])
-
-
-def _check(prior: Mapping[str, Law], model_error: float | None, draws: int, contact_without_model: bool) -> None:
-    missing = [name for name in PARAMETERS if name not in prior]
-    if missing:
-        raise ParameterError(f"no prior for {', '.join(missing)}; give every parameter one")
-    if model_error is not None and not 0 <= model_error < 1:
-        raise ParameterError(f"model error is {model_error:g}; give a share from 0 to below 1")
-    if draws < 100:
-        raise ParameterError(f"{draws} draws; give 100 or more")
-    if contact_without_model:
-        raise ParameterError("contact angles are unknown to the exact integrals only; give a model")
 
 
 class _Walkers:
@@ -349,12 +362,12 @@ class _Walkers:
 
     def move(self, beta: float) -> None:
         trial = self.points + self._scale * self._random.standard_normal(self.points.shape) @ self._factor.T
-        found = self._possible(trial)
-        gain = beta * (found - self.ln_likelihood) + self._ln_prior(trial) - self._ln_prior(self.points)
+        there = self._possible(trial)
+        gain = beta * (there - self.ln_likelihood) + self._ln_prior(trial) - self._ln_prior(self.points)
         accepted = np.log(self._random.random(len(trial))) < gain
         self.points = np.where(accepted[:, None], trial, self.points)
-        self.ln_likelihood = np.where(accepted, found, self.ln_likelihood)
-        self._scale *= np.exp(TUNING * (accepted.mean() - ACCEPTED))
+        self.ln_likelihood = np.where(accepted, there, self.ln_likelihood)
+        self._scale *= np.exp(accepted.mean() - ACCEPTED)
 
     def _possible(self, points: FloatArray) -> FloatArray:
         return np.nan_to_num(self._of(points), nan=-np.inf)
@@ -391,3 +404,237 @@ def carry_population(
         if progress is not None:
             progress(round(100 * min(1.0, 1 + np.log10(max(step.beta, 1e-9)) / 9)), 100)
     return population.points, left
+
+
+CEILINGS = (0.35, 0.15, 0.15)
+"""Share of the load by which the law may miss F_N, F_DP, F_L before no soil of it counts as an explanation; assumed. A
+pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of
+it: 0.35 of the load is a fifth of the sinkage."""
+REDUCED = (0.5, 2.0)
+"""Range of a reduced chi-square that agrees with the errors stated; few forces scatter more widely than that by chance.
+Assumed."""
+GOOD, GOOD_REDUCED = 0.02, 1.5
+"""A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
+no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain;
+assumed."""
+DECISIVE = 12.0
+"""By how much -2 ln posterior must be better for another reading of a column to count: odds of 400. Assumed."""
+SHIFTS = (-0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2)
+"""Where the search for another zero of the sinkage begins, as shares of the wheel's radius."""
+NEVER = 1e12
+"""Stands for -2 ln posterior of what cannot be; any larger number does as well."""
+MOST_STATES = 60
+"""That are tried with other readings; assumed."""
+FORCE_WORDS = ("normal force", "drawbar pull", "lateral force")
+OTHER_SIGNS: tuple[tuple[str, float, str], ...] = (
+    ("slip_ratio", -1.0, "its sign turned: slip is positive where the rim is faster than the wheel travels"),
+    ("drawbar_pull_n", -1.0, "its sign turned: a pull forward is positive, a resistance negative"),
+    ("lateral_force_n", -1.0, "its sign (or that of side_slip_deg) turned: they have the same sign"),
+    ("side_slip_deg", math.degrees(1.0), "degrees in place of radians"),
+)
+OTHER_UNITS: tuple[tuple[str, float, str], ...] = (
+    *((name, factor, f"newtons in place of {unit}") for name in COLUMNS[3:] for factor, unit in (
+        (FORCES["kgf"], "kilograms"), (FORCES["lbf"], "pounds"), (1e-3, "millinewtons"))),
+    ("slip_ratio", 0.01, "a share in place of per cent"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """A column that would explain the states better if read otherwise, and by how much in -2 ln posterior."""
+
+    column: str
+    how: str
+    gain: float
+
+
+def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
+    """Columns whose sign, or with `units` unit, the states contradict, worst first.
+
+    All states, or 60 of them spread evenly, are fitted anew as they are and with each column read otherwise, with the
+    same errors; residuals beyond 3 standard errors count linearly, so that no few states decide. With `units`, as of
+    states that the law misses by more than it may, the other reading must bring that to an end.
+    """
+    plain = _some(mode)
+    before = _best(plain, mode.point)
+    suspected: list[Suspect] = []
+    for column, factor, how in (*OTHER_SIGNS, *(OTHER_UNITS if units else ())):
+        other = _read_otherwise(plain, column, factor)
+        if other is None:
+            continue
+        gain = before - _best(other, plain.center) + _stretch(plain, column, factor)
+        if gain > DECISIVE and not (units and _above(mode_with_errors(replace(other, huber=np.inf)))):
+            suspected.append(Suspect(column, how, gain))
+    return sorted(suspected, key=lambda suspect: -suspect.gain)
+
+
+def _some(mode: Mode) -> JointProblem:
+    """All states, or as many of them as are tried with other readings."""
+    some = np.unique(np.linspace(0, len(mode.inliers) - 1, MOST_STATES).astype(int))
+    return replace(part_of(mode.problem, some), huber=HUBER)
+
+
+def other_zero(mode: Mode) -> list[Suspect]:
+    """The zero of the sinkage that explains the states better, if one does, as `suspects` compares."""
+    from scipy.optimize import minimize_scalar
+
+    plain, radius = _some(mode), mode.problem.wheel.radius_m
+
+    def worse(share: float) -> float:
+        inputs = plain.inputs + np.array([share * radius, 0.0, 0.0])
+        possible = ((inputs[:, 0] > 0) & (inputs[:, 0] < radius)).all()
+        return min(_best(replace(plain, inputs=inputs), plain.center), NEVER) if possible else NEVER
+
+    before, (worst, first) = _best(plain, mode.point), min((worse(share), share) for share in SHIFTS)
+    if not before - worst > DECISIVE:
+        return []
+    span = 0.5 * abs(first)
+    least = minimize_scalar(worse, bounds=(first - span, first + span), method="bounded", options={"maxiter": 12})
+    bent = worse(least.x + span / 2) + worse(least.x - span / 2) - 2 * least.fun
+    by, sigma = least.x * radius, radius * span * math.sqrt(0.5 / max(bent, 0.5))
+    where = f"{abs(1e3 * by):.2g} ± {1e3 * sigma:.1g} mm {'higher' if by > 0 else 'lower'}"
+    return [Suspect("sinkage_m", f"its zero {where} (--units sinkage_m={by:+.4f})", before - float(least.fun))]
+
+
+def _best(problem: JointProblem, start: FloatArray) -> float:
+    """-2 ln posterior at its mode, from a start, with the determinant of the errors; infinite where there is none."""
+    try:
+        best = find_mode(problem, start, tolerance=ROUGH)[0]
+        slopes = problem.residuals_and_slopes(best[None])[1][0]
+        covariance = error_covariance(problem, slopes, np.array(problem.model_error))
+        return problem.objective(best) + float(np.linalg.slogdet(covariance)[1].sum())
+    except (ParameterError, np.linalg.LinAlgError):
+        return math.inf
+
+
+def _stretch(problem: JointProblem, column: str, factor: float) -> float:
+    """What -2 ln of a density of measured forces owes to their unit."""
+    measured = int(np.isfinite(problem.forces[:, COLUMNS.index(column) % 3]).sum())
+    return 2 * measured * math.log(abs(factor)) if column in COLUMNS[3:] else 0.0
+
+
+def _read_otherwise(problem: JointProblem, column: str, factor: float) -> JointProblem | None:
+    """The problem with a column times a factor; None where no wheel could have such states, or nothing changes."""
+    k = COLUMNS.index(column)
+    name, errors = ("inputs", "input_sigma") if k < 3 else ("forces", "force_sigma")
+    values, sigmas = getattr(problem, name).copy(), getattr(problem, errors).copy()
+    values[:, k % 3] *= factor
+    sigmas[:, k % 3] *= abs(factor)
+    if not np.nan_to_num(values[:, k % 3]).any():
+        return None
+    if k < 3 and not (
+        (np.abs(values[:, 1]) <= 1).all()
+        and (np.abs(values[:, 2]) <= 90).all()
+        and (values[:, 0] < problem.wheel.radius_m).all()
+    ):
+        return None
+    return replace(problem, **{name: values, errors: sigmas})
+
+
+def chi_square(mode: Mode, problem: JointProblem) -> tuple[float, float]:
+    """Chi-square of the inliers, and their forces less what the fit used up."""
+    white = problem.white(mode.point[None])[0][mode.inliers]
+    return float(np.sum(white**2)), float(np.isfinite(problem.forces[mode.inliers]).sum() - mode.freedom)
+
+
+def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: float) -> FitVerdict:
+    """The verdict of a fit.
+
+    Parameters
+    ----------
+    model : the law's name.
+    given : whether the model error was given, not found from the residuals.
+    states : those that were fitted.
+    unusable : share of all states that could not be used at all.
+    """
+    shares, (total, left) = mode.problem.model_error, chi_square(mode, mode.problem)
+    reduced = total / left if left >= 1 else None
+    reasons = [*map(str, states.questions), *_misfit(mode, reduced, left, given, states)]
+    if not given and (missed := _above(mode)):
+        listed = ", ".join(f"the {FORCE_WORDS[k]} by {shares[k]:.2f} (at most {CEILINGS[k]:g})" for k in missed)
+        reasons.append(f"no soil of the model explains the states: it misses, as a share of the load, {listed}")
+    if 2 * (outliers := float(np.mean(~mode.inliers))) > MOST_OUTLIERS:
+        reasons.append(f"{100 * outliers:.0f} % of the states are outliers")
+    if unusable > 0.5:
+        reasons.append(f"{100 * unusable:.0f} % of the states cannot be used")
+    laws = {name: mode.problem.prior[name] for name in mode.problem.names}
+    reasons += strange(laws, mode.point, np.sqrt(np.diag(mode.covariance)))
+    good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and not outliers and not reasons
+    explained = good or bool(states.questions)
+    turned = [] if explained else suspects(mode, units=bool(reasons))
+    zero = [] if explained or states.alike else other_zero(mode)
+    # Five published tests of real wheels agree better with another zero, too: alone it makes no doubt.
+    turned = sorted([*turned, *(zero if reasons else ())], key=lambda suspect: -suspect.gain)
+    if turned:
+        first = turned[0]
+        reasons.insert(0, f"column {first.column} agrees with the others only with {first.how}")
+    elif reasons:
+        reasons.append("look at the signs and units of slip_ratio, side_slip_deg, drawbar_pull_n and lateral_force_n, "
+                       "at the wheel (`rover`), or let `law` auto look for a law that fits")  # fmt: skip
+    text = "the zero of {} as it is written, where the forces would agree better with {}"
+    return FitVerdict(
+        trusted=not reasons,
+        reason="; ".join(reasons),
+        model=model,
+        model_error=shares,
+        model_error_from="given" if given else "residuals",
+        reduced_chi_square=reduced,
+        assumed=(*_assumed(mode, given, states, total, left), *(text.format(one.column, one.how) for one in zero)),
+    )
+
+
+def _misfit(mode: Mode, reduced: float | None, left: float, given: bool, states: WheelStates) -> list[str]:
+    """Why the scatter of the forces is that of other errors.
+
+    Neither errors taken because the file has none nor a model error that was found are the user's to answer for.
+    """
+    from scipy.special import chdtri
+
+    unstated, problem = [COLUMNS.index(name) for name in states.unstated], mode.problem
+    errors, forces = problem.input_sigma.copy(), problem.forces.copy()
+    errors[:, [k for k in unstated if k < 3]] = 0.0
+    forces[:, [k - 3 for k in unstated if k > 2]] = np.nan
+    shares = problem.model_error if given else (LEAST_SHARE,) * 3
+    total, degrees = chi_square(mode, replace(problem, input_sigma=errors, forces=forces, model_error=shares))
+    if states.stated and not states.alike and degrees >= 1 and total < (low := least_chi_square(degrees)):
+        return [
+            f"reduced chi-square {total / degrees:.2g} of the stated errors alone is below {low / degrees:.2g}: "
+            "they are too large for these states"
+        ]
+    if reduced is None or reduced <= max(REDUCED[1], float(chdtri(left, SIGNIFICANCE)) / left):
+        return []
+    after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(problem.model_error))
+    return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
+
+
+def least_chi_square(left: float) -> float:
+    """Below which errors are too large for what so many degrees of freedom are left over."""
+    from scipy.special import chdtri
+
+    return min(REDUCED[0] * left, float(chdtri(left, 1 - SIGNIFICANCE)))
+
+
+def _above(mode: Mode) -> list[int]:
+    """Which of the forces that were measured the law misses by more than it may."""
+    measured, shares = np.isfinite(mode.problem.forces), mode.problem.model_error
+    return [k for k in range(3) if shares[k] > CEILINGS[k] and measured[:, k].any()]
+
+
+def _assumed(mode: Mode, given: bool, states: WheelStates, total: float, left: float) -> list[str]:
+    """What the fit had to assume, in sentences."""
+    plain, problem = left >= 1, mode.problem
+    model = problem.model or ContactModel()
+    texts = {
+        "priors of priors.toml where none are given": True,
+        "errors of measurement as Ding et al. (2024) state them, where the file gives none": not states.stated,
+        f"normal errors of the model, a share of the load; {mode.alike:.1f} neighbouring states "
+        "count as one independent state": not given,
+        f"errors that the states do not show (reduced chi-square {total / max(left, 1.0):.2g}), "
+        "so intervals are wide": plain and total < least_chi_square(left),
+        "contact angles of the wheel as known: where they are others, K_s, N and K_x are, too": not problem.contact,
+        "that the law holds: there are no more forces than parameters to test it": not plain,
+        f"soil of {model.density_kg_m3:g} kg/m3 under {model.gravity_m_s2:g} m/s2 beside the wheel":
+            model.bulldozing != "none",
+        "nothing of lateral forces, which were not measured": not np.isfinite(problem.forces[:, 2]).any(),
+    }  # fmt: skip
+    return [text for text, holds in texts.items() if holds]

@@ -16,21 +16,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import POSITIVE, ParameterError, check_ranges
 from lunarsci.io.inputs import InputFile
-from lunarsci.regolith.inference.misfit import misfit_at
-from lunarsci.regolith.inference.mode import Mode, left_out
+from lunarsci.regolith.inference.mode import predictive_densities
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
-from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours
+from lunarsci.regolith.inference.problem import FORCES, forces_of_many, misfit_at, neighbours
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
-from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, check_values, read_state_table
+from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
 
 DRAWS = 200
-STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
-"""Halvings to the sinkage under a load; its range as a share of the radius."""
+STEPS, SHALLOWEST = 24, 1e-4
+"""Halvings to the sinkage under a load; the least one as a share of the radius."""
 MOST_COMPARED = 200
 """States that laws are compared on, drawn from more, so that it takes seconds; assumed."""
 OPEN = 2.0
@@ -99,24 +99,24 @@ def predict_forces(
     """
     states = np.column_stack(np.broadcast_arrays(slip_ratio, side_slip_deg, load_n)).astype(float)
     load, random = states[:, 2], np.random.default_rng(seed)
-    if not (load > 0).all():
-        raise ParameterError("a load is not above 0 N; forces are predicted as shares of it")
-    said = errors or MeasurementErrors()
+    check_ranges("least", {"load_n": float(load.min())}, {"load_n": POSITIVE})
+    errors = errors or MeasurementErrors()
     best = values_of(posterior.prior, posterior.mode)
     soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
     misfit = misfit_at(posterior.verdict.model_error, posterior.lesson, best, posterior.model, states[:, :2])
     share = misfit.sigma
+    sigma = np.column_stack([errors.of(name, states[:, k]) for k, name in enumerate(COLUMNS[1:3])])
     depth, forces = np.empty((draws, len(load))), []
     given = None if sinkage_m is None else np.broadcast_to(np.asarray(sinkage_m, dtype=float), load.shape)
     for k, soil in enumerate(soils):
-        moved = states[:, :2] + random.standard_normal((len(load), 2)) * _spread(said, states)
+        moved = states[:, :2] + random.standard_normal((len(load), 2)) * sigma
         missed = misfit.mean(soil)
         if given is None:
-            own = missed[:, 0] + share[:, 0] * random.standard_normal(load.shape)
-            carried = load * np.maximum(1.0 - own, LEAST_CARRIED)
+            missed_load = missed[:, 0] + share[:, 0] * random.standard_normal(load.shape)
+            carried = load * np.maximum(1.0 - missed_load, LEAST_CARRIED)
             depth[k] = _under(soil, moved, carried, wheel, posterior)
         else:
-            deep = given + said.sinkage_m * random.standard_normal(load.shape)
+            deep = given + errors.sinkage_m * random.standard_normal(load.shape)
             depth[k] = np.clip(deep, SHALLOWEST * wheel.radius_m, DEEPEST * wheel.radius_m)
         forces.append(_forces(soil, depth[k], moved, wheel, posterior) + missed * load[:, None])
     all_forces = np.stack(forces)
@@ -126,20 +126,15 @@ def predict_forces(
     value = _forces(best, here, states[:, :2], wheel, posterior) + missed * load[:, None]
     scale = np.sqrt((posterior.tail - 2) / posterior.tail)
     noise = scale * random.standard_t(posterior.tail, all_forces.shape) * share * load[:, None]
-    noise += said.force_relative * np.abs(value) * random.standard_normal(all_forces.shape)
+    noise += errors.force_relative * np.abs(value) * random.standard_normal(all_forces.shape)
     if given is None:
         noise[..., 0], all_forces[..., 0], value[:, 0] = 0.0, load, load
     return PredictedForces(value, all_forces + noise, depth)
 
 
-def _spread(errors: MeasurementErrors, states: FloatArray) -> FloatArray:
-    """Standard deviations of slip and side slip, (n, 2)."""
-    return np.column_stack([errors.of("slip_ratio", states[:, 0]), errors.of("side_slip_deg", states[:, 1])])
-
-
 def _forces(soil: FloatArray, z: FloatArray, motion: FloatArray, wheel: Wheel, posterior: SoilPosterior) -> FloatArray:
-    found = forces_of_many(soil[None], np.column_stack([z, motion]), wheel, posterior.model)[0]
-    return np.array(found.T, dtype=np.float64)
+    forces = forces_of_many(soil[None], np.column_stack([z, motion]), wheel, posterior.model)[0]
+    return np.array(forces.T, dtype=np.float64)
 
 
 def _under(
@@ -191,19 +186,16 @@ class PredictedStates:
     def compared(self) -> dict[str, dict[str, float] | None]:
         """By force: root mean square of predicted less measured as a share of the load, and the share of 90 % intervals
         that hold what was measured; None where nothing was."""
-        found: dict[str, dict[str, float] | None] = {}
+        result: dict[str, dict[str, float] | None] = dict.fromkeys(FORCES)
         for k, force in enumerate(FORCES):
-            known = np.isfinite(self.measured[:, k])
-            if not known.any():
-                found[force] = None
-                continue
-            value, low, high = (self.quantiles[row, known, k] for row in range(3))
-            seen = self.measured[known, k]
-            found[force] = {
-                "rms_of_load": float(np.sqrt(np.mean(((value - seen) / self.load_n[known]) ** 2))),
-                "held90": float(np.mean((low <= seen) & (seen <= high))),
-            }
-        return found
+            rows = np.isfinite(self.measured[:, k])
+            (value, low, high), measured = self.quantiles[:3, rows, k], self.measured[rows, k]
+            if rows.any():
+                result[force] = {
+                    "rms_of_load": float(np.sqrt(np.mean(((value - measured) / self.load_n[rows]) ** 2))),
+                    "held90": float(np.mean((low <= measured) & (measured <= high))),
+                }
+        return result
 
     def to_dict(self) -> dict[str, Any]:
         """For the result."""
@@ -212,9 +204,9 @@ class PredictedStates:
     def notes(self) -> list[str]:
         """How the prediction compares with what was measured, in words."""
         return [
-            f"{force}: rms {found['rms_of_load']:.3f} of the load, 90 % intervals hold {100 * found['held90']:.0f} %"
-            for force, found in self.compared().items()
-            if found is not None
+            f"{force}: rms {row['rms_of_load']:.3f} of the load, 90 % intervals hold {100 * row['held90']:.0f} %"
+            for force, row in self.compared().items()
+            if row is not None
         ]
 
 
@@ -230,23 +222,15 @@ def predict_states(posterior: SoilPosterior, wheel: Wheel, source: InputFile, *,
     load, slip = columns["normal_force_n"], columns["slip_ratio"]
     side = np.nan_to_num(columns["side_slip_deg"])
     depth = columns["sinkage_m"] if "sinkage_m" in table.table else None
-    _check(source.name, "normal_force_n", load > 0, "above 0 N")
-    _check(source.name, "slip_ratio", np.abs(slip) <= 1, "within -1 to 1")
-    _check(source.name, "side_slip_deg", np.abs(side) <= 90, "within -90 to 90 deg")
-    if depth is not None:
-        _check(source.name, "sinkage_m", (depth > 0) & (depth < wheel.radius_m), "above 0 and below the wheel radius")
-    found = predict_forces(posterior, wheel, slip, side, load, depth, seed=seed)
+    required = {"slip_ratio", "normal_force_n", *({"sinkage_m"} & {*table.table})}
+    check_values(source.name, table.values, np.arange(count), wheel, required)
+    predicted = predict_forces(posterior, wheel, slip, side, load, depth, seed=seed)
     measured = np.column_stack([columns[name] for name in FORCES])
     if depth is None:
         measured[:, 0] = np.nan
     ids = tuple(table.table["id"].astype(str)) if "id" in table.table else tuple(str(n) for n in range(1, count + 1))
-    rows = np.stack([found.value, *found.interval(0.9), *found.interval(0.68)])
-    return PredictedStates(ids, rows, np.median(found.sinkage_m, axis=0), load, measured)
-
-
-def _check(file: str, column: str, good: BoolArray, rule: str) -> None:
-    if not good.all():
-        raise DataError(f"{file}, row {int(np.argmin(good)) + 1}, {column}: it must lie {rule}")
+    rows = np.stack([predicted.value, *predicted.interval(0.9), *predicted.interval(0.68)])
+    return PredictedStates(ids, rows, np.median(predicted.sinkage_m, axis=0), load, measured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,17 +323,17 @@ def compare_laws(
         usable = np.isin(np.arange(len(usable)), some)
     groups = neighbours(states.values[usable], wheel.radius_m)
     parts: list[FloatArray | None] = []
-    known: list[tuple[tuple[float, float, float], tuple[float, ...]] | None] = []
+    fits: list[tuple[tuple[float, float, float], tuple[float, ...]] | None] = []
     for number, law in enumerate(laws):
         try:
             priors = {**contact_prior(), **(prior or default_prior())}
-            found = fit_soil(states, usable, wheel, priors, law.model, law.contact, model_error)
-            parts.append(_densities(found, groups))
-            soil = values_of(priors, found.point)[: len(PARAMETERS)]
-            known.append((found.problem.model_error, tuple(map(float, soil))))
+            mode = fit_soil(states, usable, wheel, priors, law.model, law.contact, model_error)
+            parts.append(predictive_densities(mode, groups))
+            soil = values_of(priors, mode.point)[: len(PARAMETERS)]
+            fits.append((mode.problem.model_error, tuple(map(float, soil))))
         except (ParameterError, np.linalg.LinAlgError):
             parts.append(None)
-            known.append(None)
+            fits.append(None)
         if progress is not None:
             progress(number + 1, len(laws))
     fitted = [part for part in parts if part is not None]
@@ -358,7 +342,7 @@ def compare_laws(
     best = max(fitted, key=lambda part: float(part.sum()))
     scores = [
         WheelLawScore(law, None, None, None, None, None) if part is None or of is None else _score(law, part, best, *of)
-        for law, part, of in zip(laws, parts, known, strict=True)
+        for law, part, of in zip(laws, parts, fits, strict=True)
     ]
 
     def near(widths: float) -> list[WheelLaw]:
@@ -373,18 +357,3 @@ def _score(
     away = best - part
     sigma = float(np.sqrt(len(away)) * np.std(away, ddof=1)) if len(away) > 1 else 0.0
     return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error, soil)
-
-
-def _densities(mode: Mode, groups: IndexArray) -> FloatArray:
-    """Logarithm of the predictive density of each group given all others. (groups,)"""
-    problem = mode.problem
-    slopes = problem.residuals_and_slopes(mode.point[None])[1][0]
-    sizes = 0.5 * np.linalg.slogdet(error_covariance(problem, slopes, np.array(problem.model_error)))[1]
-    return np.array(
-        [
-            -0.5 * left.away @ np.linalg.solve(left.spread, left.away)
-            - 0.5 * np.linalg.slogdet(left.spread)[1]
-            - sizes[left.states].sum()
-            for left in left_out(mode, groups)
-        ]
-    )

@@ -17,23 +17,22 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.mode import find_mode
-from lunarsci.regolith.inference.problem import forces_of_many
+from lunarsci.regolith.inference.problem import forces_of_many, tempered
 from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import Wheel
 
 STEP = 1e-3
 """Of numerical derivatives by the inputs, in their standard errors."""
 MODEL_ERROR = 0.02
 """Share of the load by which the model may miss each force, as in the joint inference; assumed."""
-NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
-"""Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
+NEWTON, FIRST_SINKAGE, SHALLOWEST, LEAST_POWER = 8, 0.05, 1e-6, 0.2
+"""Steps to the sinkage under a load, where they begin and the least one in radii, and the least power of F_N in it."""
 ROUGH = 5.0
-"""Times the error of sinkages in a fit that only finds the way; assumed."""
+"""Times the error of sinkages in a fit that only finds the way."""
 FREEZES = 2
 """Fits before the last one: in the first the model's errors follow the soil, which finds the way from far off; in the
 others they are those of the soil before."""
-HUBER = 3.0
-"""Whitened residuals beyond count linearly, so that single bad states do not lead; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,14 +65,13 @@ class BalancedStates:
     def __post_init__(self) -> None:
         p, m = self.load.shape
         wanted = {"inputs": (p, m, 3), "levers": (p, 3, m, 2), "totals": (p, 3), "totals_sigma": (p, 3)}
-        for name, shape in wanted.items():
-            if getattr(self, name).shape != shape:
-                raise ParameterError(f"{name} has shape {getattr(self, name).shape}; {shape} is wanted")
-        if not (self.known.any() and (self.totals_sigma > 0).all()):
-            raise ParameterError("no wheel has a sinkage, a slip ratio and a load; without these nothing is learned")
+        wrong = [name for name, shape in wanted.items() if getattr(self, name).shape != shape]
+        if wrong or not (self.usable.any() and (self.totals_sigma > 0).all()):
+            text = "no wheel has a sinkage, a slip ratio and a load, so that nothing can be learned"
+            raise ParameterError(f"{', '.join(wrong)}: shapes must be {wanted}" if wrong else text)
 
     @property
-    def known(self) -> BoolArray:
+    def usable(self) -> BoolArray:
         """Wheels with a sinkage, a slip ratio and a load. (p, m)"""
         return np.asarray(
             np.isfinite(self.inputs[..., :2]).all(axis=2) & (self.load > 0) & (np.abs(self.inputs[..., 1]) < 1),
@@ -84,7 +82,7 @@ class BalancedStates:
     def whole(self) -> BoolArray:
         """Poses whose wheels are all known, with side slips, so that their forces can be added up. (p,)"""
         sided = np.isfinite(self.inputs[..., 2]).all(axis=1)
-        return np.asarray(self.known.all(axis=1) & sided & np.isfinite(self.totals).all(axis=1), dtype=np.bool_)
+        return np.asarray(self.usable.all(axis=1) & sided & np.isfinite(self.totals).all(axis=1), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,9 +126,7 @@ class _Problem:
 
     def white(self, points: FloatArray) -> FloatArray:
         """Residuals over their errors, tempered where they are outliers. (d, p, m + 3)"""
-        rows = self.residuals(points)
-        size = np.abs(rows)
-        return np.where(size > HUBER, np.sign(rows) * np.sqrt(HUBER * (2 * np.maximum(size, HUBER) - HUBER)), rows)
+        return tempered(self.residuals(points))
 
     def objective(self, point: FloatArray) -> float:
         return float(np.sum(self.white(point[None]) ** 2) + point @ point)
@@ -140,32 +136,32 @@ class _Problem:
         states = self.states
         sinkage, force, slopes = self._under_load(points)
         d, (p, m) = len(points), states.load.shape
-        kept = np.concatenate([states.known, np.repeat(states.whole[:, None], 3, axis=1)], axis=1)
+        compared = np.concatenate([states.usable, np.repeat(states.whole[:, None], 3, axis=1)], axis=1)
         supplied = np.einsum("ptmf,dpmf->dpt", states.levers, force[..., 1:])
         off = np.concatenate([states.inputs[..., 0] - sinkage, states.totals - supplied], axis=2)
         # What the model is off by is the same at every pose, so that all of them count as one.
-        own = self.model_error * np.sqrt(max(1, states.known.any(axis=1).sum())) * states.load
+        misses = self.model_error * np.sqrt(max(1, states.usable.any(axis=1).sum())) * states.load
         by_input = np.zeros((d, p, m + 3, m + 2))  # own loads, then the common slip and side slip
-        place = np.arange(m)
+        index = np.arange(m)
         deeper = 1.0 / slopes[..., 0, 0]
-        by_input[..., place, place] = deeper * states.load_sigma
+        by_input[..., index, index] = deeper * states.load_sigma
         by_input[..., :m, m:] = -deeper[..., None] * slopes[..., 1:, 0]
         at_load = slopes[..., 1:, 1:] - (deeper[..., None] * slopes[..., 1:, 0])[..., None] * slopes[..., :1, 1:]
-        by_load = slopes[..., 0, 1:] * by_input[..., place, place][..., None]
+        by_load = slopes[..., 0, 1:] * by_input[..., index, index][..., None]
         by_input[..., m:, :m] = np.einsum("ptmf,dpmf->dptm", states.levers, by_load)
         by_input[..., m:, m:] = np.einsum("ptmf,dpmkf->dptk", states.levers, at_load)
-        spread = np.einsum("ptmf,pm->pt", states.levers**2, own**2)
+        spread = np.einsum("ptmf,pm->pt", states.levers**2, misses**2)
         by_input[..., m:] *= np.sqrt(states.alike)
-        missed = own * (deeper if self.frozen is None else self.frozen)
+        missed = misses * (deeper if self.frozen is None else self.frozen)
         variance = np.empty((d, p, m + 3))
         variance[..., :m] = states.input_sigma[..., 0] ** 2 + missed**2
         variance[..., m:] = states.alike * states.totals_sigma**2 + spread
-        by_input = np.where(kept[..., None], by_input, 0.0)
+        by_input = np.where(compared[..., None], by_input, 0.0)
         covariance = by_input @ by_input.swapaxes(2, 3)
         diagonal = np.arange(m + 3)
-        covariance[..., diagonal, diagonal] += np.where(kept, variance, 1.0)
+        covariance[..., diagonal, diagonal] += np.where(compared, variance, 1.0)
         factor = np.linalg.cholesky(covariance)
-        return np.asarray(np.linalg.solve(factor, np.where(kept, off, 0.0)[..., None])[..., 0])
+        return np.asarray(np.linalg.solve(factor, np.where(compared, off, 0.0)[..., None])[..., 0])
 
     def deeper(self, point: FloatArray) -> FloatArray:
         """Sinkage for each newton of load. (p, m) [m/N]"""
@@ -180,12 +176,13 @@ class _Problem:
         states, radius = self.states, self.wheel.radius_m
         soils = values_of(self.belief.laws, self.belief.mean + points @ self.root.T)
         slip = np.nan_to_num(states.inputs[..., 1:]).reshape(-1, 2)
-        load = np.where(states.known, states.load, 1.0).ravel()
+        load = np.where(states.usable, states.load, 1.0).ravel()
         sigma = np.nan_to_num(states.input_sigma[..., 1:]).reshape(-1, 2)
         z, twice = np.full((len(soils), len(load)), FIRST_SINKAGE * radius), np.concatenate([slip, slip])
         for _ in range(NEWTON):
-            found = self._at(soils, np.concatenate([z, (1 + STEP) * z], axis=1), twice)[:, 0]
-            here, beside = np.split(found, 2, axis=1)
+            here, beside = np.split(
+                self._at(soils, np.concatenate([z, (1 + STEP) * z], axis=1), twice)[:, 0], 2, axis=1
+            )
             power = np.maximum(np.log(beside / here) / np.log1p(STEP), LEAST_POWER)
             z = np.clip(z * np.exp(np.log(load / here) / power), SHALLOWEST * radius, DEEPEST * radius)
         step = STEP * np.maximum(sigma, 1e-9)
@@ -208,12 +205,12 @@ class _Problem:
 def _way_in(problem: _Problem, start: FloatArray) -> FloatArray:
     """The best of several modes: from the belief's mean, and by way of fits that take errors as less alike, or loads
     and sinkages as known less well. Soils far from the belief lead a single fit into a side valley."""
-    states, found = problem.states, [start]
+    states, modes = problem.states, [start]
     rough = states.input_sigma * [ROUGH, 1.0, 1.0]
     for way in (states, replace(states, alike=1.0), replace(states, input_sigma=rough)):
-        first, _ = find_mode(replace(problem, states=way), start)  # type: ignore[arg-type]
-        found.append(find_mode(problem, first)[0])  # type: ignore[arg-type]
-    return min(found, key=problem.objective)
+        first, _ = find_mode(replace(problem, states=way), start)
+        modes.append(find_mode(problem, first)[0])
+    return min(modes, key=problem.objective)
 
 
 def infer_from_totals(
@@ -235,14 +232,14 @@ def infer_from_totals(
     problem = _Problem(states, wheel, belief, root, model_error, None)
     start = _way_in(problem, start)
     for _ in range(FREEZES):
-        start, _ = find_mode(problem, start)  # type: ignore[arg-type]
+        start, _ = find_mode(problem, start)
         problem = replace(problem, frozen=problem.deeper(start))
-    start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
+    start, covariance = find_mode(problem, start)
     covariance = root @ covariance @ root.T
     rows = problem.residuals(start[None])[0]
     wheels = states.load.shape[1]
     return TotalsPosterior(
         replace(belief, mean=belief.mean + root @ start, covariance=0.5 * (covariance + covariance.T), population=None),
         (float((rows[:, :wheels] ** 2).sum()), float((rows[:, wheels:] ** 2).sum())),
-        (int(states.known.sum()), 3 * int(states.whole.sum())),
+        (int(states.usable.sum()), 3 * int(states.whole.sum())),
     )

@@ -2,8 +2,9 @@
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.documents import json_document
@@ -33,32 +34,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _GivenSite:
-    """A site as it was given.
-
-    Attributes
-    ----------
-    site : what is compared.
-    curves : of single states by aspect; None where the site was given by numbers or a belief.
-    inputs : file to SHA-256.
-    wheel : whose, as the result has it; None where it does not.
-    left_open : what the result does not tell of the site; None where it does not say.
-    """
+class _GivenSite(NamedTuple):
+    """A site as it was given: what is compared, curves of single states by aspect, file to SHA-256, whose wheel, and
+    what is left open of the site; None for what the input does not say."""
 
     site: Site
     curves: Mapping[str, Any] | None = None
-    inputs: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = MappingProxyType({})
     wheel: Mapping[str, Any] | None = None
     left_open: OpenSite | None = None
 
-    @classmethod
-    def of(cls, found: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> "_GivenSite":
-        """Of the result of `identify` or `infer`."""
 
-        site, curves = site_of(found)
-        left = open_site(found) if "joint" in found else None
-        return cls(site=site, curves=curves, inputs=inputs, wheel=wheel, left_open=left)
+def _of_result(result: Mapping[str, Any], inputs: Mapping[str, str], wheel: Mapping[str, Any] | None) -> _GivenSite:
+    """Of the result of `identify` or `infer`."""
+    return _GivenSite(*site_of(result), inputs, wheel, open_site(result) if "joint" in result else None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,8 +86,8 @@ class ComparedSoils(Result):
             "name": self.called,
             "width_m": self.width_m,
             "undetermined": {
-                aspect: [{"parameter": name, "left_of_prior": share} for name, share in own.items()]
-                for aspect, own in self.undetermined.items()
+                aspect: [{"parameter": name, "left_of_prior": share} for name, share in parameters.items()]
+                for aspect, parameters in self.undetermined.items()
             },
             "remarks": list(self.remarks),
             "soils": self.rows(),
@@ -133,8 +122,7 @@ def compare_soils(
         raise RequestError(
             "give either a result of `regolith infer --json` or `identify`, or a belief; or `stiffness` and its like"
         )
-    given = _site(result, asked)
-    site, wheel, left_open = given.site, given.wheel, given.left_open
+    site, curves, inputs, wheel, left_open = _site(result, asked)
     if asked.rover is None and wheel is not None:
         rover, width, tables = str(wheel["of"]), float(wheel["width_m"]), dict[str, str]()
         name = str(wheel.get("name") or "")
@@ -150,11 +138,11 @@ def compare_soils(
         called=name,
         width_m=width,
         soils=soils,
-        curves=given.curves,
+        curves=curves,
         undetermined=left_open.undetermined() if left_open else {},
         remarks=remarks(left_open, soils) if left_open else (),
         origin=MadeFrom(
-            inputs=given.inputs,
+            inputs=inputs,
             tables=tables | reference_hash(),
             sources=[PAPER, *sources_of(compared)],
             options={"rover": rover},
@@ -174,20 +162,20 @@ def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) 
         )
         return _GivenSite(site=site)
     if isinstance(result, IdentifiedSoil):
-        found = result.to_dict()
-        return _GivenSite.of(found, result.made_from.inputs, found["wheel"])
+        document_result = result.to_dict()
+        return _of_result(document_result, result.made_from.inputs, document_result["wheel"])
     file = read_input(result)
     content = text(file)
     try:
         document = json_document(content)
         if isinstance(document, dict) and document.get("schema") == SCHEMA:
             belief = read_belief(file).soil
-            if told := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
-                warnings.warn(f"{file.name}: a doubtful belief: {told}", LunarSciWarning, stacklevel=3)
+            if why := belief.doubt or (doubt(belief.verdict) if belief.verdict else ""):
+                warnings.warn(f"{file.name}: a doubtful belief: {why}", LunarSciWarning, stacklevel=3)
             left = OpenSite(belief, belief.sd_ratio)
             return _GivenSite(site=site_of_belief(belief), inputs={file.name: file.sha256}, left_open=left)
-        found = document["result"]
-        return _GivenSite.of(found, {file.name: file.sha256}, found.get("wheel"))
+        document_result = document["result"]
+        return _of_result(document_result, {file.name: file.sha256}, document_result.get("wheel"))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ParameterError | DataError):
             raise

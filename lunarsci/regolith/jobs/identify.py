@@ -13,15 +13,22 @@ from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.regolith.identify import UNITS, Assumptions, Identification
+from lunarsci.regolith.columns import NamedBy, rover_of_states
+from lunarsci.regolith.identify import (
+    LABELS,
+    UNITS,
+    Assumptions,
+    Identification,
+    Sensitivity,
+    StatesAgreement,
+    agreement,
+    sensitivities,
+)
 from lunarsci.regolith.identify import identify as identify_soil
 from lunarsci.regolith.jobs.requests import IdentifyRequest
-from lunarsci.regolith.questions import Question
-from lunarsci.regolith.sensitivity import Sensitivity, sensitivities
+from lunarsci.regolith.prior import Question
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
-from lunarsci.regolith.states_agreement import LABELS, StatesAgreement, agreement
 from lunarsci.regolith.wheel import PAPER, Wheel, left_to_defaults, read_wheel
-from lunarsci.regolith.written_names import NamedBy, rover_of_states
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, called, read_rover
 
@@ -73,8 +80,8 @@ def alone_title(held: Mapping[str, float]) -> str:
     'Each state by itself (assumes N = 1, c = 520 Pa, K_x = 17.8 mm)'
     """
     symbols = {name: label.rpartition(" ")[2] for name, label in LABELS.items()} | {"shear_modulus_mm": "K_x"}
-    told = [f"{symbols[name]} = {value:g} {HELD.get(name, '')}".rstrip() for name, value in held.items()]
-    return f"Each state by itself (assumes {', '.join(told)})"
+    texts = [f"{symbols[name]} = {value:g} {HELD.get(name, '')}".rstrip() for name, value in held.items()]
+    return f"Each state by itself (assumes {', '.join(texts)})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +111,12 @@ def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest)
     assumed = [name for name in description.assumed if name.startswith("wheel.")]
     assumed += [f"wheel.{name}" for name in left_to_defaults(description)]
     origin = MadeFrom(inputs={source.name: source.sha256}, tables=tables, sources=[PAPER], options={"rover": named})
-    found = StatesOfWheel(
+    read = StatesOfWheel(
         read_states(source, wheel, errors_of(asked), asked.units), named, wheel, origin, assumed, description.name, by
     )
     if by == "default":
-        _warn_of_default(source.name, found, description)
-    return found
+        _warn_of_default(source.name, read, description)
+    return read
 
 
 def _warn_of_default(file: str, given: StatesOfWheel, rover: RoverDescription) -> None:
@@ -187,7 +194,7 @@ class IdentifiedSoil(Result):
 
     def to_dict(self) -> dict[str, Any]:
         shares = {} if self.shares is None else {"sensitivity": [asdict(share) for share in self.shares]}
-        own = {
+        about = {
             "assumed_of_rover": list(self.assumed),
             "read_as": list(self.read_as),
             "questions": [asdict(one) for one in self.questions],
@@ -200,7 +207,7 @@ class IdentifiedSoil(Result):
             },
             "agreement": [asdict(item) | {"agree": item.agree} for item in self.agreements],
         }
-        return self.found.to_dict() | own | shares
+        return self.found.to_dict() | about | shares
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """Each state; the site is in `answers`."""
@@ -263,23 +270,23 @@ def identify(
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
     """
     asked = request_of(IdentifyRequest, request, options)
-    known = assumptions_of(asked)
-    return identified(read_wheel_states(states, asked.rover, asked), asked, known, progress)
+    given = assumptions_of(asked)
+    return identified(read_wheel_states(states, asked.rover, asked), asked, given, progress)
 
 
 def identified(
     given: StatesOfWheel,
     asked: IdentifyRequest,
-    known: Assumptions,
+    assumptions: Assumptions,
     progress: Callable[[int, int], None] | None,
 ) -> IdentifiedSoil:
     """The same of states that are read."""
 
     same: dict[str, Any] = {"reading": asked.reading, "seed": asked.seed}
-    found = identify_soil(given.states, given.wheel, known, draws=asked.draws, progress=progress, **same)
-    shares = sensitivities(given.states, given.wheel, known, **same) if asked.sensitivity else None
+    result = identify_soil(given.states, given.wheel, assumptions, draws=asked.draws, progress=progress, **same)
+    shares = sensitivities(given.states, given.wheel, assumptions, **same) if asked.sensitivity else None
     return IdentifiedSoil(
-        found=found,
+        found=result,
         rover=given.rover,
         wheel=given.wheel,
         slip=given.states.values[:, 1],

@@ -1,7 +1,7 @@
 """All soil parameters from all wheel states at once, as a posterior."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.io.inputs import Source, read_input
@@ -80,11 +80,11 @@ class InferredSoil(IdentifiedSoil):
     def figures(self) -> "Iterator[Figure]":
         """Prior and posterior of each parameter, then what each state allows by itself."""
 
-        from lunarsci.regolith.belief_figure import posterior_figure
+        from lunarsci.regolith.figure import posterior_figure
 
-        found = self.posterior
-        title = f"all states together: {found.verdict.model} law, {len(found.residuals)} states"
-        yield posterior_figure(found.rows(), found.prior, found.draws, title)
+        posterior = self.posterior
+        title = f"all states together: {posterior.verdict.model} law, {len(posterior.residuals)} states"
+        yield posterior_figure(posterior.rows(), posterior.prior, posterior.draws, title)
         yield from IdentifiedSoil.figures(self)
 
     def soils(self, kind: str = ".csv") -> bytes:
@@ -112,32 +112,20 @@ def infer(
     """
 
     asked = request_of(InferRequest, request, options)
-    known = assumptions_of(asked)
+    assumptions = assumptions_of(asked)
     given = read_wheel_states(states, asked.rover, asked)
-    alone = identified(given, asked, known, progress)
+    alone = identified(given, asked, assumptions, progress)
     posterior, scores, inputs = _posterior(asked, given, progress)
     predicted = None
     if asked.predict is not None:
-        told = read_input(asked.predict)
+        other = read_input(asked.predict)
         wheel = given.wheel if asked.predict_rover is None else read_wheel(asked.predict_rover)
-        predicted, inputs = predict_states(posterior, wheel, told, seed=asked.seed), inputs | {told.name: told.sha256}
+        predicted = predict_states(posterior, wheel, other, seed=asked.seed)
+        inputs |= {other.name: other.sha256}
     made = alone.made_from
-    return InferredSoil(
-        found=alone.found,
-        rover=alone.rover,
-        wheel=alone.wheel,
-        slip=alone.slip,
-        shares=alone.shares,
-        assumed=alone.assumed,
-        called=alone.called,
-        named_by=alone.named_by,
-        read_as=alone.read_as,
-        questions=alone.questions,
-        origin=replace(made, inputs={**made.inputs, **inputs}, tables={**made.tables, **prior_hash()}),
-        posterior=posterior,
-        scores=scores,
-        predicted=predicted,
-    )
+    origin = replace(made, inputs={**made.inputs, **inputs}, tables={**made.tables, **prior_hash()})
+    same = {item.name: getattr(alone, item.name) for item in fields(alone)} | {"origin": origin}
+    return InferredSoil(**same, posterior=posterior, scores=scores, predicted=predicted)
 
 
 def _posterior(
@@ -154,7 +142,7 @@ def _posterior(
         law, scores = compare_laws(
             given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
         )
-    found = infer_soil(
+    posterior = infer_soil(
         given.states,
         given.wheel,
         prior,
@@ -166,5 +154,5 @@ def _posterior(
         seed=asked.seed,
         progress=progress,
     )
-    found = replace(found, disputed=disputed(found, scores))
-    return found, scores, {source.name: source.sha256} if source else {}
+    posterior = replace(posterior, disputed=disputed(posterior, scores))
+    return posterior, scores, {source.name: source.sha256} if source else {}

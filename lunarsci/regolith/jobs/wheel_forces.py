@@ -10,6 +10,7 @@ import numpy as np
 from lunarsci.errors import LunarSciWarning
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
+from lunarsci.regolith.columns import written_for
 from lunarsci.regolith.forces import MOST_COHESION, WheelForces, cohesion_share, warn_of_shear_sign
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.inversion import reece_stiffness
@@ -23,7 +24,6 @@ from lunarsci.regolith.wheel import (
     Wheel,
     read_wheel,
 )
-from lunarsci.regolith.written_names import written_for
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import read_rover
 
@@ -150,11 +150,11 @@ class ForcesOnWheel(Result):
 
     def _row(self, state: LoadedState) -> dict[str, Any]:
         there = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
-        own: dict[str, Any] = {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
+        forces: dict[str, Any] = {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
         if self.traction is not None and self.request.load is not None:
-            own["pull_per_weight"] = own["drawbar_pull_n"] / self.request.load
-            own["tractive_efficiency"] = state.efficiency(self.wheel)
-        return there | own
+            forces["pull_per_weight"] = forces["drawbar_pull_n"] / self.request.load
+            forces["tractive_efficiency"] = state.efficiency(self.wheel)
+        return there | forces
 
     def figures(self) -> "Iterator[Figure]":
 
@@ -219,8 +219,8 @@ def _states(
     model = contact_model(asked)
     if asked.load is None:
         sinkage = float(asked.sinkage or 0.0)
-        found = [forces_by(model, wheel, soil, sinkage, slip, asked.side_slip, asked.reading) for slip in slips]
-        return [LoadedState(slip, sinkage, soil, forces) for slip, forces in zip(slips, found, strict=True)], None
+        results = [forces_by(model, wheel, soil, sinkage, slip, asked.side_slip, asked.reading) for slip in slips]
+        return [LoadedState(slip, sinkage, soil, forces) for slip, forces in zip(slips, results, strict=True)], None
     loaded = LoadedWheel(
         wheel=wheel,
         soil=soil,

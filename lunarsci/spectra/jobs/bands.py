@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.arrays import spans
 from lunarsci.constants import PAPER, SMOOTHING
 from lunarsci.errors import Failure
 from lunarsci.io.records import BLOCK_THINGS, Records, RecordsInBlocks, Where, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch

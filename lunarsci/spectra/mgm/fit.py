@@ -15,7 +15,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import each_in_threads, threads
 from lunarsci.compiled.formulas import LANES
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows, rows_in_memory
+from lunarsci.parallel.blocks import arrays_in_blocks, rows_in_memory, saved_rows
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import MgmContinuum
@@ -174,7 +174,7 @@ def _fit_in_blocks(
     result = arrays_in_blocks(
         partial(_columns_of_fits, model=model, starts=starts),
         len(rows.spectra),
-        rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=kept_rows(len(rows.spectra), CHUNK)),
+        rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=saved_rows(len(rows.spectra), CHUNK)),
         stage=f"fit {model.assemblage.name} {model.continuum}",
         about=lambda: {
             "spectra": rows.spectra.digest(),

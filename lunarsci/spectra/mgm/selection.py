@@ -14,7 +14,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import some_of
-from lunarsci.parallel.blocks import arrays_in_blocks, kept_rows
+from lunarsci.parallel.blocks import arrays_in_blocks, saved_rows
 from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import FAMILIES, GROUPS, SURE, BandPrior, chances, standing, verdict
@@ -306,7 +306,7 @@ def choose(
     arrays = arrays_in_blocks(
         partial(_compared, models=models, model_error=model_error, starts=starts),
         len(collection),
-        kept_rows(len(collection), TOGETHER),
+        saved_rows(len(collection), TOGETHER),
         stage=f"choice {continuum}",
         about=lambda: {
             "spectra": collection.digest(),

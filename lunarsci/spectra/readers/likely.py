@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lunarsci.arrays import NORMAL_MAD, BoolArray, FloatArray, IntArray
+from lunarsci.arrays import NORMAL_MAD, BoolArray, FloatArray, IntArray, spans
 from lunarsci.errors import DataError
-from lunarsci.heights.no_data import far_ends
-from lunarsci.parallel.checkpoint import spans
+from lunarsci.heights.grid import far_ends
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.noise import SECOND_DIFFERENCE
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable

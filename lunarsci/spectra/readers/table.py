@@ -15,10 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, spans
 from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import InputFile
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.solar import solar_spectrum
 

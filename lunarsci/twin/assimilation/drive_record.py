@@ -142,7 +142,7 @@ def _valid_rows(found: StateTable) -> StateTable:
     if fast := int((np.abs(found.values[out, OBSERVED.index("slip_ratio")]) > VALID_SLIP).sum()):
         text += f": {fast} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
     warnings.warn(text, LunarSciWarning, stacklevel=3)
-    return found.kept(found.valid)
+    return found.subset(found.valid)
 
 
 def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.belief_history import effective_rows
+from lunarsci.regolith.belief import SoilBelief, effective_rows
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.change_point import (
     FEWEST_BINS,

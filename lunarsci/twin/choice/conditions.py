@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, spans
 from lunarsci.parallel.blocks import run_blocks, shared_out
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan

@@ -20,8 +20,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile, read_json
-from lunarsci.regolith.belief import SoilBelief, belief_of
-from lunarsci.regolith.belief_history import effective_rows
+from lunarsci.regolith.belief import SoilBelief, belief_of, effective_rows
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
 from lunarsci.regolith.soil import read_soil

@@ -13,9 +13,9 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.names import one_of
+from lunarsci.regolith.columns import ground_written
 from lunarsci.regolith.prior import ROLLING
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.written_names import ground_written
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
 

@@ -16,7 +16,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, OutputError
 from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
 from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
-from lunarsci.heights.projections import known_projection
+from lunarsci.heights.projections import projection_or_none
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import read_input
 from lunarsci.regolith.soil import Soil
@@ -133,7 +133,7 @@ def read_terrain_file(path: str | Path, soil: Soil, height_unit: str | None = No
 
 
 def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
-    known_projection(grid.crs)
+    projection_or_none(grid.crs)
     place = (grid.name, grid.x0_m, grid.y0_m, grid.spacing_m)
     terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic, crs=grid.crs)
     maker = None if grid.made_for is None else MadeFor.from_table(json_document(grid.made_for))

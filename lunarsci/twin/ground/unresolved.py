@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray
-from lunarsci.regolith.prior import Law
-from lunarsci.regolith.questions import Question, question
+from lunarsci.regolith.prior import Law, Question, question
 from lunarsci.regolith.wheel import Wheel
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
 from lunarsci.twin.ground.terrain import Terrain

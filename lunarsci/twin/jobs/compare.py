@@ -15,11 +15,11 @@ from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
-from lunarsci.regolith.questions import Question, asked_in
+from lunarsci.regolith.columns import GROUND, ground_name, short_name, written_in
+from lunarsci.regolith.prior import Question, asked_in
 from lunarsci.regolith.states import StateTable
-from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
+from lunarsci.rovers import DEFAULT_ROVER, read_rover, rover_names
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
 from lunarsci.twin.comparison.forecast import (
@@ -157,7 +157,7 @@ def compare(
     asked = request_of(CompareRequest, request, options)
     forecast, inputs = read_forecast(predicted)
     named = short_name(forecast.rover)
-    rover = asked.rover or (named if named in known_rovers() else DEFAULT_ROVER)
+    rover = asked.rover or (named if named in rover_names() else DEFAULT_ROVER)
     description = read_rover(rover)
     digest = sha256(description.text.encode())
     if digest != forecast.rover_sha256:

@@ -7,14 +7,13 @@ from typing import Any
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.heights.units import HeightUnit
+from lunarsci.heights import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, other_law
-from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.questions import Question, asked_in
-from lunarsci.regolith.soil import known_soils, read_soil, soil_hash, unusual
+from lunarsci.regolith.prior import Question, asked_in, prior_hash
+from lunarsci.regolith.soil import read_soil, soil_hash, soil_tables, unusual
 from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.change_point import planned_places
@@ -127,7 +126,7 @@ class DriveInputs:
         found, soil = rover_questions(self.rover), self.given.named
         if heights:
             found += terrain_questions(self.terrain)
-        if soil is not None and soil not in known_soils():
+        if soil is not None and soil not in soil_tables():
             found += unusual(read_soil(soil), soil)
         return replace(self, questions=(*found, *(() if states is None else states.questions(self.rover.wheel))))
 
@@ -293,7 +292,7 @@ def soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, 
         tables = tables | prior_hash()
     elif given.file is not None:
         inputs = inputs | {given.name: given.file.sha256}
-    if driven is not None and (driven.rest or driven.name) in known_soils():
+    if driven is not None and (driven.rest or driven.name) in soil_tables():
         tables = tables | soil_hash(driven.rest or driven.name)[1]
     return inputs, tables
 

@@ -11,7 +11,7 @@ from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior
-from lunarsci.regolith.soil import known_soils
+from lunarsci.regolith.soil import soil_tables
 from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
 from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
 
@@ -118,7 +118,7 @@ def caution_of(name: str, belief: SoilBelief | None) -> str:
 
 def _is_name(name: str) -> bool:
     """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
-    return name in known_soils() or not (
+    return name in soil_tables() or not (
         name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
     )
 

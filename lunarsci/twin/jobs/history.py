@@ -8,13 +8,14 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
-from lunarsci.regolith.belief import SoilBelief, read_belief
-from lunarsci.regolith.belief_history import (
+from lunarsci.regolith.belief import (
     BeliefDistance,
+    SoilBelief,
     compare_beliefs,
     moved_sd,
     parameter_rows,
     past_beliefs,
+    read_belief,
     rolled_back,
 )
 from lunarsci.regolith.prior import PARAMETERS
@@ -112,7 +113,7 @@ class BeliefHistory(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.regolith.belief_figure import belief_figure, belief_history_figure
+        from lunarsci.regolith.figure import belief_figure, belief_history_figure
 
         names = (file_label(self.source.name), file_label(self.other_source.name) if self.other_source else "")
         title = f"{names[0]}: belief of the soil by drive"

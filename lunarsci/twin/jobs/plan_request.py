@@ -7,7 +7,7 @@ import numpy as np
 from lunarsci.errors import DataError, RequestError
 from lunarsci.heights.projections import projection_of
 from lunarsci.io.tables import numbers_of, read_csv_table
-from lunarsci.regolith.written_names import GROUND, written_in
+from lunarsci.regolith.columns import GROUND, written_in
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain

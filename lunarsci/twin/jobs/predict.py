@@ -11,7 +11,7 @@ from lunarsci.io.inputs import Source
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256, to_json
-from lunarsci.regolith.questions import Question
+from lunarsci.regolith.prior import Question
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lunarsci.errors import RequestError
-from lunarsci.heights.units import HeightUnit
+from lunarsci.heights import HeightUnit
 from lunarsci.options import check_intervals
 from lunarsci.ranges import CHANCE, POSITIVE, SHARE
 

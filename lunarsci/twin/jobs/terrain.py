@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.heights.projections import lonlat_of, told_of
+from lunarsci.heights.projections import lonlat_of, projection_notes
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
@@ -225,7 +225,7 @@ class TerrainSurvey(Result):
         notes = [UNSEEN, *site.check.read_as, *site.check.remarks]
         if site.terrain.synthetic:
             notes.append("the terrain is synthetic; this says nothing about a real site")
-        notes += told_of(site.terrain.crs, site.terrain.x_m, site.terrain.y_m)
+        notes += projection_notes(site.terrain.crs, site.terrain.x_m, site.terrain.y_m)
         if site.file.states_errors:
             notes.append("heights have errors: looked at is the likely ground, without the roughness of errors")
         if site.keep_outs:

@@ -10,10 +10,8 @@ from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.figure import as_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.belief_history import contact_rows, parameter_rows, with_drive
-from lunarsci.regolith.prior import PARAMETERS, prior_hash
-from lunarsci.regolith.questions import asked_in
+from lunarsci.regolith.belief import SoilBelief, contact_rows, first_belief, parameter_rows, read_belief, with_drive
+from lunarsci.regolith.prior import PARAMETERS, asked_in, prior_hash
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
@@ -203,7 +201,7 @@ class LearnedSoil(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.regolith.belief_figure import belief_figure
+        from lunarsci.regolith.figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
 
         title, synthetic = f"soil after {as_label(self.known.plan.name)}", self.known.terrain.synthetic

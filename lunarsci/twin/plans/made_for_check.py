@@ -14,7 +14,7 @@ from lunarsci.heights.projections import carried, name_of
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import read_csv_table
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, other_law
-from lunarsci.regolith.written_names import GROUND, ground_kinship, short_name, written_in
+from lunarsci.regolith.columns import GROUND, ground_kinship, short_name, written_in
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.heights.projections import MapProjection, known_projection
+from lunarsci.heights.projections import MapProjection, projection_or_none
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath
@@ -25,7 +25,7 @@ def path_geojson(path: PlannedPath, surface: Traversability) -> bytes:
     member `crs` says so. Each feature also has `x_m` and `y_m` of its first place.
     """
     plan = path.plan
-    projection = known_projection(plan.crs)
+    projection = projection_or_none(plan.crs)
     places = planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / EVERY_M) + 1)))[:, :2]
     line = {"name": plan.name, "length_m": plan.length_m, "speed_m_s": plan.speed_m_s, "arcs": len(plan.legs)}
     line |= {"max_slope_deg": path.max_slope_deg, "cost_m": path.cost_m}

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.arrays import FloatArray, IntArray, spans
 from lunarsci.parallel.blocks import run_blocks, shared_out
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.twin.ground.terrain import STEEPEST, Grid, Terrain
 from lunarsci.twin.lanes import CLIFF, DIVERGED, FINISHED, GROUP, new_work
 from lunarsci.twin.plans.path import Commands

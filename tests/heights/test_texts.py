@@ -12,9 +12,8 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.guide.info import info
-from lunarsci.heights.grid import HeightGrid
+from lunarsci.heights.grid import HeightGrid, without_markers
 from lunarsci.heights.grids import read_grid
-from lunarsci.heights.no_data import without_markers
 
 X, Y = 100.0 + 0.5 * np.arange(12), 20.0 + 0.5 * np.arange(10)
 HEIGHT = -2500.0 + 0.03 * X[None, :] - 0.02 * Y[:, None]

@@ -3,23 +3,33 @@
 A column that names its quantity and its unit is converted. One without a unit is taken in newtons, metres, degrees and
 shares of the rim's speed; what the numbers say of that is asked by `lunarsci.regolith.states`.
 
+The column `rover` of tables that lunarsci writes has the name in the rover's file and the size of its wheels, `ground`
+the terrain's name and a mark of its heights, in every row, so that they stay where rows are taken out or tables are put
+together, and nobody reads them for others. Older tables and those of other programs may lack them.
+
 Slip is 1 - v / (r w) in terramechanics (Wong 2008, Theory of Ground Vehicles, ISBN 978-0-470-17038-0; travel reduction
 in ANSI/ASAE S296), `rim` here, and r w / v - 1 for tyres (SAE J670), `travel` here; lunarsci's is the first one while a
 wheel drives, and the second one while it skids (Ding et al. 2024, 10.1038/s41467-024-46233-8).
 """
 
+import hashlib
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, RequestError
-from lunarsci.io.tables import numbers_of
+from lunarsci.errors import DataError, LunarSciWarning, RequestError
+from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
-from lunarsci.regolith.questions import Question
+from lunarsci.regolith.prior import Question
+from lunarsci.regolith.wheel import Wheel, read_wheel
+from lunarsci.rovers import read_rover, rover_names, wheel_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,6 +56,8 @@ OF_ERRORS = ("sigma", "std", "sd", "stdev", "stddev", "err", "error", "uncertain
 """Words that say that a column has the errors of a quantity."""
 RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
 OPTION = "--units"
+HOW = {"": "", OVER_LOAD: ", a share of the load", TRAVEL: ", r w / v - 1", RIM: ", 1 - v / (r w)"}
+"""Units that are no units, in words."""
 
 
 class StateColumn(NamedTuple):
@@ -132,10 +144,10 @@ def of_name(name: str) -> ColumnMeaning | None:
             return ColumnMeaning(quantity.column, TRAVEL if whole in BY_TRAVEL else "", sigma, scale)
     for quantity in QUANTITIES:
         for count in (1, 2, 0):
-            own, unit = words[: len(words) - count], "".join(words[len(words) - count :])
+            stem, unit = words[: len(words) - count], "".join(words[len(words) - count :])
             # A name may have its symbol behind it: 'Normal load W [N]'.
-            named = any("_".join(own[:k]) in quantity.names and (k == len(own) or "_".join(own[k:]) in quantity.names)
-                        for k in range(1, len(own) + 1))  # fmt: skip
+            parts = [("_".join(stem[:k]), "_".join(stem[k:])) for k in range(1, len(stem) + 1)]
+            named = any(name in quantity.names and symbol in ("", *quantity.names) for name, symbol in parts)
             if named and (unit in quantity.units or not count):
                 return ColumnMeaning(quantity.column, unit, sigma)
     return None
@@ -180,60 +192,52 @@ def asked_units(units: str) -> dict[str, str]:
 
     Raises RequestError.
     """
-    found: dict[str, str] = {}
-    known = {quantity.column: [*quantity.units] for quantity in QUANTITIES}
-    known["drawbar_pull_n"] += [OVER_LOAD]
-    known["slip_ratio"] += [RIM, TRAVEL]
+    result: dict[str, str] = {}
+    units_of = {quantity.column: [*quantity.units] for quantity in QUANTITIES}
+    units_of["drawbar_pull_n"] += [OVER_LOAD]
+    units_of["slip_ratio"] += [RIM, TRAVEL]
     for part in filter(None, (one.strip() for one in units.split(","))):
         column, _, unit = (word.strip() for word in part.partition("="))
-        if column not in known:
-            raise RequestError(f"`units` '{part}': {one_of(column, [*known])}, = and its unit")
+        if column not in units_of:
+            raise RequestError(f"`units` '{part}': {one_of(column, [*units_of])}, = and its unit")
         shift = column == "sinkage_m" and re.fullmatch(r"[+-]\d*\.?\d+(e-?\d+)?", unit)
-        if unit.lower() not in known[column] and not shift:
-            raise RequestError(f"`units` '{part}': {one_of(unit, known[column])}")
-        found[column] = unit.lower()
-    return found
+        if unit.lower() not in units_of[column] and not shift:
+            raise RequestError(f"`units` '{part}': {one_of(unit, units_of[column])}")
+        result[column] = unit.lower()
+    return result
 
 
-def named_columns(file: str, table: "pd.DataFrame", known: Sequence[str], units: str = "") -> NamedColumns:
+def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units: str = "") -> NamedColumns:
     """The columns of a table of wheel states by the names and units that they have; `units` says it otherwise.
 
-    Raises RequestError for units that are none, DataError for two columns of one quantity.
+    `names` are those of lunarsci. Raises RequestError for units that are none, DataError for two columns of one
+    quantity.
     """
-    asked, found = asked_units(units), dict[str, str]()
+    asked, source = asked_units(units), dict[str, str]()
     table = with_row_of_units(table)
-    columns = {str(name): of_name(str(name)) for name in table.columns if name not in known}
-    columns = {name: what for name, what in columns.items() if what and what.target not in table.columns}
-    own = [(name, sigma) for name in asked for sigma in (False, True)]
-    columns |= {
-        one.target: one for one in (ColumnMeaning(name, "", sigma) for name, sigma in own) if one.target in table
-    }
-    said, done = list[str](), table.copy()
+    meanings = {str(name): of_name(str(name)) for name in table.columns if name not in names}
+    columns = {name: what for name, what in meanings.items() if what and what.target not in table.columns}
+    plain = (ColumnMeaning(name, "", sigma) for name in asked for sigma in (False, True))
+    columns |= {one.target: one for one in plain if one.target in table}
+    notes, done = list[str](), table.copy()
     for name, what in columns.items():
-        if what is None:
-            continue
-        if other := found.get(what.target):
+        if other := source.get(what.target):
             raise DataError(f"{file}: columns '{other}' and '{name}' are both {what.target}; keep the right one")
-        found[what.target] = name
+        source[what.target] = name
         unit = asked.get(what.column, what.unit)
         values = what.scale * numbers_of(file, name, table[name])
         done = done.rename(columns={name: what.target})
         if unit != OVER_LOAD or what.scale != 1.0:
             done[what.target] = _cells(_converted(what, unit, values))
-        said.append(f"column '{name}' as {_told(what.target, unit)}{'' if what.unit else f' ({OPTION})'}")
-    over = [what for name, what in columns.items() if what and asked.get(what.column, what.unit) == OVER_LOAD]
-    for what in over:
+        how = HOW.get(unit, f", from {unit}")
+        notes.append(f"column '{name}' as {what.target}{how}{'' if what.unit else f' ({OPTION})'}")
+    for what in (what for what in columns.values() if asked.get(what.column, what.unit) == OVER_LOAD):
         if "normal_force_n" not in done:
-            raise DataError(f"{file}: no column normal_force_n, of which '{found[what.target]}' is a share; add it")
-        load = numbers_of(file, "normal_force_n", done["normal_force_n"])
-        done[what.target] = _cells(load * numbers_of(file, what.target, done[what.target]))
-    unitless = [what.column for what in columns.values() if what and not what.unit and not what.sigma]
-    return NamedColumns(done, tuple(said), tuple(one for one in unitless if one not in asked), tuple(asked))
-
-
-def _told(target: str, unit: str) -> str:
-    how = {"": "", OVER_LOAD: ", a share of the load", TRAVEL: ", r w / v - 1", RIM: ", 1 - v / (r w)"}
-    return target + how.get(unit, f", from {unit}")
+            raise DataError(f"{file}: no column normal_force_n, of which '{source[what.target]}' is a share; add it")
+        load, share = (numbers_of(file, name, done[name]) for name in ("normal_force_n", what.target))
+        done[what.target] = _cells(load * share)
+    unitless = [what.column for what in columns.values() if not what.unit and not what.sigma]
+    return NamedColumns(done, tuple(notes), tuple(one for one in unitless if one not in asked), tuple(asked))
 
 
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:
@@ -268,3 +272,109 @@ def by_rim(slip: FloatArray) -> FloatArray:
 
 def _cells(values: FloatArray) -> list[str]:
     return ["" if np.isnan(value) else repr(float(value)) for value in values]
+
+
+COLUMN, GROUND = "rover", "ground"
+NamedBy = Literal["option", "table", "default"]
+"""What named the rover or wheel: the option, the column `rover` of the states, or nobody."""
+
+
+def written_for(name: str, wheel: Wheel) -> str:
+    """A rover as tables of its wheel states name it: how to ask for it, or the name in its file, and its wheels' size.
+
+    >>> written_for("My rover, the second", Wheel(radius_m=0.11, width_m=0.09))
+    'My rover the second; wheels 110 x 90 mm'
+    """
+    return f"{short_name(name)}; {size_of(wheel)}"
+
+
+def short_name(name: str) -> str:
+    """The name by which lunarsci knows a rover, else its own without what CSV has to quote."""
+    return _asked_for().get(name) or _plain(name)
+
+
+def _plain(name: str) -> str:
+    return " ".join(re.sub(r'[,;"]', " ", name).split())
+
+
+def ground_written(name: str, height_m: FloatArray, place: tuple[float, float, float]) -> str:
+    """A terrain as tables and plans name it: by heights (ny, nx), and x and y of the first node and the spacing. [m]
+
+    >>> ground_written("site, east", np.zeros((3, 3)), (0.0, 0.0, 0.1))
+    'site east; heights 06387644'
+    """
+    height = np.nan_to_num(np.round(1e3 * height_m), nan=-(2.0**31)).astype(np.int64)
+    where = f"{height_m.shape} " + " ".join(f"{number:.6f}" for number in place)
+    return f"{_plain(name)}; heights {hashlib.sha256(where.encode() + height.tobytes()).hexdigest()[:8]}"
+
+
+def ground_name(written: str) -> str:
+    """Of a ground as it is written, its name; or of the plain name of a terrain, what is written of that."""
+    return _plain(written.rpartition("; heights ")[0] or written)
+
+
+def ground_kinship(written: str, ground: str) -> Literal["same", "changed", "other"]:
+    """Whether a ground has the heights of another, whatever their names are, or only its name.
+
+    >>> ground_kinship("a; heights 1", "b; heights 1"), ground_kinship("a; heights 1", "a; heights 2")
+    ('same', 'changed')
+    """
+    (name, _, mark), (other_name, _, other_mark) = written.rpartition("; "), ground.rpartition("; ")
+    if mark == other_mark:
+        return "same"
+    return "changed" if name == other_name else "other"
+
+
+@cache
+def _asked_for() -> dict[str, str]:
+    """Names in the files of lunarsci's rovers, and how they are asked for."""
+    return {read_rover(name).name: name for name in rover_names()}
+
+
+def size_of(wheel: Wheel) -> str:
+    """Radius and width, for `written_for`."""
+    return f"wheels {1e3 * wheel.radius_m:.6g} x {1e3 * wheel.width_m:.6g} mm"
+
+
+def written_in(file: str, table: "pd.DataFrame", column: str = COLUMN) -> str:
+    """The one rover or ground that a table names; '' without such a column, or blank. Raises DataError for several."""
+    cells = table[column].dropna().unique() if column in table else ()
+    names = sorted({" ".join(str(cell).split()) for cell in cells} - {""})
+    if len(names) > 1:
+        raise DataError(f"{file}: rows of several {column}s: {names[0]}, and {names[1]}; keep those of one")
+    return names[0] if names else ""
+
+
+def rover_of_states(source: InputFile, rover: str | None, default: str) -> tuple[str, NamedBy]:
+    """The rover or wheel of a table, and what named it: the one asked for, that of its column, or the default.
+
+    Raises DataError where the table was written for a rover that lunarsci does not have, and none is asked for.
+    """
+    if rover:
+        return rover, "option"
+    written = written_in(source.name, read_csv_table(source))
+    if not written:
+        return default, "default"
+    for name in (*rover_names(), *wheel_names()):
+        description = read_rover(name)
+        if written == written_for(description.name, read_wheel(description)):
+            return name, "table"
+    text = f"was written for '{written}', which lunarsci does not have; give the file of that rover with `rover`"
+    raise DataError(f"{source.name}: {text}")
+
+
+def check_written_for(file: str, table: "pd.DataFrame", wheel: Wheel, rover: str = "") -> None:
+    """Compare the column `rover` of a table with the wheel that it is read for, and with the rover's name if given.
+
+    Raises DataError for wheels of another size, warns of another name: the wheels are alike, the rest may not be.
+    """
+    written = written_in(file, table)
+    name, _, size = written.rpartition("; ")
+    if written and size != size_of(wheel):
+        raise DataError(
+            f"{file}: was written for '{written}', and is read for {size_of(wheel)}{f' of {rover}' if rover else ''}: "
+            "name its rover with `rover`, or drop the column rover if that is wrong"
+        )
+    if written and rover and name != short_name(rover):
+        text = f"{file}: was written for '{name}', and is read for {short_name(rover)}; name its rover with `rover`"
+        warnings.warn(text, LunarSciWarning, stacklevel=3)

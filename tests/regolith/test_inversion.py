@@ -1,11 +1,20 @@
-"""Gravity-aware stiffness and slip sinkage against their formulas and limits."""
+"""Gravity-aware stiffness, slip sinkage and sinkage under a load against their formulas and limits."""
+
+import math
 
 import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
+from lunarsci.regolith.forces import (
+    closed_form_forces,
+)
 from lunarsci.regolith.inversion import reece_stiffness, slip_sinkage
+from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.traction import sinkage_under_load, stiffness_under_load
+from lunarsci.regolith.wheel import read_wheel
 
+WHEEL, SOIL = read_wheel("yutu2"), read_soil("lunar-typical")
 MARS_LIKE = {"k_c": 212.2, "k_phi": 677.5, "exponent": 1.4, "width_m": 0.15}
 
 
@@ -36,3 +45,21 @@ def test_values_out_of_range_are_refused() -> None:
             slip_sinkage(*arguments)  # type: ignore[arg-type]
     with pytest.raises(ParameterError):
         slip_sinkage(0.01, 0.1, rate=np.nan)
+
+
+def test_the_stiffness_under_a_load_is_the_one_that_carries_it() -> None:
+    stiffness = stiffness_under_load(WHEEL, SOIL, 36.0, 0.012, 0.2)
+    found = closed_form_forces(WHEEL, SOIL.replace(stiffness_kpa_m_n=stiffness), 0.012, 0.2)
+    assert float(found.normal_force_n) == pytest.approx(36.0, rel=1e-9)
+
+
+def test_sinkage_under_load_carries_the_load_and_grows_with_it() -> None:
+    depths = [sinkage_under_load(WHEEL, SOIL, load) for load in (5, 20, 36.5, 80)]
+    assert depths == sorted(depths)
+    assert float(closed_form_forces(WHEEL, SOIL, depths[2], 0.0).normal_force_n) == pytest.approx(36.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("load", [-5, 0, math.nan, 1e9, 1e-12])
+def test_impossible_loads_are_refused(load: float) -> None:
+    with pytest.raises(ParameterError, match=r"load|carries|press"):
+        sinkage_under_load(WHEEL, SOIL, load)

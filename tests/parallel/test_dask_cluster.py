@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from lunarsci.cli import main
 
+from lunarsci.arrays import spans
 from lunarsci.errors import ParameterError, SchedulerError
 from lunarsci.parallel.blocks import computing, run_blocks
-from lunarsci.parallel.checkpoint import spans
 from lunarsci.parallel.dask_cluster import _Crew
 
 distributed = pytest.importorskip("distributed")
@@ -135,7 +135,7 @@ def test_another_version_of_a_worker_is_refused(cluster: Any, monkeypatch: pytes
 
 
 def test_a_cluster_by_hand_as_the_page_has_it(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[1] / "docs/howto/cluster.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs/howto/cluster.md").read_text("utf-8")
     script = page.split("```sh\n")[1].split("```")[0].replace("--members 64", "--members 4")
     assert "--members 4" in script
     for name, module in (("dask", "dask"), ("lunarsci", "lunarsci.cli")):
@@ -148,7 +148,7 @@ def test_a_cluster_by_hand_as_the_page_has_it(tmp_path: Path) -> None:
 
 
 def test_the_notebook_of_the_page_runs(cluster: Any) -> None:
-    page = (Path(__file__).parents[1] / "docs/howto/cluster.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs/howto/cluster.md").read_text("utf-8")
     cell = page.split("```python\n")[1].split("```")[0]
     for shown, used in {"tcp://10.0.0.1:8786": cluster.scheduler_address, "4096": "4", "(1, 2, 3)": "(1,)"}.items():
         assert shown in cell

@@ -6,9 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lunarsci.regolith.inference.mode import Mode, mode_with_errors
+from lunarsci.regolith.inference.mode import (
+    Mode,
+    find_mode,
+    mode_with_errors,
+    mode_without_outliers,
+    predictive_densities,
+)
 from lunarsci.regolith.inference.posterior import infer_soil
-from lunarsci.regolith.inference.problem import JointProblem, forces_at, part_of, problem_of, states_alike
+from lunarsci.regolith.inference.problem import (
+    JointProblem,
+    error_covariance,
+    forces_at,
+    part_of,
+    problem_of,
+    states_alike,
+)
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import read_wheel
@@ -98,7 +111,7 @@ def widened(found: Mode, free: slice = slice(None)) -> np.ndarray:
 
 
 def test_copies_of_states_narrow_no_interval(mode: Mode) -> None:
-    assert mode.kept.all() and mode.alike > 3.0
+    assert mode.inliers.all() and mode.alike > 3.0
     assert mode.covariance == pytest.approx(widened(mode), rel=1e-3, abs=1e-5 * float(mode.covariance.max()))
 
 
@@ -109,7 +122,24 @@ def test_sampled_intervals_and_profiles_are_widened_alike() -> None:
     sigma = float(np.sqrt(widened(mode_with_errors(problem(states, laws)), slice(1))[0, 0]))
     assert sigma < 0.3 * PRIOR["stiffness_kpa_m_n"].width
     for options in ({}, {"profile": True}, {"sample": True}):
-        _, *ends = infer_soil(states, WHEEL, laws, draws=400, **options).intervals()["stiffness_kpa_m_n"]  # type: ignore[arg-type]
-        ends = np.log(ends)
+        posterior = infer_soil(states, WHEEL, laws, draws=400, **options)  # type: ignore[arg-type]
+        assert posterior.how == next(iter(options), "normal")
+        ends = np.log(posterior.intervals()["stiffness_kpa_m_n"][1:])
         # The widths of 400 draws scatter by 5 %.
         assert [ends[1] - ends[0], (ends[3] - ends[2]) / 1.96] == pytest.approx([2 * sigma] * 2, rel=0.15), options
+
+
+def test_a_group_is_predicted_as_by_a_fit_without_it() -> None:
+    """The density of its residuals about the mode of all others, by a fit of these, in their errors and what is left
+    open of the soil; the linear step differs by what the model bends."""
+    best = mode_without_outliers(problem(measured()))
+    groups, expected = np.arange(DISTINCT) // 2, []
+    for group in range(DISTINCT // 2):
+        others, left = (part_of(best.problem, rows) for rows in (groups != group, groups == group))
+        point, covariance = find_mode(others, best.point)
+        away, j = left.white(point[None])[0].ravel(), slopes(left, point)
+        spread = np.eye(len(away)) + j @ covariance @ j.T
+        errors = error_covariance(left, left.residuals_and_slopes(point[None])[1][0], np.array(left.model_error))
+        size = np.linalg.slogdet(spread)[1] + np.linalg.slogdet(errors)[1].sum()
+        expected.append(-0.5 * (away @ np.linalg.solve(spread, away) + size))
+    assert predictive_densities(best, groups) == pytest.approx(expected, abs=0.3)

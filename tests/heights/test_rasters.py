@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.heights.grid import HeightGrid
+from lunarsci.heights.grid import HeightGrid, metres_in
 from lunarsci.heights.grids import read_grid
-from lunarsci.heights.units import metres_in
 from lunarsci.twin.jobs.terrain import terrain
 
 rasterio = pytest.importorskip("rasterio")

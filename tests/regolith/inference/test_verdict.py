@@ -10,9 +10,8 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
-from lunarsci.regolith.inference.misfit import Lesson, misfit_at, shares_at
 from lunarsci.regolith.inference.mode import Mode
-from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
+from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil, least_chi_square, suspects
 from lunarsci.regolith.inference.prediction import (
     WheelLaw,
     WheelLawScore,
@@ -22,8 +21,7 @@ from lunarsci.regolith.inference.prediction import (
     predict_forces,
     predict_states,
 )
-from lunarsci.regolith.inference.problem import forces_of_many, problem_of
-from lunarsci.regolith.inference.verdict import least_chi_square, suspects
+from lunarsci.regolith.inference.problem import Lesson, forces_of_many, misfit_at, problem_of, shares_at
 from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
