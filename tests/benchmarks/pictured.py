@@ -197,7 +197,7 @@ def boards() -> Any:
     cv2 = pytest.importorskip("cv2", reason="needs the extra images")
     import boards as seen_boards
 
-    from lunarsci.images.calibration import BoardTarget, BoardView, Sighting, calibrate
+    from lunarsci.images.calibration import BoardTarget, Sighting, calibrate
 
     lenses = [seen_boards.lens(520, 243, 196, (-0.12, 0.05, 5e-4, -8e-4, 0.01)),
               seen_boards.lens(518, 236, 203, (-0.11, 0.04, -5e-4, 4e-4, 0.0))]  # fmt: skip
@@ -209,7 +209,7 @@ def boards() -> Any:
         sides = zip(lenses, (there, there @ turn.T + way), strict=True)
         pixels = [cv2.projectPoints(p, np.zeros(3), np.zeros(3), of.matrix, of.terms)[0][:, 0] for of, p in sides]
         seen = (Sighting(numbers, p + random.normal(0, 0.05, p.shape)) for p in pixels)
-        views.append(BoardView(tuple(seen)))
+        views.append(tuple(seen))
     return calibrate(views, target, [(480, 400)] * 2)
 
 

@@ -13,15 +13,14 @@ import numpy as np
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.calibration import (
     BoardTarget,
-    BoardView,
     CameraCalibration,
     Sighting,
     alike_turned,
     calibrate,
     check_board,
-    files_of,
     find_target,
     of_moments,
+    pictures_matching,
 )
 from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
 from lunarsci.images.pictures import Picture, read_picture
@@ -328,7 +327,8 @@ def calibrate_cameras(
 
     asked = request_of(CalibrateCamerasRequest, request, options)
     target, steps = asked.board_target(), progress or (lambda *_: None)
-    first, second = files_of(pictures), files_of(right, "right")
+    first = pictures_matching([pictures]) if isinstance(pictures, str) else pictures
+    second = pictures_matching([right], "right") if isinstance(right, str) else right
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
     shown = [[read_picture(one) for one in side] for side in sides]
     _check_sizes(shown)
@@ -342,7 +342,7 @@ def calibrate_cameras(
     names = [[picture.source.name for picture in side] for side in shown]
     _check_names(names)
     moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
-    used = [(BoardView(view), own) for view, own in moments if any(s is not None for s in view)]
+    used = [(view, own) for view, own in moments if any(s is not None for s in view)]
     found = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
     steps(count, count)
     return CalibratedCameras(
