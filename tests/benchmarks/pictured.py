@@ -164,8 +164,7 @@ def merged(count: int = 2) -> "Figure":
 def ties(count: int = 2, name: str = "stop") -> "Figure":
     """Points that two stations share, as if they had been found: on a grid, with residuals of 0.3 px."""
     from lunarsci.images.figures import ties_figure
-    from lunarsci.images.localisation import Adjusted, Localised, PairTies
-    from lunarsci.images.ties import Station, TiePoints
+    from lunarsci.images.localisation import Adjusted, Localised, PairTies, Station, TiePoints
 
     matches, random = heights().matches, np.random.default_rng(4)
     u, v = (grid.ravel().astype(float) for grid in np.meshgrid(np.arange(30, 300, 30), np.arange(120, 290, 30)))

@@ -16,11 +16,20 @@ from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
-from lunarsci.images.localisation import DEFINED_PX, SMALLEST_PX, PairTies, adjust, triangulated
+from lunarsci.images.localisation import (
+    DEFINED_PX,
+    OVERLAPPING,
+    SMALLEST_PX,
+    PairTies,
+    TiePoints,
+    _eight,
+    _peak,
+    adjust,
+    triangulated,
+)
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
-from lunarsci.images.ties import OVERLAPPING, TiePoints, _eight, _peak
 from lunarsci.io.inputs import InputFile
 from lunarsci.twin.telemetry.reading import read_positions
 

@@ -12,11 +12,10 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
-from lunarsci.images.localisation import ODD_SIGMAS, Localised, localise
+from lunarsci.images.localisation import ODD_SIGMAS, Localised, Station, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import check_rig_of, pose_text, read_pose, read_rig
-from lunarsci.images.ties import Station
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 SOURCES = [
     "Lowe (2004), Int. J. Comput. Vis. 60, 91, 10.1023/B:VISI.0000029664.99615.94: features",
-    "Torr and Zisserman (2000), Comput. Vis. Image Underst. 78, 138, 10.1006/cviu.1999.0832: MSAC",
+    "Barath et al. (2020), Proc. IEEE Conf. Comput. Vis. Pattern Recognit. 1301, 10.1109/CVPR42600.2020.00138: MAGSAC++",
     "Triggs et al. (2000), 10.1007/3-540-44480-7_21: bundle adjustment",
     "Huber (1964), Ann. Math. Stat. 35, 73, 10.1214/aoms/1177703732: robust weights",
 ]
