@@ -24,6 +24,20 @@ def robust_scatter(values: FloatArray, about: float | None = None) -> float:
     return NORMAL_MAD * float(np.median(np.abs(values - (np.median(values) if about is None else about))))
 
 
+SIGNIFICANCE = 0.01
+"""Share of normal errors that is taken for outliers; assumed."""
+
+
+def huber_weights(squares: FloatArray, freedom: int) -> FloatArray:
+    """Weights from 0 to 1 by sums of squares of so many normal errors of 1: below 1 where `SIGNIFICANCE` are larger.
+
+    Huber (1964), 10.1214/aoms/1177703732: what is large counts by its size, not by its square.
+    """
+    from scipy.special import chdtri
+
+    return np.sqrt(np.minimum(1.0, float(chdtri(freedom, SIGNIFICANCE)) / np.maximum(squares, 1e-300)))
+
+
 def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, FloatArray]:
     """Sample before each wanted time, and the share of the way to the next one; beyond the ends it is the end.
 

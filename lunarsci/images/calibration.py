@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, robust_scatter
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, robust_scatter
 from lunarsci.errors import DataError, LunarSciWarning, NoFilesError, ParameterError, RequestError
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.pictures import Picture, open_cv
@@ -164,9 +164,6 @@ FEWEST_VIEWS = 4
 """Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
 FEWEST_TILT_DEG = 10.0
 """Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
-SIGNIFICANCE = 0.01
-"""Probability that a calibration whose errors are normal loses any point as an outlier: Bonferroni's correction of the
-chi-square of each; assumed."""
 ROUNDS = 3
 RIM = 24
 """Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
@@ -339,7 +336,8 @@ def calibrate(
             f"length and distance undetermined; tilt it by 30 deg and more each way"
         )
     inliers: list[BoolArray] = [np.ones(len(s.numbers), dtype=bool) for view in views for s in view if s is not None]
-    gate = math.sqrt(2 * math.log(sum(map(len, inliers)) / SIGNIFICANCE))  # the chi-square of two, in sigmas
+    # So large that normal errors lose any point in one of a hundred calibrations (Bonferroni); the chi-square of two.
+    gate = math.sqrt(2 * math.log(sum(map(len, inliers)) / SIGNIFICANCE))
     for _ in range(ROUNDS):
         if target.circle_m:
             problem = problem._replace(views=_centred(problem, x, views, target.circle_m))

@@ -36,21 +36,12 @@ def _map(axes: "Axes", model: ElevationModel, values: FloatArray, label: str, **
     axes.set_facecolor("#c9c9c9")
 
 
-def _levelled(model: ElevationModel) -> FloatArray:
-    """Heights less their plane. (ny, nx) [m]"""
-    x, y = np.meshgrid(model.x_m, model.y_m)
-    known = np.isfinite(model.height_m)
-    design = np.column_stack([np.ones(int(known.sum())), x[known], y[known]])
-    plane = np.linalg.lstsq(design, model.height_m[known], rcond=None)[0]
-    return np.asarray(model.height_m - (plane[0] + plane[1] * x + plane[2] * y))
-
-
 def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> "Figure":
     """Where the track is, its depth along it with errors, and the mean profile across."""
     figure = _page(f"track on {as_label(model.name)}", 7.6, model.synthetic)
     axes: Any = figure.subplots(3, 1, height_ratios=(1.3, 1, 1))
     reach = 4 * width_m
-    level = 1e3 * _levelled(model)
+    level = 1e3 * model.less_plane()
     seen = level[np.isfinite(level)]
     low, high = np.percentile(seen, (1, 99))
     _map(axes[0], model, level, "height less its plane [mm]", cmap="cividis", vmin=low, vmax=high)
@@ -137,7 +128,7 @@ def merge_page(merged: MergedMap) -> "Figure":
     model = merged.model
     figure = _page(f"map of {as_label(model.name, 60)}", 6.4, model.synthetic)
     axes: Any = figure.subplots(2, 2)
-    _map(axes[0, 0], model, _levelled(model), "height less its plane [m]", cmap="cividis")
+    _map(axes[0, 0], model, model.less_plane(), "height less its plane [m]", cmap="cividis")
     errors = 1e3 * np.hypot(model.layer("height_m_sigma"), model.layer("height_m_common_sigma"))
     high = float(np.nanpercentile(errors, 98))
     _map(axes[0, 1], model, errors, "error, random and common [mm]", cmap="viridis", vmin=0, vmax=high)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray, huber_weights
 from lunarsci.errors import DataError
 from lunarsci.images.camera import PARAMETERS, Pose, StereoRig, rotation_of, vector_of
 from lunarsci.images.matching import Rectified, StereoMatches
@@ -43,9 +43,6 @@ FEWEST = 8
 """Fewest ties that a pose is believed of: four times the equations that its six unknowns need; assumed."""
 STEPS, SMALL = 30, 1e-6
 """Steps of the adjustment, and the step of poses [rad, m] and rig that ends it."""
-HUBER = 1.94
-"""Rms residual of a tie, in sigmas, above which it counts by its size, not its square: 99 % of the chi-square of three
-that it is of, 11.34, lie below 3 x 1.94^2."""
 DEFINED_PX = 0.05
 """Error of the pixel that defines a point: of the interpolation between pixels; assumed."""
 SMALLEST_PX = 0.1
@@ -279,7 +276,7 @@ class _Bundle:
         slopes[:, :2, first : first + 2] = np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         residual = np.einsum("nij,nj->ni", whiten, off)
-        weight = np.minimum(1.0, HUBER / np.maximum(np.sqrt((residual**2).sum(axis=1) / 3), 1e-9))
+        weight = huber_weights((residual**2).sum(axis=1), 3)
         root = np.sqrt(weight)[:, None]
         alone = math.sqrt(OVERLAPPING) * np.linalg.inv(np.linalg.cholesky(template))
         square = (np.einsum("nij,nj->ni", alone, off[:, :2]) ** 2).sum(axis=1)

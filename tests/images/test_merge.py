@@ -99,6 +99,6 @@ def test_refusals() -> None:
         merge(models[:1])
     with pytest.raises(ParameterError, match="nothing to compare"):
         far = StationPosition(x_m=50.0, covariance_m2=np.zeros((3, 3)))
-        merge(models, [StationPosition.known(), far])
+        merge(models, [StationPosition(), far])
     with pytest.raises(ParameterError, match="height_m_sigma"):
         merge([models[0], ElevationModel(name="b", x0_m=0, y0_m=0, spacing_m=1, height_m=np.zeros((3, 3)))])
