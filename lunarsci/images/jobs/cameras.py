@@ -219,7 +219,7 @@ def _of_pair(
     found = rig_or_camera(files, unit)
     if isinstance(found, WrittenCamera):
         name = files[0].name
-        return [], {name: SingleCamera(found.camera, np.full((9, 9), np.nan), f"{name}; {'; '.join(found.said)}")}
+        return [], {name: SingleCamera(found.camera, np.full((9, 9), np.nan), f"{name}; {'; '.join(found.notes)}")}
     if found is not None:
         return [found], {}
     labels: dict[str, LabelCamera | SingleCamera] = {file.name: read_label(file) for file in files}
