@@ -168,8 +168,6 @@ ROUNDS = 3
 RIM = 24
 """Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
 alike on all sides."""
-BY_LENS = np.array([6, 7, 8, 9, 10, 11, 14, 12, 13])
-"""Columns of OpenCV's derivatives in the order of `INTRINSICS`; those of rotation and translation are before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,8 +207,8 @@ class CameraCalibration:
     def uncertainty_px(self, index: int, pixels: FloatArray) -> FloatArray:
         """By how much intrinsics leave directions uncertain at pixels (n, 2), what a turn mends apart. (n,) [px]"""
         camera, block = self.cameras[index], slice(9 * index, 9 * index + 9)
-        slopes = _projected(camera, camera.rays(pixels), np.zeros(3), np.zeros(3))[1]
-        turned, change = slopes[:, :3], slopes[:, BY_LENS]
+        slopes = camera.project_with_derivatives(camera.rays(pixels))
+        turned, change = slopes.by_pose[..., :3].reshape(-1, 3), slopes.by_intrinsics.reshape(-1, len(INTRINSICS))
         change = change - turned @ np.linalg.lstsq(turned, change, rcond=None)[0]
         variance = np.einsum("ni,ij,nj->n", change, self.covariance[block, block], change)
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1)))
@@ -276,7 +274,8 @@ class _Adjustment(NamedTuple):
     def misses(self, x: FloatArray) -> list[FloatArray]:
         """What is left of each sighting. (n, 2) [px]"""
         return [
-            _projected(one.camera, self.points[one.sighting.numbers], one.turn, one.way)[0] - one.sighting.pixels
+            one.camera.project_with_derivatives(self.points[one.sighting.numbers], one.turn, one.way).pixels
+            - one.sighting.pixels
             for one in self.placed(x)
         ]
 
@@ -284,14 +283,14 @@ class _Adjustment(NamedTuple):
         """Derivatives of the residuals of inliers. (n, parameters)"""
         count, blocks = len(self.free), []
         for one, good in zip(self.placed(x), inliers, strict=True):
-            own = _projected(one.camera, self.points[one.sighting.numbers], one.turn, one.way)[1][np.repeat(good, 2)]
-            block, first = np.zeros((len(own), len(x))), self.shared + 6 * one.moment
-            block[:, one.index * count : (one.index + 1) * count] = own[:, BY_LENS[list(self.free)]]
-            by_poses = own[:, :6] @ one.by_poses
-            block[:, first : first + 6] = by_poses[:, :6]
+            seen = one.camera.project_with_derivatives(self.points[one.sighting.numbers[good]], one.turn, one.way)
+            block, first = np.zeros((*seen.pixels.shape, len(x))), self.shared + 6 * one.moment
+            block[..., one.index * count : (one.index + 1) * count] = seen.by_intrinsics[..., self.free]
+            by_poses = seen.by_pose @ one.by_poses
+            block[..., first : first + 6] = by_poses[..., :6]
             if one.index:
-                block[:, self.lenses : self.shared] = by_poses[:, 6:]
-            blocks.append(block)
+                block[..., self.lenses : self.shared] = by_poses[..., 6:]
+            blocks.append(block.reshape(-1, len(x)))
         return np.concatenate(blocks)
 
     def adjusted(self, x: FloatArray, inliers: Sequence[BoolArray]) -> FloatArray:
@@ -311,12 +310,6 @@ class _Adjustment(NamedTuple):
 
 def _inlying(parts: Sequence[FloatArray], inliers: Sequence[BoolArray]) -> FloatArray:
     return np.concatenate([part[good] for part, good in zip(parts, inliers, strict=True)])
-
-
-def _projected(camera: Camera, points: FloatArray, turn: FloatArray, way: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Pixels (n, 2) of a board's points at a pose, and OpenCV's derivatives. (2 n, 15)"""
-    pixels, slopes = open_cv().projectPoints(points, turn, way, camera.matrix, camera.distortion)
-    return np.asarray(pixels).reshape(-1, 2), np.asarray(slopes)
 
 
 def calibrate(
@@ -428,7 +421,8 @@ def _centred(
     for one in problem.placed(x):
         places = problem.points[one.sighting.numbers]
         both = np.concatenate([places[:, None] + ring, places[:, None]], axis=1)
-        pixels = _projected(one.camera, both.reshape(-1, 3), one.turn, one.way)[0].reshape(len(places), -1, 2)
+        seen = one.camera.project_with_derivatives(both.reshape(-1, 3), one.turn, one.way)
+        pixels = seen.pixels.reshape(len(places), -1, 2)
         given = views[one.moment][one.index]
         shift = _middle(pixels[:, :-1]) - pixels[:, -1]
         moved[one.moment][one.index] = given and Sighting(given.numbers, given.pixels - shift)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.images.pictures import open_cv
 from lunarsci.names import one_of
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
@@ -25,18 +26,10 @@ CONVERGED = 1e-12
 
 
 class Projection(NamedTuple):
-    """Pixels (..., 2) with their derivatives by the point (..., 2, 3) and by the intrinsics (..., 2, 9)."""
+    """Pixels (n, 2) with their derivatives by the points' pose (n, 2, 6), rotation first, and intrinsics (n, 2, 9)."""
 
     pixels: FloatArray
-    by_point: FloatArray
-    by_intrinsics: FloatArray
-
-
-class Unprojection(NamedTuple):
-    """Rays (..., 3) with z = 1, and derivatives of their x, y by pixel (..., 2, 2) and intrinsics (..., 2, 9)."""
-
-    rays: FloatArray
-    by_pixel: FloatArray
+    by_pose: FloatArray
     by_intrinsics: FloatArray
 
 
@@ -141,19 +134,21 @@ class Camera:
 
     def project(self, points: npt.ArrayLike) -> FloatArray:
         """Pixels (..., 2) of points or directions (..., 3) in the camera's frame; NaN behind it or past the fold."""
-        x, y, seen = self._over_depth(np.asarray(points, dtype=float))
+        given = np.asarray(points, dtype=float)
+        ahead = given[..., 2] > 0
+        x, y = np.moveaxis(given[..., :2] / np.where(ahead, given[..., 2], 1.0)[..., None], -1, 0)
         xd, yd = self._distorted(x, y)
         pixels = np.stack([self.fx_px * xd + self.cx_px, self.fy_px * yd + self.cy_px], axis=-1)
-        return np.where(seen[..., None], pixels, np.nan)
+        return np.where((ahead & (np.hypot(x, y) < self.fold()))[..., None], pixels, np.nan)
 
-    def project_with_derivatives(self, points: npt.ArrayLike) -> Projection:
-        """`project`, with derivatives by the points [px / unit] and by the intrinsics."""
-        given = np.asarray(points, dtype=float)
-        x, y, _ = self._over_depth(given)
-        by_xy, by_intrinsics = self._by_xy(x, y), self._by_intrinsics(x, y)
-        zero, depth = np.zeros_like(x), given[..., 2]
-        over = np.stack([np.stack([1 + zero, zero, -x], -1), np.stack([zero, 1 + zero, -y], -1)], -2)
-        return Projection(self.project(given), by_xy @ (over / depth[..., None, None]), by_intrinsics)
+    def project_with_derivatives(
+        self, points: FloatArray, turn: npt.ArrayLike = (0.0,) * 3, way_m: npt.ArrayLike = (0.0,) * 3
+    ) -> Projection:
+        """`project`, by OpenCV, of points (n, 3) after a rotation, by its vector [rad], and a translation."""
+        rotated = np.asarray(turn, dtype=float), np.asarray(way_m, dtype=float)
+        pixels, slopes = open_cv().projectPoints(points, *rotated, self.matrix, self.distortion)
+        slopes = np.asarray(slopes).reshape(-1, 2, 15)
+        return Projection(np.asarray(pixels)[:, 0], slopes[..., :6], slopes[..., [6, 7, 8, 9, 10, 11, 14, 12, 13]])
 
     def rays(self, pixels: npt.ArrayLike) -> FloatArray:
         """Directions (..., 3) with z = 1 of pixels (..., 2), by Newton's method; NaN where the distortion has none."""
@@ -165,26 +160,12 @@ class Camera:
             x, y = self._undistorted(goal_x, goal_y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
-    def rays_with_derivatives(self, pixels: npt.ArrayLike) -> Unprojection:
-        """`rays`, with derivatives of x and y by the pixel [1/px] and by the intrinsics."""
-        rays = self.rays(pixels)
-        x, y = rays[..., 0], rays[..., 1]
-        by_pixel = _inverse_2x2(self._by_xy(x, y))
-        return Unprojection(rays, by_pixel, -by_pixel @ self._by_intrinsics(x, y))
-
     def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether pixels lie in the picture, `margin_px` from its border at least."""
         given = np.asarray(pixels, dtype=float)
         u, v = given[..., 0] - margin_px, given[..., 1] - margin_px
         right, low = self.width_px - 1 - 2 * margin_px, self.height_px - 1 - 2 * margin_px
         return (u >= -0.5) & (v >= -0.5) & (u <= right + 0.5) & (v <= low + 0.5)
-
-    def _over_depth(self, points: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-        depth = points[..., 2]
-        seen = depth > 0
-        safe = np.where(seen, depth, 1.0)
-        x, y = points[..., 0] / safe, points[..., 1] / safe
-        return x, y, seen & (np.hypot(x, y) < self.fold())
 
     def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         r2 = x * x + y * y
@@ -196,36 +177,23 @@ class Camera:
         )
 
     def _by_xy(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Derivatives of the pixel by x and y. (..., 2, 2)"""
+        """Derivatives of what `_distorted` gives by x and y. (..., 2, 2)"""
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)
         mixed = 2 * (x * y * slope + self.p1 * x + self.p2 * y)
         dxx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
         dyy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
-        fx, fy = self.fx_px, self.fy_px
-        return np.stack([np.stack([fx * dxx, fx * mixed], -1), np.stack([fy * mixed, fy * dyy], -1)], -2)
-
-    def _by_intrinsics(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Derivatives of the pixel by the intrinsics. (..., 2, 9)"""
-        r2 = x * x + y * y
-        xd, yd = self._distorted(x, y)
-        fx, fy, zero, one = self.fx_px, self.fy_px, np.zeros_like(x), np.ones_like(x)
-        powers = [r2, r2 * r2, r2**3]
-        u = [xd, zero, one, zero, *(fx * x * p for p in powers), fx * 2 * x * y, fx * (r2 + 2 * x * x)]
-        v = [zero, yd, zero, one, *(fy * y * p for p in powers), fy * (r2 + 2 * y * y), fy * 2 * x * y]
-        return np.stack([np.stack(u, -1), np.stack(v, -1)], -2)
+        return np.stack([np.stack([dxx, mixed], -1), np.stack([mixed, dyy], -1)], -2)
 
     def _undistorted(self, goal_x: FloatArray, goal_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         fold = self.fold()
         goal = np.hypot(goal_x, goal_y)
         shrink = np.minimum(1.0, 0.9 * fold / np.maximum(goal, 1e-300))
         x, y = goal_x * shrink, goal_y * shrink
-        scale = np.array([[self.fx_px], [self.fy_px]])
         for _ in range(NEWTON_STEPS):
             xd, yd = self._distorted(x, y)
-            by_xy = self._by_xy(x, y) / scale
-            step = _inverse_2x2(by_xy) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
+            step = _inverse_2x2(self._by_xy(x, y)) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
             x, y = x + step[..., 0, 0], y + step[..., 1, 0]
             if not (np.abs(step) > CONVERGED).any():
                 break
@@ -406,8 +374,8 @@ class StereoRig:
             raise ParameterError(
                 f"{self.name}: the covariance has shape {given.shape}; give {size} x {size}, symmetric"
             )
-        spread = np.sqrt(np.maximum(np.diag(given), 1e-300))
-        if not np.isfinite(given).all() or np.linalg.eigvalsh(given / np.outer(spread, spread)).min() < -1e-6:
+        scale = np.sqrt(np.maximum(np.diag(given), 1e-300))
+        if not np.isfinite(given).all() or np.linalg.eigvalsh(given / np.outer(scale, scale)).min() < -1e-6:
             raise ParameterError(f"{self.name}: the covariance is not finite or has a negative variance")
 
     @property
@@ -443,13 +411,13 @@ class StereoRig:
         The sensor's numbers stay those of a pixel. Raises ParameterError where a height is then no whole number.
         """
         share = width_px / self.left.width_px
-        own = [share if name.endswith("_px") else 1.0 for name in PARAMETERS]
+        scale = [share if name.endswith("_px") else 1.0 for name in PARAMETERS]
         return dataclasses.replace(
             self,
             name=f"{self.name}, {width_px} px wide",
             left=self.left.scaled(share),
             right=self.right.scaled(share),
-            covariance=self.covariance * np.outer(own, own),
+            covariance=self.covariance * np.outer(scale, scale),
         )
 
     def drawn(self, random: np.random.Generator) -> "StereoRig":
@@ -491,30 +459,14 @@ class StereoRig:
         The steps are a tenth of the standard deviations. With the covariance C of the rig, J_i C J_k^T is the
         covariance of two points: the error that does not average.
         """
-        spread = np.sqrt(np.diag(self.covariance))
-        steps = np.where(spread > 0, 0.1 * spread, 1.0)
-        columns = []
-        for index, step in enumerate(steps):
-            if spread[index] == 0:
-                columns.append(np.zeros((*np.shape(left_px)[:-1], 3)))
-                continue
-            change = np.zeros(len(steps))
-            change[index] = step
+        sigmas = np.sqrt(np.diag(self.covariance))
+        by = np.zeros((*np.shape(left_px)[:-1], 3, len(sigmas)))
+        for index in np.flatnonzero(sigmas):
+            change = np.zeros(len(sigmas))
+            change[index] = 0.1 * sigmas[index]
             more, less = (self.moved(sign * change).triangulate(left_px, right_px).points for sign in (1.0, -1.0))
-            columns.append((more - less) / (2 * step))
-        return np.stack(columns, axis=-1)
-
-    def by_pixels(self, left_px: npt.ArrayLike, right_px: npt.ArrayLike, step_px: float = 0.01) -> FloatArray:
-        """Derivatives (..., 3, 4) of triangulated points by (u, v) of the left and of the right pixel. [m/px]"""
-        pixels = np.concatenate([np.asarray(left_px, dtype=float), np.asarray(right_px, dtype=float)], axis=-1)
-        columns = []
-        for index in range(4):
-            change = np.zeros(4)
-            change[index] = step_px
-            more, less = (pixels + sign * change for sign in (1.0, -1.0))
-            points = [self.triangulate(p[..., :2], p[..., 2:]).points for p in (more, less)]
-            columns.append((points[0] - points[1]) / (2 * step_px))
-        return np.stack(columns, axis=-1)
+            by[..., index] = (more - less) / (2 * change[index])
+        return by
 
     def range_error_m(self, range_m: npt.ArrayLike, disparity_sigma_px: float) -> FloatArray:
         """Random error of the range from that of a disparity: z^2 s / (f b). [m]"""

@@ -322,13 +322,14 @@ def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) ->
     local = pose.to_camera(points)
     left = rig.left.project_with_derivatives(local)
     right = rig.right.project_with_derivatives(local @ rig.rotation.T + rig.translation_m)
-    by_local = np.concatenate([left.by_point, (right.by_point @ rig.rotation - left.by_point)[:, :1]], axis=1)
+    by_left, by_right = left.by_pose[..., 3:], right.by_pose[..., 3:]
+    by_local = np.concatenate([by_left, (by_right @ rig.rotation - by_left)[:, :1]], axis=1)
     by_point = by_local @ pose.rotation.T
     by_turn = by_point @ crossed(points - pose.center_m)
     by_rig = np.zeros((len(points), 3, len(PARAMETERS)))
     by_rig[:, :2, :9], by_rig[:, 2, :9] = left.by_intrinsics, -left.by_intrinsics[:, 0]
-    by_rig[:, 2, 9:18], by_rig[:, 2, 21:] = right.by_intrinsics[:, 0], right.by_point[:, 0]
-    by_rig[:, 2, 18:21] = (right.by_point[:, :1] @ -crossed(local @ rig.rotation.T))[:, 0]
+    by_rig[:, 2, 9:18], by_rig[:, 2, 21:] = right.by_intrinsics[:, 0], by_right[:, 0]
+    by_rig[:, 2, 18:21] = (by_right[:, :1] @ -crossed(local @ rig.rotation.T))[:, 0]
     pixels = np.column_stack([left.pixels, right.pixels[:, 0] - left.pixels[:, 0]])
     return _Side(pixels, by_point, np.concatenate([by_turn, -by_point], axis=2), by_rig[:, :, loose])
 
