@@ -218,7 +218,7 @@ class _Placed(NamedTuple):
     """A sighting with its camera and the board's pose before it, by that of the left camera and the relative one."""
 
     moment: int
-    index: int
+    side: int
     sighting: Sighting
     camera: Camera
     turn: FloatArray
@@ -285,10 +285,10 @@ class _Adjustment(NamedTuple):
         for one, good in zip(self.placed(x), inliers, strict=True):
             seen = one.camera.project_with_derivatives(self.points[one.sighting.numbers[good]], one.turn, one.way)
             block, first = np.zeros((*seen.pixels.shape, len(x))), self.shared + 6 * one.moment
-            block[..., one.index * count : (one.index + 1) * count] = seen.by_intrinsics[..., self.free]
+            block[..., one.side * count : (one.side + 1) * count] = seen.by_intrinsics[..., self.free]
             by_poses = seen.by_pose @ one.by_poses
             block[..., first : first + 6] = by_poses[..., :6]
-            if one.index:
+            if one.side:
                 block[..., self.lenses : self.shared] = by_poses[..., 6:]
             blocks.append(block.reshape(-1, len(x)))
         return np.concatenate(blocks)
@@ -303,9 +303,10 @@ class _Adjustment(NamedTuple):
             except ParameterError:  # no camera has such intrinsics
                 return np.full(2 * sum(int(good.sum()) for good in inliers), 1e4)
 
-        return np.asarray(
-            least_squares(misses, x, lambda v: self.slopes(v, inliers), method="lm", x_scale="jac", xtol=1e-12).x
-        )
+        def slopes(values: FloatArray) -> FloatArray:
+            return self.slopes(values, inliers)
+
+        return np.asarray(least_squares(misses, x, slopes, method="lm", x_scale="jac", xtol=1e-12).x)
 
 
 def _inlying(parts: Sequence[FloatArray], inliers: Sequence[BoolArray]) -> FloatArray:
@@ -423,9 +424,9 @@ def _centred(
         both = np.concatenate([places[:, None] + ring, places[:, None]], axis=1)
         seen = one.camera.project_with_derivatives(both.reshape(-1, 3), one.turn, one.way)
         pixels = seen.pixels.reshape(len(places), -1, 2)
-        given = views[one.moment][one.index]
+        given = views[one.moment][one.side]
         shift = _middle(pixels[:, :-1]) - pixels[:, -1]
-        moved[one.moment][one.index] = given and Sighting(given.numbers, given.pixels - shift)
+        moved[one.moment][one.side] = given and Sighting(given.numbers, given.pixels - shift)
     return tuple(map(tuple, moved))
 
 
@@ -445,7 +446,7 @@ def _finished(problem: _Adjustment, x: FloatArray, inliers: Sequence[BoolArray])
     placed = list(problem.placed(x))
     moments = np.repeat([one.moment for one in placed], [2 * int(good.sum()) for good in inliers])
     between = _between_pictures(problem, misses, slopes, moments, variance)
-    inverse = np.linalg.inv(slopes.T @ slopes)[: problem.shared, : problem.shared]
+    inverse = np.asarray(np.linalg.inv(slopes.T @ slopes)[: problem.shared, : problem.shared], dtype=float)
     residuals = [np.column_stack([np.full(int(good.sum()), one.moment), one.sighting.pixels[good], part[good]])
                  for one, part, good in zip(placed, off, inliers, strict=True)]  # fmt: skip
     relative = problem.relative(x)
@@ -457,7 +458,7 @@ def _finished(problem: _Adjustment, x: FloatArray, inliers: Sequence[BoolArray])
         residual_px=math.sqrt(variance),
         between_pictures=between,
         residuals=tuple(
-            np.concatenate([rows for one, rows in zip(placed, residuals, strict=True) if one.index == index])
+            np.concatenate([rows for one, rows in zip(placed, residuals, strict=True) if one.side == index])
             for index in range(len(cameras))
         ),
         left_out=int(sum((~good).sum() for good in inliers)),

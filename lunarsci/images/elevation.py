@@ -106,18 +106,18 @@ class ElevationModel:
 
     def less_plane(self) -> FloatArray:
         """Heights less the plane through them. (ny, nx) [m]"""
-        known = np.isfinite(self.height_m)
-        y, x = np.mgrid[: known.shape[0], : known.shape[1]]
-        design = np.column_stack([np.ones(int(known.sum())), x[known], y[known]])
-        plane = np.linalg.lstsq(design, self.height_m[known], rcond=None)[0]
+        valid = np.isfinite(self.height_m)
+        y, x = np.mgrid[: valid.shape[0], : valid.shape[1]]
+        design = np.column_stack([np.ones(int(valid.sum())), x[valid], y[valid]])
+        plane = np.linalg.lstsq(design, self.height_m[valid], rcond=None)[0]
         return np.asarray(self.height_m - (plane[0] + plane[1] * x + plane[2] * y))
 
     def summary(self) -> dict[str, Any]:
         """Name, extent, nodes and share of holes, and medians of its errors, for a result."""
-        known = np.isfinite(self.height_m)
+        valid = np.isfinite(self.height_m)
         medians = {}
         for key in ("height_m_sigma", "height_m_common_sigma", "resolution_m"):
-            values = self.layer(key)[known]
+            values = self.layer(key)[valid]
             medians[f"median_{key}"] = float(np.nanmedian(values)) if np.isfinite(values).any() else None
         return {
             "name": self.name,
@@ -126,7 +126,7 @@ class ElevationModel:
             "y_m": [float(self.y_m[0]), float(self.y_m[-1])],
             "spacing_m": self.spacing_m,
             "nodes": [self.height_m.shape[1], self.height_m.shape[0]],
-            "hole_share": float(1.0 - known.mean()),
+            "hole_share": float(1.0 - valid.mean()),
             **medians,
         }
 
@@ -135,10 +135,10 @@ def mean_about(values: FloatArray, width: float) -> FloatArray:
     """Mean of what is known under a Gaussian about each node; NaN where nothing is within four widths. (ny, nx)"""
     from scipy.ndimage import gaussian_filter
 
-    known = np.isfinite(values)
-    weight = gaussian_filter(known.astype(float), width)
+    valid = np.isfinite(values)
+    weight = gaussian_filter(valid.astype(float), width)
     with np.errstate(invalid="ignore"):
-        return np.asarray(gaussian_filter(np.where(known, values, 0.0), width) / np.where(weight > 0, weight, np.nan))
+        return np.asarray(gaussian_filter(np.where(valid, values, 0.0), width) / np.where(weight > 0, weight, np.nan))
 
 
 def read_elevation(path: str | Path) -> ElevationModel:
@@ -341,18 +341,18 @@ class _Stack:
         return stack
 
     @property
-    def known(self) -> BoolArray:
+    def valid(self) -> BoolArray:
         """Which model knows which node. (k, n)"""
         return np.asarray(np.isfinite(self.height))
 
     @property
     def shared(self) -> BoolArray:
         """Nodes that two models know or more. (n,)"""
-        return np.asarray(self.known.sum(axis=0) > 1)
+        return np.asarray(self.valid.sum(axis=0) > 1)
 
     def inverse(self, weight: FloatArray | float = 1.0) -> FloatArray:
         """Inverse variances, 0 where nothing is known. (k, n)"""
-        return np.where(self.known, weight / self.variance, 0.0)
+        return np.where(self.valid, weight / self.variance, 0.0)
 
     def corrected(self, corrections: FloatArray) -> FloatArray:
         """Heights less what models are off by (k, 3). (k, n)"""
@@ -385,11 +385,11 @@ def _robust(stack: _Stack) -> tuple[FloatArray, FloatArray, FloatArray]:
     10.2307/1912526), where it is larger than C: heights scatter more than they say, and alike over more than the
     resolution, on rough ground.
     """
-    weight = stack.known.astype(float)
+    weight = stack.valid.astype(float)
     for _ in range(REWEIGHTED):
         corrections, covariance = _corrections(stack, weight)
         z = stack.z_scores(stack.merged(weight, corrections), corrections)
-        weight = np.where(stack.known, huber_weights(np.nan_to_num(z) ** 2, 1), 0.0)
+        weight = np.where(stack.valid, huber_weights(np.nan_to_num(z) ** 2, 1), 0.0)
     count, nodes, columns = stack.by.shape
     inverse = np.where(stack.shared, stack.inverse(weight), 0.0) / stack.alike
     off = np.nan_to_num(stack.corrected(corrections) - stack.merged(weight, corrections))
@@ -442,7 +442,7 @@ def _result(
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(total > 0, inverse / total, 0.0)
     # Weights of doubtful heights are lower, which is no reason to believe in less of an error.
-    random = np.sqrt((share**2 * np.where(stack.known, stack.variance, 0.0)).sum(axis=0))
+    random = np.sqrt((share**2 * np.where(stack.valid, stack.variance, 0.0)).sum(axis=0))
     parts = (share[..., None] * stack.by).transpose(1, 0, 2).reshape(len(merged), -1)
     common = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", parts, covariance, parts), 0.0))
     layers = {
@@ -454,7 +454,7 @@ def _result(
         x0_m=float(x[0]),
         y0_m=float(y[0]),
         spacing_m=step,
-        count=stack.known.sum(axis=0).astype(float).reshape(shape),
+        count=stack.valid.sum(axis=0).astype(float).reshape(shape),
         resolution_m=np.array(_width(models)),
         synthetic=any(model.synthetic for model in models),
         **layers,
@@ -471,7 +471,7 @@ def _result(
 def _overlaps(stack: _Stack, corrections: FloatArray) -> Iterator[Overlap]:
     height = stack.corrected(corrections)
     for i, j in combinations(range(len(height)), 2):
-        both = stack.known[i] & stack.known[j]
+        both = stack.valid[i] & stack.valid[j]
         if not both.any():
             continue
         off = height[j, both] - height[i, both]

@@ -209,43 +209,43 @@ LONG = 0.08
 """Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 
 
-def calibration_page(found: CameraCalibration, name: str) -> "Figure":
+def calibration_page(result: CameraCalibration, name: str) -> "Figure":
     """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
-    count = len(found.cameras)
+    count = len(result.cameras)
     figure = page(6.0 if count > 1 else 3.6)
-    headline(figure, f"{as_label(name, 60)}: residuals {found.residual_px:.3f} px")
+    headline(figure, f"{as_label(name, 60)}: residuals {result.residual_px:.3f} px")
     axes: Any = figure.subplots(2, 2) if count > 1 else figure.subplots(1, 2)[None]
     for k in range(count):
-        _calibration_residuals(figure, axes[0, k], found, k)
-        _by_moment(axes[1, k] if count > 1 else axes[0, 1], found, k)
+        _calibration_residuals(figure, axes[0, k], result, k)
+        _by_moment(axes[1, k] if count > 1 else axes[0, 1], result, k)
     legend_below(figure, axes.flat)
     return figure
 
 
-def _calibration_residuals(figure: "Figure", axis: "Axes", found: CameraCalibration, index: int) -> None:
-    camera, rows = found.cameras[index], found.residuals[index]
+def _calibration_residuals(figure: "Figure", axis: "Axes", result: CameraCalibration, index: int) -> None:
+    camera, rows = result.cameras[index], result.residuals[index]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 25), np.linspace(0, camera.height_px - 1, 21))
-    uncertain = found.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
+    uncertain = result.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
     top = float(np.nanpercentile(uncertain, 98))
     shown = axis.pcolormesh(u, v, uncertain, cmap="Blues", vmin=0, vmax=top, shading="gouraud")
     figure.colorbar(shown, ax=axis, orientation="horizontal", label="uncertainty of a direction [px]", shrink=0.8)
-    scale = 3 * found.residual_px / (LONG * camera.width_px)
+    scale = 3 * result.residual_px / (LONG * camera.width_px)
     arrows = axis.quiver(
         *rows[:, 1:].T, angles="xy", scale_units="xy", scale=scale, width=0.002, color=MARK, headwidth=3
     )
-    axis.quiverkey(arrows, 0.85, 1.03, 3 * found.residual_px, f"{3 * found.residual_px:.2f} px", labelpos="E")
+    axis.quiverkey(arrows, 0.85, 1.03, 3 * result.residual_px, f"{3 * result.residual_px:.2f} px", labelpos="E")
     axis.set(xlim=(0, camera.width_px), ylim=(camera.height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
     axis.set_title(f"{camera.name}: {len(rows)} points", loc="left")
 
 
-def _by_moment(axis: "Axes", found: CameraCalibration, index: int) -> None:
-    rows = found.residuals[index]
+def _by_moment(axis: "Axes", result: CameraCalibration, index: int) -> None:
+    rows = result.residuals[index]
     moments = np.unique(rows[:, 0]).astype(int)
     rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]
     axis.bar(moments + 1, rms, color=INK)
-    axis.axhline(found.residual_px, color=MARK, lw=1, label="all pictures")
+    axis.axhline(result.residual_px, color=MARK, lw=1, label="all pictures")
     axis.set(xlabel="picture, in the order given [-]", ylabel="rms of residuals [px]")
-    axis.set_title(found.cameras[index].name, loc="left")
+    axis.set_title(result.cameras[index].name, loc="left")
 
 
 def range_page(
@@ -271,10 +271,10 @@ ARROW = 30.0
 """Residuals are drawn so many times as long."""
 
 
-def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "Figure":
+def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> "Figure":
     """Picture of one pair's ties: in the farther and the nearer left picture, residuals, and a plan of stations."""
-    pair, adjusted = found.pairs[number], found.adjusted
-    far, near = found.stations[pair.far], found.stations[pair.near]
+    pair, adjusted = result.pairs[number], result.adjusted
+    far, near = result.stations[pair.far], result.stations[pair.near]
     figure = page(7.2)
     parts: Any = figure.subfigures(2, 1)
     above, below = parts
@@ -286,7 +286,7 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
     _ties_picture(right, near.matches.left, pair.ties.near_px, colours, f"{as_label(near.name)}, from near")
     off = adjusted.residual_px[number]
     _ties_residuals(residuals, pair.ties.far_px, off, adjusted.weights[number])
-    _plan(plan, found)
+    _plan(plan, result)
     legend_below(below, plan, 2)
     return figure
 
@@ -309,17 +309,17 @@ def _ties_residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: 
     axis.figure.colorbar(shown, ax=axis, orientation="horizontal", label="weight of the tie [-]", shrink=0.8)
 
 
-def _plan(axis: "Axes", found: Localised) -> None:
+def _plan(axis: "Axes", result: Localised) -> None:
     """Stations by dead reckoning and by ties, with ellipses of 95 %, drawn larger where they would not be seen."""
     from matplotlib.patches import Ellipse
 
-    told = np.array([s.pose.center_m[:2] for s in found.stations])
-    now = np.array([p.center_m[:2] for p in found.poses])
-    axis.plot(*told.T, "o--", color="0.5", label="dead reckoning")
+    reckoned = np.array([s.pose.center_m[:2] for s in result.stations])
+    now = np.array([p.center_m[:2] for p in result.poses])
+    axis.plot(*reckoned.T, "o--", color="0.5", label="dead reckoning")
     axis.plot(*now.T, "^-", color=COLORS[1], label="by ties")
     for k in range(1, len(now)):
-        own = found.covariance[6 * k - 3 : 6 * k - 1, 6 * k - 3 : 6 * k - 1]
-        sizes, ways = np.linalg.eigh(own)
+        covariance = result.covariance[6 * k - 3 : 6 * k - 1, 6 * k - 3 : 6 * k - 1]
+        sizes, ways = np.linalg.eigh(covariance)
         turn = np.degrees(np.arctan2(ways[1, 1], ways[0, 1]))
         width, height = 2 * 2.448 * np.sqrt(np.maximum(sizes[::-1], 0)) * 10
         axis.add_patch(Ellipse(tuple(now[k]), width, height, angle=turn, fill=False, color=COLORS[1]))

@@ -48,17 +48,17 @@ class Cloud(NamedTuple):
 
 def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     """The points of a pair up to a range. Raises DataError where there are none."""
-    known = np.isfinite(matches.disparity) & (matches.disparity > 0)
-    place = np.argwhere(known)
+    valid = np.isfinite(matches.disparity) & (matches.disparity > 0)
+    place = np.argwhere(valid)
     frame = matches.rectified
-    d = matches.disparity[known]
+    d = matches.disparity[valid]
     depth = frame.focal_px * frame.baseline_m / d
     rays = np.column_stack([(place[:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
     local = (rays * depth[:, None]) @ frame.turn
     near = np.linalg.norm(local, axis=1) <= farthest_m
     if near.sum() < 100:
         raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger `farthest`")
-    return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[known][near])
+    return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[valid][near])
 
 
 def levelled(matches: StereoMatches, height_m: float) -> Pose:
@@ -171,10 +171,10 @@ def _slope(height: FloatArray, spacing_m: float) -> tuple[FloatArray, FloatArray
 
     Where everything is known that is the gradient of the smoothed heights (Stein 1981, 10.1214/aos/1176345632).
     """
-    width, known = SMOOTH_M / spacing_m, np.isfinite(height)
+    width, valid = SMOOTH_M / spacing_m, np.isfinite(height)
 
     def mean(values: FloatArray) -> FloatArray:
-        return mean_about(np.where(known, values, np.nan), width)
+        return mean_about(np.where(valid, values, np.nan), width)
 
     y, x = np.indices(height.shape, dtype=float)
     my, mx, mz = mean(y), mean(x), mean(height)
@@ -199,16 +199,16 @@ def _common_errors(
     With the covariance V of a point, ground whose slopes are p and q rises by (-p, -q, 1) V (-p, -q, 1)^T, squared.
     (ny, nx), (ny, nx) [m]
     """
-    known = np.isfinite(height)
-    slope_y, slope_x = (part[known] for part in _slope(height, grid[2]))
-    covariance = _of_points(rig, pose, height, grid)[known]
-    rows, columns = np.nonzero(known)
+    valid = np.isfinite(height)
+    slope_y, slope_x = (part[valid] for part in _slope(height, grid[2]))
+    covariance = _of_points(rig, pose, height, grid)[valid]
+    rows, columns = np.nonzero(valid)
     away = np.column_stack([columns, rows]) * grid[2] + np.array(grid[:2]) - pose.center_m[:2]
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
     ways = np.stack([-slope_x, -slope_y, np.ones(len(rows))], axis=-1), np.pad(away, ((0, 0), (0, 1)))
     result = np.full((2, *height.shape), np.nan)
     for layer, way in zip(result, ways, strict=True):
-        layer[known] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, covariance, way), 0.0))
+        layer[valid] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, covariance, way), 0.0))
     return result[0], result[1]
 
 

@@ -120,7 +120,7 @@ def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
         raise DataError(f"{name}: A, H and V span no picture ({focal_x:g}, {focal_y:g} px); check the label")
     rotation = orthonormal(np.stack([across / focal_x, np.cross(axis, across / focal_x), axis], axis=1))
     numbers = dict(zip(INTRINSICS, map(float, (focal_x, focal_y, axis @ v["H"], axis @ v["V"])), strict=False))
-    plain = Camera(name=name, width_px=model.width_px, height_px=model.height_px, **numbers)  # type: ignore[arg-type]
+    plain = Camera(name=name, width_px=model.width_px, height_px=model.height_px, **numbers)
     points, pixels = _samples(model, plain, rotation)
     begin = Pose(rotation=rotation, center_m=v["C"])
     fitted = _fitted(plain, begin, points, pixels, free=slice(0, 9), moves=True)

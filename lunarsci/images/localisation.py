@@ -28,8 +28,8 @@ TEMPLATE_PX, WIDE_PX = (41, 17), (81, 25)
 """Width and height of what is compared, on ground that is foreshortened from afar, and of what is compared where the
 pose is not known better than by dead reckoning; assumed. [px]"""
 OVERLAPPING = 4.0
-"""How many templates see each pixel, half of one apart each way: by this the variance of one is larger, since their
-errors hang together."""
+"""How many templates see each pixel, half of one apart each way (as `TEMPLATE_PX`): by this the variance of one is
+larger, since their errors hang together."""
 LEAST_CORRELATION, LOOSE_CORRELATION = 0.6, 0.45
 """Templates that agree less are no ties; the same where many are searched for one motion, which chance does not share,
 or where there are few; assumed."""
@@ -41,8 +41,9 @@ REACHES_PX = ((12, 6), (6, 4))
 """Half sides of where templates are looked for, a round; assumed."""
 FEWEST = 8
 """Fewest ties that a pose is believed of: four times the equations that its six unknowns need; assumed."""
-STEPS, SMALL = 30, 1e-6
-"""Steps of the adjustment, and the step of poses [rad, m] and rig that ends it."""
+STEPS = 30
+SMALL = 1e-6
+"""Step of poses [rad, m] and rig that ends the adjustment."""
 DEFINED_PX = 0.05
 """Error of the pixel that defines a point: of the interpolation between pixels; assumed."""
 SMALLEST_PX = 0.1
@@ -397,14 +398,14 @@ def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tupl
     mask = cv2.erode(seen.seen.astype(np.uint8), np.ones((9, 9), np.uint8))
     around = cv2.dilate(mask, np.ones((2 * reach_px[0] + 1,) * 2, np.uint8))
     sift = cv2.SIFT_create(nfeatures=6000, contrastThreshold=0.01)
-    found = [sift.detectAndCompute(_eight(view, m > 0), m) for view, m in zip(views, (mask, around), strict=True)]
-    if any(len(keys) < 3 for keys, _ in found):
+    detected = [sift.detectAndCompute(_eight(view, m > 0), m) for view, m in zip(views, (mask, around), strict=True)]
+    if any(len(keys) < 3 for keys, _ in detected):
         return np.empty((0, 2)), np.empty((0, 2))
-    places = [cv2.KeyPoint_convert(keys) for keys, _ in found]
+    places = [cv2.KeyPoint_convert(keys) for keys, _ in detected]
     # Of features within reach alone, so that the light of other ground does not count as the second best.
     apart = np.abs(places[0][:, None] - places[1][None])
     within = (apart <= reach_px).all(axis=2).astype(np.uint8)
-    pairs = cv2.BFMatcher().knnMatch(found[0][1], found[1][1], k=2, mask=within)
+    pairs = cv2.BFMatcher().knnMatch(detected[0][1], detected[1][1], k=2, mask=within)
     good = [best[0] for best in pairs if best and (len(best) < 2 or best[0].distance < LIKE * best[1].distance)]
     rows, columns = [m.queryIdx for m in good], [m.trainIdx for m in good]
     return np.asarray(places[0][rows], dtype=float), np.asarray(places[1][columns], dtype=float)

@@ -220,8 +220,8 @@ def _spread(picture, u, v, half):  # type: ignore[no-untyped-def]
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
 MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH, ISLAND = range(len(REASONS))
 BLOCK_PX = 5
-"""Window of semi-global matching, with penalties of 8 and 32 times its area: OpenCV's documentation of StereoSGBM, which
-advises 3 to 11 pixels."""
+"""Window of semi-global matching: the manual of OpenCV (Bradski 2000, Dr. Dobb's J. Softw. Tools 25, 120) advises 3 to
+11 px, and penalties of 8 and 32 times its area."""
 DARK = 0.05
 """Light below this share of the bright tenth of a picture is shadow; assumed."""
 LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
@@ -350,7 +350,8 @@ def match(
     report = progress or (lambda done, total: None)
     report(0, 5)
     names = f"{left.source.name}, {right.source.name}"
-    if left.size == right.size and np.corrcoef(*(p.values[::4, ::4].ravel() for p in (left, right)))[0, 1] > ALIKE:
+    few = [p.values[::4, ::4].ravel() for p in (left, right)]
+    if left.size == right.size and np.corrcoef(few)[0, 1] > ALIKE:
         raise DataError(f"{names}: show the same, pixel on pixel; give the pictures of the left and the right camera")
     frame = rectify(rig)
     alike = (2**left.bits - 1) / (2**right.bits - 1)
@@ -420,9 +421,9 @@ def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, flo
 
 def _mean_in_window(values: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
     """Mean of what is known in a square window about each pixel, and the share of it that is. (h, w), (h, w)"""
-    cv2, known = open_cv(), np.isfinite(values)
-    share = cv2.blur(known.astype(float), (side, side))
-    return cv2.blur(np.where(known, values, 0.0), (side, side)) / np.maximum(share, 1e-9), share
+    cv2, valid = open_cv(), np.isfinite(values)
+    share = cv2.blur(valid.astype(float), (side, side))
+    return cv2.blur(np.where(valid, values, 0.0), (side, side)) / np.maximum(share, 1e-9), share
 
 
 def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -497,32 +498,32 @@ def _reasons(
 def _occluded(first: FloatArray) -> npt.NDArray[np.bool_]:
     """Pixels whose place in the right picture belongs to something nearer. (h, w)"""
     height, width = first.shape
-    known = np.isfinite(first)
-    v, u = np.nonzero(known)
-    there = np.clip(np.rint(u - first[known]).astype(int), 0, width - 1)
+    valid = np.isfinite(first)
+    v, u = np.nonzero(valid)
+    there = np.clip(np.rint(u - first[valid]).astype(int), 0, width - 1)
     nearest = np.zeros((height, width))
-    np.maximum.at(nearest, (v, there), first[known])
+    np.maximum.at(nearest, (v, there), first[valid])
     hidden = np.zeros((height, width), dtype=bool)
-    hidden[known] = nearest[v, there] > first[known] + 1.5
+    hidden[valid] = nearest[v, there] > first[valid] + 1.5
     return hidden
 
 
 def _islands(disparity: FloatArray) -> npt.NDArray[np.bool_]:
     """Pixels of small patches that are off the ground about them, or have none about them. (h, w)"""
-    known = np.isfinite(disparity)
-    steps = np.where(known, np.rint(16 * np.nan_to_num(disparity)), -1).astype(np.int16)
+    valid = np.isfinite(disparity)
+    steps = np.where(valid, np.rint(16 * np.nan_to_num(disparity)), -1).astype(np.int16)
     ground = open_cv().filterSpeckles(steps, -1, ISLAND_PX, 16 * ISLAND_STEP_PX)[0] >= 0
     mean, share = _mean_in_window(np.where(ground, disparity, np.nan), ABOUT_PX)
     off = np.abs(np.nan_to_num(disparity) - mean) > ISLAND_OFF * mean
-    return np.asarray(known & ~ground & ((share < 1e-6) | off))
+    return np.asarray(valid & ~ground & ((share < 1e-6) | off))
 
 
 def _relief(disparity: FloatArray) -> FloatArray:
     """Rms of neighbouring disparities about each window's plane, less what their own errors explain. (h, w) [px]"""
-    known = np.isfinite(disparity)
+    valid = np.isfinite(disparity)
 
     def mean(values: FloatArray) -> FloatArray:
-        return _mean_in_window(np.where(known, values, np.nan), 2 * HALF_PX + 1)[0]
+        return _mean_in_window(np.where(valid, values, np.nan), 2 * HALF_PX + 1)[0]
 
     v, u = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(float)
     mu, mv, md = mean(u), mean(v), mean(disparity)

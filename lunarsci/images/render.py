@@ -188,8 +188,8 @@ def read_track(source: str) -> tuple[FloatArray, FloatArray]:
     if depth is None or not {"x_m", "y_m"} <= set(table.columns):
         raise DataError(f"{source}: a track needs the columns x_m, y_m, and rut_m or sinkage_m")
     x, y, z = (numbers_of(source, name, table[name]) for name in ("x_m", "y_m", depth))
-    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
-    return np.column_stack([x, y])[known], z[known]
+    valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    return np.column_stack([x, y])[valid], z[valid]
 
 
 def _refined(height: FloatArray, times: float) -> FloatArray:

@@ -357,7 +357,7 @@ def _camera_of(file: str, name: str, tree: Mapping[str, Any]) -> WrittenCamera:
     given = {what: next((tree[key] for key in names if key in tree), ()) for what, names in NAMES.items()}
     matrix, lens = _floats(given["matrix"]), _floats(given["lens"])
     fx, fy, cx, cy = map(float, matrix if matrix.size == 4 else matrix[[0, 4, 2, 5]])
-    size = [given["width"], given["height"]]
+    size: list[Any] = [given["width"], given["height"]]
     if () in size:
         size = list(_floats(given["size"]))
     if len(size) != 2:
@@ -538,7 +538,7 @@ def rigs_text() -> str:
     return files("lunarsci.images").joinpath("rigs.toml").read_text("utf-8")
 
 
-def known_rigs() -> tuple[str, ...]:
+def rig_names() -> tuple[str, ...]:
     """Names of the rigs that come with lunarsci."""
     return tuple(tomllib.loads(rigs_text()))
 

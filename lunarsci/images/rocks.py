@@ -47,11 +47,11 @@ class Peaks(NamedTuple):
 
     def only(self, which: list[int] | BoolArray) -> "Peaks":
         """Some of them."""
-        return Peaks(*(values[which] for values in self))
+        return Peaks(self.rows[which], self.columns[which], self.significance[which], self.scale_m[which])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FoundRock:
+class DetectedRock:
     """One rock: its middle, diameter and height with errors, and what to keep away from. [m]
 
     `significance` is in standard errors, `keepout_m` the radius about the middle.
@@ -97,7 +97,7 @@ class RockSurvey:
     above_m : height over the ground. (ny, nx) [m]
     """
 
-    rocks: tuple[FoundRock, ...]
+    rocks: tuple[DetectedRock, ...]
     threshold: float
     false_share: float
     completeness: tuple[Completeness, ...]
@@ -125,7 +125,8 @@ def find_rocks(
     decoys, _ = _rocks_of(model, -above, _alone(_peaks(model, -above, largest_m, LEAST), finds, model.spacing_m))
     steps(1, 1 + len(sizes_m))
     threshold, share = _threshold(finds.significance, decoys.significance, false_share)
-    rng, trials = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    trials: list[Completeness] = []
     for k, size in enumerate(sizes_m):
         trials += _tried(model, above, size, largest_m, threshold, rng)
         steps(2 + k, 1 + len(sizes_m))
@@ -144,10 +145,10 @@ def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
     The ground is the mean under a Gaussian, of what does not stand out of it, after a plane is taken off.
     """
     rest = above = model.less_plane()
-    part = known = np.isfinite(rest)
+    part = valid = np.isfinite(rest)
     for _ in range(4):
         above = rest - mean_about(np.where(part, rest, np.nan), 0.5 * GROUND_SHARE * largest_m / model.spacing_m)
-        part = known & (np.abs(above) < 2.5 * max(robust_scatter(above[known]), 1e-12))
+        part = valid & (np.abs(above) < 2.5 * max(robust_scatter(above[valid]), 1e-12))
     return above
 
 
@@ -165,7 +166,7 @@ def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: fl
 
 
 def _apart(rows: IndexArray, columns: IndexArray, reach: FloatArray, most: float = math.inf) -> list[int]:
-    """Numbers of those nodes, the first ones first, that lie within the reach of no one before them, nor it in theirs."""
+    """Numbers of the nodes that lie beyond the reach of all those taken before them, and these beyond theirs."""
     chosen: list[int] = []
     for k in range(len(rows)):
         away = np.hypot(rows[chosen] - rows[k], columns[chosen] - columns[k])
@@ -182,7 +183,7 @@ def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) ->
     At each scale heights are averaged under a Gaussian less a ring about it. What they scatter by is the ground's own
     relief, the same everywhere, and the model's errors, where these are larger: both of the whole map, robustly.
     """
-    known = np.isfinite(above)
+    valid = np.isfinite(above)
     sigma = model.layer("height_m_sigma")
     error = np.where(np.isfinite(sigma) & (sigma > 0), sigma, 1.0)
     best, scale = np.full(above.shape, -np.inf), np.zeros(above.shape)
@@ -191,8 +192,8 @@ def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) ->
         if size > largest_m or width < 0.4:
             continue
         rise = mean_about(above, width) - mean_about(above, 2.5 * width)
-        relief, share = _scatter(rise[known], error[known])
-        significance = np.where(known, rise / np.maximum(np.hypot(relief, share * error), 1e-12), -np.inf)
+        relief, share = _scatter(rise[valid], error[valid])
+        significance = np.where(valid, rise / np.maximum(np.hypot(relief, share * error), 1e-12), -np.inf)
         better = significance > best
         best[better], scale[better] = significance[better], size
     return best, scale
@@ -230,10 +231,10 @@ def _threshold(true: FloatArray, false: FloatArray, false_share: float) -> tuple
     return float(true.max()) + 1.0, 0.0
 
 
-def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[Peaks, list[FoundRock]]:
+def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[Peaks, list[DetectedRock]]:
     """Peaks that are as high as rocks of their diameter are, the surest first, each rock once; and their rocks."""
     chosen: list[int] = []
-    rocks: list[FoundRock] = []
+    rocks: list[DetectedRock] = []
     for k in range(len(peaks.rows)):
         rock = _measured(model, above, peaks, k)
         again = any(math.hypot(rock.x_m - r.x_m, rock.y_m - r.y_m) < 0.5 * r.diameter_m for r in rocks)
@@ -243,7 +244,7 @@ def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[P
     return peaks.only(chosen), rocks
 
 
-def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: int) -> FoundRock:
+def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: int) -> DetectedRock:
     """Middle, diameter and height of what stands out at a node."""
     from scipy.ndimage import label
 
@@ -271,7 +272,7 @@ def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: in
     sigma = max(sigma, abs(peak) / max(z, 1.0)) / gain
     blur = abs(peak) / gain * min(1.0, 0.3 * (1.0 - gain) / gain)
     error = math.hypot(model.spacing_m, 0.5 * resolution)
-    return FoundRock(
+    return DetectedRock(
         x_m=float(model.x0_m + model.spacing_m * (left + columns.mean())),
         y_m=float(model.y0_m + model.spacing_m * (top + rows.mean())),
         diameter_m=diameter,
@@ -302,8 +303,8 @@ def _tried(
     from scipy.ndimage import uniform_filter
     from scipy.stats import binomtest
 
-    known = np.isfinite(above)
-    rows, columns = np.unravel_index(rng.permutation(np.flatnonzero(known))[:2000], above.shape)
+    valid = np.isfinite(above)
+    rows, columns = np.unravel_index(rng.permutation(np.flatnonzero(valid))[:2000], above.shape)
     apart = np.full(len(rows), max(4 * diameter_m, 0.3) / model.spacing_m)
     chosen = _apart(rows, columns, apart, TRIALS)
     if not chosen:
@@ -324,7 +325,7 @@ def _tried(
     hit = away <= max(0.5 * diameter_m / model.spacing_m, 2, 0.5 * window)
     errors = model.layer("height_m_sigma")
     sigma = errors[rows, columns]
-    edges = np.nanquantile(errors[known], (0, 0.5, 1)) if np.isfinite(sigma).any() else np.full(2, np.nan)
+    edges = np.nanquantile(errors[valid], (0, 0.5, 1)) if np.isfinite(sigma).any() else np.full(2, np.nan)
     halves = [sigma <= edges[1], sigma > edges[1]] if len(edges) == 3 else [np.ones(len(hit), bool)]
     for half, low, high in zip(halves, edges, edges[1:], strict=False):
         if half.any():

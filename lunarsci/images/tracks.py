@@ -39,9 +39,9 @@ class Unrolled(NamedTuple):
 
     def with_sigma(self) -> "Unrolled":
         """Unknown errors as the median of the known ones, 0 where none is known."""
-        known = np.isfinite(self.sigma)
-        middle = float(np.median(self.sigma[known])) if known.any() else 0.0
-        return self._replace(sigma=np.where(known, self.sigma, middle))
+        valid = np.isfinite(self.sigma)
+        middle = float(np.median(self.sigma[valid])) if valid.any() else 0.0
+        return self._replace(sigma=np.where(valid, self.sigma, middle))
 
 
 def read_line(given: str) -> FloatArray:
@@ -449,7 +449,8 @@ def track_depths(
     """Depth of the track of a wheel along a line (n, 2), every `step_m`, each from a window of `window_m` along it.
 
     `search_m` is how far to either side of the line its middle may lie; `disparity_bias_px` the relative bias of the
-    disparity between floor and ground, which are of other shape and texture; assumed. Raises ParameterError for a line off the model.
+    disparity between floor and ground, which are of other shape and texture; assumed. Raises ParameterError for a line
+    off the model.
     """
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     about = model.at("resolution_m", *places_on(line, np.linspace(0.0, length, 50), np.zeros(50)).T)
@@ -497,8 +498,8 @@ def _measured(
     progress(2, 3)
     places = places_on(line, survey.centers, middles)
     by_disparity = np.abs(survey.model.at("height_by_disparity_m_px", *places.T)) * disparity_bias_px
-    known = np.isfinite(by_disparity)
-    by_disparity[~known] = np.median(by_disparity[known]) if known.any() else np.nan
+    valid = np.isfinite(by_disparity)
+    by_disparity[~valid] = np.median(by_disparity[valid]) if valid.any() else np.nan
     causes = _systematic(survey, profile, middles, depth) if np.isfinite(depth).any() else {}
     progress(3, 3)
     determined = np.isfinite(depth)
@@ -529,13 +530,13 @@ def _shams(survey: _Survey, profile: TrackProfile, middles: FloatArray) -> tuple
 
 def _as_shams(survey: _Survey, shams: FloatArray, errors: FloatArray) -> tuple[float | None, float]:
     """Robust scatter of shams about zero, and by what the stated errors are multiplied to be what shams show."""
-    known = np.isfinite(shams)
-    if known.sum() < FEWEST_SHAMS:
+    valid = np.isfinite(shams)
+    if valid.sum() < FEWEST_SHAMS:
         return None, 1.0
-    independent = known.sum() * min(1.0, survey.step_m / survey.window_m)
-    squared = float(np.median((shams[known] / errors[known]) ** 2)) / 0.4549
+    independent = valid.sum() * min(1.0, survey.step_m / survey.window_m)
+    squared = float(np.median((shams[valid] / errors[valid]) ** 2)) / 0.4549
     factor = (independent * squared + PRIOR_SHAMS) / (independent + PRIOR_SHAMS)
-    return robust_scatter(shams[known], 0.0), math.sqrt(factor)
+    return robust_scatter(shams[valid], 0.0), math.sqrt(factor)
 
 
 def _mean_error(survey: _Survey, random: FloatArray, shams: FloatArray) -> float:

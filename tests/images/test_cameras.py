@@ -20,7 +20,7 @@ from lunarsci.images.camera import (
 )
 from lunarsci.images.jobs.cameras import CameraSheet, CamerasRequest
 from lunarsci.images.labels import CahvModel, fit_cahv, read_label
-from lunarsci.images.rig_files import check_rig_of, known_rigs, read_rig, rig_text
+from lunarsci.images.rig_files import check_rig_of, read_rig, rig_names, rig_text
 from lunarsci.io.inputs import InputFile
 
 LENS = {"fx_px": 1189.0, "fy_px": 1187.0, "cx_px": 510.0, "cy_px": 513.0}
@@ -222,7 +222,7 @@ def test_ranges_of_a_parallel_rig_by_hand() -> None:
     assert sheet.to_dict()["rigs"][0]["baseline_m_sigma"] == pytest.approx(1e-3)
 
 
-@pytest.mark.parametrize("name", known_rigs())
+@pytest.mark.parametrize("name", rig_names())
 def test_own_rigs_have_their_published_views_and_say_what_is_assumed(name: str) -> None:
     known = read_rig(name)
     views = {"yutu2-pancam": (19.7, 14.5), "yutu2-navcam": (46.6, 46.6), "yutu2-hazcam": (120.0, 120.0)}

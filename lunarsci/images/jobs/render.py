@@ -235,5 +235,5 @@ def render(
 def _heights(terrain: str) -> tuple[float, float, float, FloatArray]:
     """x0, y0, spacing and heights (ny, nx) of a terrain file. [m]"""
 
-    found = read_elevation(terrain)
-    return found.x0_m, found.y0_m, found.spacing_m, found.height_m
+    model = read_elevation(terrain)
+    return model.x0_m, model.y0_m, model.spacing_m, model.height_m
