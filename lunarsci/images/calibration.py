@@ -56,10 +56,12 @@ class BoardTarget:
     dictionary: str = "DICT_4X4_50"
 
     def __post_init__(self) -> None:
-        if min(self.columns, self.rows) < 3 or max(self.columns, self.rows) > 100:
-            raise ParameterError(f"a board of {self.columns} x {self.rows}; give 3 to 100 each way")
-        if not 0 <= self.circle_m < 2 * self.square_m:
-            raise ParameterError(f"circles of {self.circle_m:g} m do not fit between centres {self.square_m:g} m apart")
+        if not (3 <= min(self.columns, self.rows) <= max(self.columns, self.rows) <= 100
+                and 0 <= self.circle_m < 2 * self.square_m):  # fmt: skip
+            raise ParameterError(
+                f"a board of {self.columns} x {self.rows}, circles of {self.circle_m:g} m {self.square_m:g} m apart; "
+                "give 3 to 100 each way, and circles that fit between their centres"
+            )
 
     @property
     def points_m(self) -> FloatArray:

@@ -8,7 +8,7 @@ all pixels share.
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -67,11 +67,13 @@ class Camera:
     p2: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.width_px >= 2 and self.height_px >= 2):
-            raise ParameterError(f"{self.name}: a picture of {self.width_px} x {self.height_px} px; give 2 or more")
-        if not (self.fx_px > 0 and self.fy_px > 0 and np.isfinite(self.vector()).all()):
-            numbers = ", ".join(f"{name} {getattr(self, name)}" for name in INTRINSICS)
-            raise ParameterError(f"{self.name}: focal length above 0 and finite numbers are needed, not {numbers}")
+        positive = min(self.fx_px, self.fy_px) > 0 and min(self.size) >= 2
+        if not (positive and np.isfinite(self.vector()).all()):
+            names = ("width_px", "height_px", *INTRINSICS)
+            numbers = ", ".join(f"{name} {getattr(self, name)}" for name in names)
+            raise ParameterError(
+                f"{self.name}: 2 px or more, a focal length above 0 and finite numbers are needed, not {numbers}"
+            )
 
     def vector(self) -> FloatArray:
         """The intrinsics in the order of `INTRINSICS`. (9,)"""
@@ -223,11 +225,13 @@ class Pose:
     center_m: FloatArray
 
     def __post_init__(self) -> None:
-        rotation = np.asarray(self.rotation, dtype=float)
-        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-            raise ParameterError("a pose needs a rotation of 3 x 3 numbers that turns without stretching")
-        if not (np.linalg.det(rotation) > 0 and np.shape(self.center_m) == (3,) and np.isfinite(self.center_m).all()):
-            raise ParameterError("a pose needs a rotation that does not mirror and a centre of 3 finite numbers")
+        rotation, center = np.asarray(self.rotation, dtype=float), np.asarray(self.center_m, dtype=float)
+        turns = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+        if not (turns and np.linalg.det(rotation) > 0 and center.shape == (3,) and np.isfinite(center).all()):
+            raise ParameterError(
+                "a pose needs a rotation of 3 x 3 numbers that turns without stretching or mirroring, and a centre of "
+                "3 finite numbers"
+            )
 
     @classmethod
     def looking(
@@ -254,6 +258,11 @@ class Pose:
         right = np.array([math.sin(heading), -math.cos(heading), 0.0])
         roll = math.atan2(float(across @ np.cross(forward, right)), float(across @ right))
         return math.degrees(heading), math.degrees(down), math.degrees(roll)
+
+    def to_dict(self) -> dict[str, Any]:
+        """position_m, heading_deg, down_deg and roll_deg, as results and files have them."""
+        angles = dict(zip(("heading_deg", "down_deg", "roll_deg"), self.angles_deg(), strict=True))
+        return {"position_m": [float(v) for v in self.center_m], **angles}
 
     def to_world(self, points: npt.ArrayLike) -> FloatArray:
         """Points (..., 3) of the camera's frame in the world. [m]"""
@@ -305,11 +314,11 @@ class Sensor:
     mtf_at_nyquist: float = 0.33
 
     def __post_init__(self) -> None:
-        if not (8 <= self.bits <= 16 and 0 < self.full_well_e < math.inf and 0 <= self.read_noise_e < math.inf):
-            raise ParameterError("a sensor has 8 to 16 bits, electrons above 0 and noise of 0 or more")
-        if not 0.01 <= self.mtf_at_nyquist <= PIXEL_MTF:
+        electrons = 0 < self.full_well_e < math.inf and 0 <= self.read_noise_e < math.inf
+        if not (8 <= self.bits <= 16 and electrons and 0.01 <= self.mtf_at_nyquist <= PIXEL_MTF):
             raise ParameterError(
-                f"mtf_at_nyquist is {self.mtf_at_nyquist}; give 0.01 to {PIXEL_MTF:.3f}, a pixel alone"
+                "a sensor has 8 to 16 bits, electrons above 0, noise of 0 or more, and mtf_at_nyquist of 0.01 to "
+                f"{PIXEL_MTF:.3f}, that of a pixel alone; not {self}"
             )
 
     @property
@@ -369,14 +378,17 @@ class StereoRig:
         Pose(rotation=self.rotation, center_m=self.translation_m)
         if not self.baseline_m > 0:
             raise ParameterError(f"{self.name}: both cameras are at one place; a stereo rig needs a baseline")
-        size, given = len(PARAMETERS), np.asarray(self.covariance)
-        if given.shape != (size, size) or not np.allclose(given, given.T, atol=1e-9 * max(1.0, np.abs(given).max())):
+        size, given = len(PARAMETERS), np.asarray(self.covariance, dtype=float)
+        good = given.shape == (size, size) and np.isfinite(given).all()
+        if good:
+            scale = np.sqrt(np.maximum(np.diag(given), 1e-300))
+            good = np.allclose(given, given.T, atol=1e-9 * max(1.0, np.abs(given).max()))
+            good = good and np.linalg.eigvalsh(given / np.outer(scale, scale)).min() >= -1e-6
+        if not good:
             raise ParameterError(
-                f"{self.name}: the covariance has shape {given.shape}; give {size} x {size}, symmetric"
+                f"{self.name}: a covariance of shape {given.shape}; give {size} x {size} finite numbers, symmetric, "
+                "without a negative variance"
             )
-        scale = np.sqrt(np.maximum(np.diag(given), 1e-300))
-        if not np.isfinite(given).all() or np.linalg.eigvalsh(given / np.outer(scale, scale)).min() < -1e-6:
-            raise ParameterError(f"{self.name}: the covariance is not finite or has a negative variance")
 
     @property
     def height_m(self) -> float:
@@ -392,6 +404,10 @@ class StereoRig:
     def sigmas(self) -> dict[str, float]:
         """Standard deviation of each parameter."""
         return dict(zip(PARAMETERS, map(math.sqrt, np.diag(self.covariance)), strict=True))
+
+    def summary(self) -> dict[str, Any]:
+        """Name, baseline, and what is assumed, for a result."""
+        return {"name": self.name, "baseline_m": self.baseline_m, "assumed": list(self.assumed)}
 
     def moved(self, changes: npt.ArrayLike) -> "StereoRig":
         """The rig with its parameters changed by so much. (24,)"""
@@ -484,8 +500,9 @@ def covariance_of(sigmas: dict[str, float]) -> FloatArray:
     Raises ParameterError for a name that is none, and for a negative or infinite sigma.
     """
     for name, value in sigmas.items():
-        if name not in PARAMETERS:
-            raise ParameterError(f"'{name}' is no parameter of a stereo rig; {one_of(name, PARAMETERS)}")
-        if not 0 <= value < math.inf:
-            raise ParameterError(f"sigma of {name} is {value}; give a number of 0 or more")
+        if name not in PARAMETERS or not 0 <= value < math.inf:
+            raise ParameterError(
+                f"'{name}' is no parameter of a stereo rig; {one_of(name, PARAMETERS)}" if name not in PARAMETERS else
+                f"sigma of {name} is {value}; give a number of 0 or more"
+            )  # fmt: skip
     return np.diag([sigmas.get(name, 0.0) ** 2 for name in PARAMETERS])

@@ -55,20 +55,22 @@ class ElevationModel:
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape
-        if len(shape) != 2 or min(shape) < 3:
-            raise ParameterError(f"{self.name}: heights of shape {shape}; give a grid of at least 3 x 3 nodes")
-        if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
-            raise ParameterError(f"{self.name}: x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
-        if not np.isfinite(self.height_m).any():
-            raise ParameterError(f"{self.name}: no height is known")
+        placed = 0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)
+        if len(shape) != 2 or min(shape) < 3 or not np.isfinite(self.height_m).any() or not placed:
+            raise ParameterError(
+                f"{self.name}: heights of shape {shape} from {self.x0_m}, {self.y0_m} every {self.spacing_m} m; give a "
+                "grid of at least 3 x 3 nodes, some of them known, at finite places, spacing_m above 0"
+            )
         for key in ERROR_LAYERS:
             values = getattr(self, key)
-            if values is None:
-                continue
-            if values.shape not in (shape, ()):
-                raise ParameterError(f"{self.name}: {key} has shape {values.shape}; give one number, or {shape}")
-            if key != "height_by_disparity_m_px" and (values[np.isfinite(values)] < 0).any():
-                raise ParameterError(f"{self.name}: {key} is negative somewhere; give 0 or more, NaN where unknown")
+            signed = values is None or key == "height_by_disparity_m_px"
+            if values is not None and (
+                values.shape not in (shape, ()) or not (signed or np.nanmin(values, initial=0) >= 0)
+            ):
+                raise ParameterError(
+                    f"{self.name}: {key} of shape {values.shape} is not of shape {shape}, or negative somewhere; give "
+                    "one number or one a node, 0 or more, NaN where unknown"
+                )
 
     @property
     def x_m(self) -> FloatArray:
@@ -257,11 +259,9 @@ def merge(
     Raises ParameterError where errors are missing, where there are not as many positions as models, and where nothing
     overlaps.
     """
-    if len(models) < 2:
-        raise ParameterError("one elevation model is merged already; give two or more")
     places = list(positions) if positions is not None else [StationPosition()] * len(models)
-    if len(places) != len(models):
-        raise ParameterError(f"{len(places)} positions for {len(models)} models; give one for each")
+    if len(models) < 2 or len(places) != len(models):
+        raise ParameterError(f"{len(models)} models and {len(places)} positions; give two or more, and one for each")
     for model in models:
         if model.height_m_sigma is None:
             raise ParameterError(f"{model.name}: no height_m_sigma; inverse variances need the errors of the heights")

@@ -18,15 +18,8 @@ from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolle
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.image import AxesImage
 
 MARK, BAND = "#D55E00", "#9fb4c0"
-
-
-def _page(title: str, height_in: float, synthetic: bool) -> "Figure":
-    figure = page(height_in)
-    headline(figure, title, synthetic=synthetic)
-    return figure
 
 
 def _map(axes: "Axes", model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:
@@ -38,7 +31,8 @@ def _map(axes: "Axes", model: ElevationModel, values: FloatArray, label: str, **
 
 def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> "Figure":
     """Where the track is, its depth along it with errors, and the mean profile across."""
-    figure = _page(f"track on {as_label(model.name)}", 7.6, model.synthetic)
+    figure = page(7.6)
+    headline(figure, f"track on {as_label(model.name)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(3, 1, height_ratios=(1.3, 1, 1))
     reach = 4 * width_m
     level = 1e3 * model.less_plane()
@@ -101,7 +95,8 @@ def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: floa
 
 def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
     """Rocks on the heights over the ground, and the share found by diameter."""
-    figure = _page(f"rocks on {as_label(model.name)}", 4.3, model.synthetic)
+    figure = page(4.3)
+    headline(figure, f"rocks on {as_label(model.name)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(1, 2, width_ratios=(2, 1))
     above = 1e3 * survey.above_m
     high = max(float(np.nanpercentile(above, 99.5)), 1e-3)
@@ -126,7 +121,8 @@ def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
 def merge_page(merged: MergedMap) -> "Figure":
     """The merged heights, their errors, how many models there are, and where these disagree."""
     model = merged.model
-    figure = _page(f"map of {as_label(model.name, 60)}", 6.4, model.synthetic)
+    figure = page(6.4)
+    headline(figure, f"map of {as_label(model.name, 60)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(2, 2)
     _map(axes[0, 0], model, model.less_plane(), "height less its plane [m]", cmap="cividis")
     errors = 1e3 * np.hypot(model.layer("height_m_sigma"), model.layer("height_m_common_sigma"))
@@ -148,30 +144,28 @@ def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Fi
     axes = figure.subplots(2, 3)
     title = f"{as_label(model.name)}: {matches.shares()['matched']:.0%} of the pixels matched"
     headline(figure, title, synthetic=model.synthetic)
-    _matched_picture(axes[0, 0], matches)
-    _disparity(figure, axes[0, 1], matches)
-    _reasons(axes[0, 2], matches)
-    for axis, key, name in (
-        (axes[1, 0], "height_m", "height [m]"),
-        (axes[1, 1], "height_m_sigma", "random error [mm]"),
-        (axes[1, 2], "height_m_common_sigma", "common error [mm]"),
-    ):
-        _shown_map(figure, axis, model, key, name, pose)
-    return figure
-
-
-def _matched_picture(axis: "Axes", matches: StereoMatches) -> None:
     low, high = np.percentile(matches.left, [0.5, 99.5])
-    axis.imshow(matches.left, cmap="gray", vmin=low, vmax=high)
-    axis.set_title("left picture, rectified")
-    axis.set_axis_off()
-
-
-def _disparity(figure: "Figure", axis: "Axes", matches: StereoMatches) -> None:
-    shown = axis.imshow(matches.disparity, cmap="viridis", interpolation="nearest")
-    axis.set_title("disparity")
-    axis.set_axis_off()
-    _bar(figure, shown, axis, "disparity [px]")
+    axes[0, 0].imshow(matches.left, cmap="gray", vmin=low, vmax=high)
+    axes[0, 0].set_title("left picture, rectified")
+    disparity = axes[0, 1].imshow(matches.disparity, cmap="viridis", interpolation="nearest")
+    axes[0, 1].set_title("disparity")
+    for axis in axes[0]:
+        axis.set_axis_off()
+    bar: Any = {"orientation": "horizontal", "shrink": 0.85, "aspect": 25}
+    figure.colorbar(disparity, ax=axes[0, 1], label="disparity [px]", **bar)
+    _reasons(axes[0, 2], matches)
+    for axis, key, title, unit, colours in (
+        (axes[1, 0], "height_m", "height", "m", "cividis"),
+        (axes[1, 1], "height_m_sigma", "random error", "mm", "viridis"),
+        (axes[1, 2], "height_m_common_sigma", "common error", "mm", "viridis"),
+    ):
+        values = model.layer(key) * (1e3 if unit == "mm" else 1.0)
+        low, high = np.nanpercentile(values, [2, 98])
+        heights = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
+        axis.plot(*pose.center_m[:2], marker="^", color=COLORS[1], markeredgecolor="white", clip_on=False)
+        axis.set(title=title, xlabel="x [m]", ylabel="y [m]")
+        figure.colorbar(heights, ax=axis, label=f"{title} [{unit}]", **bar)
+    return figure
 
 
 def _reasons(axis: "Axes", matches: StereoMatches) -> None:
@@ -187,22 +181,6 @@ def _reasons(axis: "Axes", matches: StereoMatches) -> None:
         if share >= 0.0005 or name == REASONS[MATCHED]
     ]
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.03), frameon=False, ncols=2)
-    axis.set_axis_off()
-
-
-def _shown_map(figure: "Figure", axis: "Axes", model: ElevationModel, key: str, name: str, pose: Pose) -> None:
-    scale = 1e3 if "mm" in name else 1.0
-    values = scale * model.layer(key)
-    low, high = np.nanpercentile(values, [2, 98])
-    colours = "cividis" if key == "height_m" else "viridis"
-    shown = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
-    axis.plot(*pose.center_m[:2], marker="^", color=COLORS[1], markeredgecolor="white", clip_on=False)
-    axis.set(title=name.partition(" [")[0], xlabel="x [m]", ylabel="y [m]")
-    _bar(figure, shown, axis, name)
-
-
-def _bar(figure: "Figure", shown: "AxesImage", axis: "Axes", label: str) -> None:
-    figure.colorbar(shown, ax=axis, orientation="horizontal", label=label, shrink=0.85, aspect=25)
 
 
 LONG = 0.08

@@ -203,12 +203,16 @@ def _cahv_of(name: str, content: str) -> CahvModel:
     vectors = _components(content)
     if not {"C", "A", "H", "V"} <= vectors.keys():
         raise DataError(f"{name}: no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label")
-    if ("O" in vectors) != ("R" in vectors):
-        raise DataError(f"{name}: a CAHVOR model needs O and R; {'R' if 'O' in vectors else 'O'} is missing")
     width = _first_number(content, ("LINE_SAMPLES", "xdim", "NS"))
     height = _first_number(content, ("LINES", "ydim", "NL"))
-    if width is None or height is None:
-        raise DataError(f"{name}: the size of the picture is missing; add LINES = … and LINE_SAMPLES = …")
+    halves = {"O", "R"} & vectors.keys()
+    if width is None or height is None or len(halves) == 1:
+        lacks = (
+            f"a CAHVOR model needs O and R, not {halves.pop()} alone"
+            if len(halves) == 1
+            else "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …"
+        )
+        raise DataError(f"{name}: {lacks}")
     kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
     vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
     vectors.setdefault("R", np.zeros(3))

@@ -102,13 +102,13 @@ def _check_size(file: InputFile) -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            width, height = Image.open(io.BytesIO(file.data), formats=("PNG", "TIFF", "JPEG")).size
+            pixels = math.prod(Image.open(io.BytesIO(file.data), formats=("PNG", "TIFF", "JPEG")).size)
     except Image.DecompressionBombError:
-        raise DataError(f"{file.name}: {TOO_LARGE}") from None
-    except (OSError, ValueError, SyntaxError, OverflowError) as error:
-        raise DataError(f"{file.name}: {NO_PICTURE}") from error
-    if width * height > MOST_PIXELS:
-        raise DataError(f"{file.name}: {TOO_LARGE}")
+        pixels = MOST_PIXELS + 1
+    except (OSError, ValueError, SyntaxError, OverflowError):
+        pixels = 0
+    if not 0 < pixels <= MOST_PIXELS:
+        raise DataError(f"{file.name}: {TOO_LARGE if pixels else NO_PICTURE}")
 
 
 def _read_pds4(file: InputFile) -> Picture:

@@ -61,12 +61,13 @@ class Landscape:
     def __post_init__(self) -> None:
         if self.height_m.ndim != 2 or min(self.height_m.shape) < 3 or not np.isfinite(self.height_m).all():
             raise ParameterError(f"{self.name}: heights must be a grid of 3 x 3 or more finite numbers; fill its holes")
-        if self.albedo.shape != self.height_m.shape or not (self.albedo > 0).all():
-            raise ParameterError(f"{self.name}: reflectance must be above 0 at every node")
-        if self.rocks.shape[1:] != (len(ROCK_COLUMNS),) or not (self.rocks[:, 3:6] > 0).all():
-            raise ParameterError(f"{self.name}: rocks need {', '.join(ROCK_COLUMNS)}, with half axes above 0")
-        if not (0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90):
-            raise ParameterError(f"{self.name}: spacing must be above 0, and the Sun over the horizon: 0 to 90 deg")
+        bright = self.albedo.shape == self.height_m.shape and (self.albedo > 0).all()
+        rocky = self.rocks.shape[1:] == (len(ROCK_COLUMNS),) and (self.rocks[:, 3:6] > 0).all()
+        if not (bright and rocky and 0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90):
+            raise ParameterError(
+                f"{self.name}: needs reflectance above 0 at every node, {', '.join(ROCK_COLUMNS)} of rocks with half "
+                "axes above 0, a spacing above 0, and the Sun 0 to 90 deg over the horizon"
+            )
 
     @property
     def sun(self) -> FloatArray:
@@ -132,8 +133,6 @@ def landscape_on(
             f"the landscape's spacing is {fine:g} m, and the heights it is made from lie {coarse:g} m apart; give a "
             f"spacing above 0, at most {coarse:g} m, for detail is added to the ground and none is taken away"
         )
-    if not (rocks_per_m2 >= 0 and roughness >= 0):
-        raise ParameterError(f"rocks are {rocks_per_m2:g} a square metre and roughness {roughness:g}; give 0 or more")
     random = np.random.default_rng(seed)
     ground = _refined(height, coarse / fine)
     longest = min(max(4 * coarse, 8 * fine), 1.0)

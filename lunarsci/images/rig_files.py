@@ -709,6 +709,4 @@ def read_pose(source: str | InputFile) -> Pose:
 
 def pose_text(pose: Pose) -> str:
     """The TOML file of a pose."""
-    heading, down, roll = pose.angles_deg()
-    lines = [f"position_m = [{_numbers(pose.center_m)}]", f"heading_deg = {heading!r}", f"down_deg = {down!r}"]
-    return "\n".join([*lines, f"roll_deg = {roll!r}", ""])
+    return "".join(f"{key} = {value!r}\n" for key, value in pose.to_dict().items())

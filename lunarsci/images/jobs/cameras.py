@@ -89,10 +89,8 @@ class CameraSheet(Result):
         }
         way = rig.translation_m / rig.baseline_m
         return {
-            "name": rig.name,
+            **rig.summary(),
             "source": rig.source,
-            "assumed": list(rig.assumed),
-            "baseline_m": rig.baseline_m,
             "baseline_m_sigma": float(way @ rig.covariance[-3:, -3:] @ way) ** 0.5 or None,
             "read_as": list(rig.read_as),
             "relative": relative,
@@ -164,14 +162,10 @@ def _alone(name: str, one: LabelCamera | SingleCamera) -> dict[str, Any]:
     if isinstance(one, SingleCamera):
         sigmas = dict(zip(INTRINSICS, map(float, one.covariance.diagonal() ** 0.5), strict=True))
         return {"name": name, **_numbers(one.camera, sigmas), "remarks": [f"source: {one.source}"]}
-    heading, down, roll = one.pose.angles_deg()
     return {
         "name": name,
         **_numbers(one.camera, {}),
-        "position_m": [float(v) for v in one.pose.center_m],
-        "heading_deg": heading,
-        "down_deg": down,
-        "roll_deg": roll,
+        **one.pose.to_dict(),
         "residual_rms_px": one.residual_rms_px,
         "residual_largest_px": one.residual_max_px,
         "pinhole_residual_largest_px": one.pinhole_max_px,

@@ -84,17 +84,10 @@ class StereoTerrain(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     def to_dict(self) -> dict[str, Any]:
-        heading, down, roll = self.pose.angles_deg()
         return {
             "terrain": self.model.summary(),
-            "rig": {"name": self.rig.name, "baseline_m": self.rig.baseline_m, "assumed": list(self.rig.assumed)},
-            "pose": {
-                "position_m": [float(v) for v in self.pose.center_m],
-                "heading_deg": heading,
-                "down_deg": down,
-                "roll_deg": roll,
-                "levelled": self.levelled,
-            },
+            "rig": self.rig.summary(),
+            "pose": self.pose.to_dict() | {"levelled": self.levelled},
             "pixels": self.matches.shares(),
             "row_offset_px": self.matches.row_offset_px,
             "ranges": self.rows(),

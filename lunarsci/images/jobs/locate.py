@@ -118,7 +118,7 @@ class LocatedStations(Result):
                 for station in self.found.stations[1:]
                 for name in (*(f"rotation_{a}_rad" for a in AXES), *(f"{a}_m" for a in AXES))
             ],
-            "rig": {"name": self.rig.name, "baseline_m": self.rig.baseline_m, "assumed": list(self.rig.assumed)},
+            "rig": self.rig.summary(),
             "notes": self.notes(),
         }
 

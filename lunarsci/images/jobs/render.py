@@ -107,17 +107,11 @@ class SyntheticPair(Result):
 
     def to_dict(self) -> dict[str, Any]:
         truth, rig = self.pair.truth, self.told
-        heading, down, roll = self.pair.left_pose.angles_deg()
         ground = truth.kind > 0
         return {
             "synthetic": True,
-            "rig": {"name": rig.name, "baseline_m": rig.baseline_m, "assumed": list(rig.assumed)},
-            "pose": {
-                "position_m": [float(v) for v in self.pair.left_pose.center_m],
-                "heading_deg": heading,
-                "down_deg": down,
-                "roll_deg": roll,
-            },
+            "rig": rig.summary(),
+            "pose": self.pair.left_pose.to_dict(),
             "pixels": {
                 "sky": float((~ground).mean()),
                 "rock": float((truth.kind == 2).mean()),
