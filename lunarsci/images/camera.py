@@ -20,7 +20,6 @@ from lunarsci.names import one_of
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 """What a camera's picture depends on, in the order of `Camera.vector`."""
-SOURCE = "Brown (1971), Photogramm. Eng. 37, 855: close-range camera calibration"
 NEWTON_STEPS = 30
 CONVERGED = 1e-12
 

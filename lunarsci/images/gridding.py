@@ -139,10 +139,10 @@ def _spread_of_means(
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Median height of each cell, NaN where it has none. (ny, nx)"""
-    order = np.lexsort((z, cell))
-    places, starts, counts = np.unique(cell[order], return_index=True, return_counts=True)
-    medians = np.full(shape[0] * shape[1], np.nan)
-    medians[places] = 0.5 * (z[order][starts + counts // 2] + z[order][starts + (counts - 1) // 2])
+    from scipy.ndimage import median
+
+    medians, places = np.full(shape[0] * shape[1], np.nan), np.unique(cell)
+    medians[places] = median(z, cell, places)
     return medians.reshape(shape)
 
 

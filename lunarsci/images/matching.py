@@ -350,8 +350,8 @@ def match(
     report = progress or (lambda done, total: None)
     report(0, 5)
     names = f"{left.source.name}, {right.source.name}"
-    few = [p.values[::4, ::4].ravel() for p in (left, right)]
-    if left.size == right.size and np.corrcoef(few)[0, 1] > ALIKE:
+    one, two = (p.values[::4, ::4].ravel() for p in (left, right))
+    if left.size == right.size and np.corrcoef(one, two)[0, 1] > ALIKE:
         raise DataError(f"{names}: show the same, pixel on pixel; give the pictures of the left and the right camera")
     frame = rectify(rig)
     alike = (2**left.bits - 1) / (2**right.bits - 1)

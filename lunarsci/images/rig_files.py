@@ -185,7 +185,6 @@ SIDES = (("1", "left", "l"), ("2", "right", "r"))
 ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
 """Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
 FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
-NO_LENS = ("none", "")
 KEYS = re.compile(
     r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
     r"[ \t]*:",
