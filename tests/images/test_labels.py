@@ -130,6 +130,20 @@ def test_cahv_models_become_cameras() -> None:
     assert bent.residual_max_px < 1e-3 < 5 < bent.pinhole_max_px
 
 
+class Ahead(CahvModel):
+    """Sees from 5 cm ahead of its centre, as a moving pupil may."""
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        return CahvModel.project(self, points - 0.05 * self.vectors["A"])
+
+
+def test_a_camera_stands_where_its_pupil_is() -> None:
+    model = cahv()
+    fitted = fit_cahv(Ahead(vectors=model.vectors, width_px=1024, height_px=1024), "x")
+    assert fitted.pose.center_m == pytest.approx(model.vectors["C"] + 0.05 * model.vectors["A"], abs=1e-6)
+    assert fitted.residual_max_px < 1e-6
+
+
 def test_cahvore_without_entrance_and_linear_is_cahvor() -> None:
     axis = cahv().vectors["A"]
     bend = {"O": axis, "R": np.array([1e-4, -0.05, 0.01])}

@@ -134,6 +134,14 @@ def test_files_of_opencv_are_a_rig_in_metres(tmp_path: Path, end: str) -> None:
         cameras([inner])
 
 
+def test_cameras_whose_names_begin_with_their_side_are_a_rig(tmp_path: Path) -> None:
+    tables = {f"{side}_{name}": values for side in ("left", "right")
+              for name, values in (("camera_matrix", MATRIX.tolist()), ("distortion", LENS))}  # fmt: skip
+    whole = {"image_size": [800, 600], "R": TURN.tolist(), "T": WAY.tolist(), **tables}
+    (tmp_path / "a.yaml").write_text("\n".join(f"{key}: {value}" for key, value in whole.items()))
+    check(the_rig(cameras([str(tmp_path / "a.yaml")])))
+
+
 def test_one_camera_of_opencv_needs_its_size_and_the_advice_is_right(tmp_path: Path) -> None:
     path = tmp_path / "camera.yml"
     writer = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
