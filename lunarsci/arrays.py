@@ -33,6 +33,36 @@ def robust_scatter(values: FloatArray, about: float | None = None) -> float:
     return NORMAL_MAD * float(np.median(np.abs(values - (np.median(values) if about is None else about))))
 
 
+SIGNIFICANCE = 0.01
+"""Share of normal errors that is taken for outliers; assumed."""
+
+
+def huber_weights(squares: FloatArray, freedom: int) -> FloatArray:
+    """Weights from 0 to 1 by sums of squares of so many normal errors of 1: below 1 where `SIGNIFICANCE` are larger.
+
+    Huber (1964), 10.1214/aoms/1177703732: what is large counts by its size, not by its square.
+    """
+    from scipy.special import chdtri
+
+    return np.sqrt(np.minimum(1.0, float(chdtri(freedom, SIGNIFICANCE)) / np.maximum(squares, 1e-300)))
+
+
+BIWEIGHT = 4.685
+"""Tukey's biweight, 95 % efficient for normal errors (Holland & Welsch 1977, 10.1080/03610927708827533)."""
+
+
+def robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (k,) of a design (n, k) and weights (n,) from 0 to 1, by iterated weights of Tukey's biweight."""
+    weight = np.ones(len(values))
+    for _ in range(6):
+        root = np.sqrt(weight)
+        coefficients = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
+        residual = values - design @ coefficients
+        scale = max(robust_scatter(residual), 1e-12)
+        weight = np.clip(1.0 - (residual / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
+    return np.asarray(coefficients), np.asarray(weight)
+
+
 def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, FloatArray]:
     """Sample before each wanted time, and the share of the way to the next one; beyond the ends it is the end.
 

@@ -1,36 +1,32 @@
 """Cameras, and how they stand to each other, from pictures of a flat target: least squares over all of them at once.
 
 Which points of the board are seen where, and which pictures of two cameras are of the same moment. Zhang (2000),
-10.1109/34.888718, for the idea and where it begins (OpenCV); the adjustment, its errors and what the pictures do not
-determine are here. Every picture has a pose of the board of its own.
+10.1109/34.888718, for the idea; OpenCV begins, projects and differentiates, and scipy adjusts. Errors and what the
+pictures do not determine are here. Every picture has a pose of the board of its own.
 """
 
 import math
 import re
 import warnings
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, robust_scatter
 from lunarsci.errors import DataError, LunarSciWarning, NoFilesError, ParameterError, RequestError
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.pictures import Picture, open_cv
 from lunarsci.io.inputs import InputFile, expand_inputs
-from lunarsci.names import one_of, some_of
+from lunarsci.names import some_of
 
 Kind = Literal["chessboard", "circles", "asymmetric-circles", "charuco"]
-GOES_ON = 0.75
-"""Contrast of squares beyond a board, over that within, from which it is larger than stated; the outer edge of the
-outer squares has half of it. Assumed."""
 NEAR = 0.4
-"""Half width of the window about a corner, as a share of the distance to the next; assumed."""
+"""Half width of the window about a corner, as a share of the distance to the next, below a half; assumed."""
 FEWEST_POINTS = 6
 """Points of a board that a picture must show; assumed."""
 
@@ -60,16 +56,12 @@ class BoardTarget:
     dictionary: str = "DICT_4X4_50"
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(Kind):
-            raise ParameterError(f"'{self.kind}' is no kind of target; {one_of(self.kind, get_args(Kind))}")
-        if min(self.columns, self.rows) < 3 or max(self.columns, self.rows) > 100:
-            raise ParameterError(f"a board of {self.columns} x {self.rows}; give 3 to 100 each way")
-        if not 0 < self.square_m < 100:
-            raise ParameterError(f"squares of {self.square_m:g} m; give a number above 0")
-        if self.kind == "charuco" and not 0 < self.marker_m < self.square_m:
-            raise ParameterError("markers of a charuco board are smaller than its squares; give their side in m")
-        if not 0 <= self.circle_m < 2 * self.square_m:
-            raise ParameterError(f"circles of {self.circle_m:g} m do not fit between centres {self.square_m:g} m apart")
+        if not (3 <= min(self.columns, self.rows) <= max(self.columns, self.rows) <= 100
+                and 0 <= self.circle_m < 2 * self.square_m):  # fmt: skip
+            raise ParameterError(
+                f"a board of {self.columns} x {self.rows}, circles of {self.circle_m:g} m {self.square_m:g} m apart; "
+                "give 3 to 100 each way, and circles that fit between their centres"
+            )
 
     @property
     def points_m(self) -> FloatArray:
@@ -88,9 +80,6 @@ class BoardTarget:
         words = markers.getPredefinedDictionary(getattr(markers, self.dictionary))
         return markers.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, words)
 
-    def __str__(self) -> str:
-        return f"{self.kind} of {self.columns} x {self.rows}"
-
 
 class Sighting(NamedTuple):
     """Points of a target in a picture: their places in `BoardTarget.points_m` (n,), and where they are (n, 2) [px]."""
@@ -99,16 +88,20 @@ class Sighting(NamedTuple):
     pixels: FloatArray
 
 
+BoardView: TypeAlias = tuple[Sighting | None, ...]
+"""What each camera sees of the board at one moment; None where it does not."""
+
+
 def find_target(picture: Picture, target: BoardTarget, *, patient: bool = True) -> Sighting | None:
     """Where a picture shows the points of a target; None where it does not. `patient` looks for seconds."""
-    eight = eight_bits(picture)
+    eight, size, cv2 = eight_bits(picture), (target.columns, target.rows), open_cv()
     if target.kind == "charuco":
-        return _charuco(eight, target)
-    size = target.columns, target.rows
-    pixels = _chessboard(eight, size, patient) if target.kind == "chessboard" else _circles(eight, target)
-    if pixels is None:
-        return None
-    return Sighting(np.arange(len(pixels)), pixels)
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(target.charuco()).detectBoard(eight)
+        if numbers is None or len(numbers) < FEWEST_POINTS:
+            return None
+        return Sighting(np.asarray(numbers, dtype=np.int64).ravel(), np.asarray(corners, dtype=float).reshape(-1, 2))
+    pixels = _chessboard(eight, size, patient) if target.kind == "chessboard" else _circles(eight, size, target.kind)
+    return None if pixels is None else Sighting(np.arange(len(pixels)), pixels)
 
 
 def eight_bits(picture: Picture) -> npt.NDArray[np.uint8]:
@@ -124,10 +117,9 @@ def _chessboard(eight: npt.NDArray[np.uint8], size: tuple[int, int], patient: bo
     precise on tilted boards, and without bias.
     """
     cv2 = open_cv()
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    flags |= cv2.CALIB_CB_EXHAUSTIVE if patient else 0
-    found, corners = cv2.findChessboardCornersSB(eight, size, flags=flags)
-    if not found:
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY | (cv2.CALIB_CB_EXHAUSTIVE if patient else 0)
+    detected, corners = cv2.findChessboardCornersSB(eight, size, flags=flags)
+    if not detected:
         return None
     start = np.asarray(corners, dtype=np.float32).reshape(size[1], size[0], 2)
     apart = min(float(np.linalg.norm(np.diff(start, axis=axis), axis=-1).min()) for axis in (0, 1))
@@ -136,22 +128,14 @@ def _chessboard(eight: npt.NDArray[np.uint8], size: tuple[int, int], patient: bo
     return np.asarray(cv2.cornerSubPix(eight, start.reshape(-1, 1, 2), half, (-1, -1), stop), float).reshape(-1, 2)
 
 
-def _circles(eight: npt.NDArray[np.uint8], target: BoardTarget) -> FloatArray | None:
+def _circles(eight: npt.NDArray[np.uint8], size: tuple[int, int], kind: Kind) -> FloatArray | None:
     cv2 = open_cv()
     wanted = cv2.SimpleBlobDetector_Params()
     wanted.minArea, wanted.maxArea, wanted.minThreshold, wanted.thresholdStep = 12.0, 0.05 * eight.size, 20.0, 5.0
     blobs = cv2.SimpleBlobDetector_create(wanted)
-    grid = cv2.CALIB_CB_SYMMETRIC_GRID if target.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
-    found, centers = cv2.findCirclesGrid(eight, (target.columns, target.rows), flags=grid, blobDetector=blobs)
-    return np.asarray(centers, dtype=float).reshape(-1, 2) if found else None
-
-
-def _charuco(eight: npt.NDArray[np.uint8], target: BoardTarget) -> Sighting | None:
-    cv2 = open_cv()
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(target.charuco()).detectBoard(eight)
-    if numbers is None or len(numbers) < FEWEST_POINTS:
-        return None
-    return Sighting(np.asarray(numbers, dtype=np.int64).ravel(), np.asarray(corners, dtype=float).reshape(-1, 2))
+    grid = cv2.CALIB_CB_SYMMETRIC_GRID if kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+    detected, centers = cv2.findCirclesGrid(eight, size, flags=grid, blobDetector=blobs)
+    return np.asarray(centers, dtype=float).reshape(-1, 2) if detected else None
 
 
 def alike_turned(left: Sighting, right: Sighting) -> Sighting:
@@ -160,84 +144,32 @@ def alike_turned(left: Sighting, right: Sighting) -> Sighting:
     return right if float(ways[0] @ ways[1]) >= 0 else Sighting(right.numbers, right.pixels[::-1])
 
 
-def check_board(pictures: Sequence[Picture], seen: Sequence[Sighting | None], target: BoardTarget) -> None:
-    """Raise DataError where the board of some pictures is not as large as stated, as far as that can be told."""
-    if target.kind != "chessboard":
+def check_board(pictures: Sequence[Picture], sightings: Sequence[Sighting | None], target: BoardTarget) -> None:
+    """Raise DataError where most pictures do not show the chessboard that was stated, and one shows another one."""
+    without = [p for p, s in zip(pictures, sightings, strict=True) if s is None]
+    if target.kind != "chessboard" or len(without) < 0.5 * len(pictures):
         return
     size = target.columns, target.rows
-    known = [(eight_bits(p), s.pixels) for p, s in zip(pictures, seen, strict=True) if s is not None]
-    beyond = Counter(side for eight, pixels in known for side in _goes_on(eight, pixels, size))
-    often = [side for side, count in beyond.items() if count > 0.5 * len(known)]
-    if often:
-        raise DataError(f"the chessboard goes on {' and '.join(often)} beyond {size[0]} x {size[1]}; {INNER}")
-    if len(known) > 0.5 * len(pictures):
-        return
-    without = [p for p, s in zip(pictures, seen, strict=True) if s is None]
+    near = [(size[0] + a, size[1] + b) for a, b in product((2, 1, 0, -1, -2), repeat=2) if a or b]
+    near = sorted((other for other in near if min(other) >= 3), key=math.prod, reverse=True)
     for picture in without[:2]:
-        if other := _other_size(picture, size):
-            raise DataError(
-                f"{picture.source.name}: shows a chessboard of {other[0]} x {other[1]}, "
-                f"not {size[0]} x {size[1]}; {INNER}"
-            )
-
-
-INNER = "a chessboard's size is that of its inner corners, squares less one each way"
-
-
-def _goes_on(eight: npt.NDArray[np.uint8], pixels: FloatArray, size: tuple[int, int]) -> list[str]:
-    """Sides at which squares alternate beyond the corners that were found."""
-    cv2 = open_cv()
-    columns, rows = size
-    row, column = np.mgrid[:rows, :columns].astype(np.float32)
-    plane = cv2.findHomography(np.stack([column.ravel(), row.ravel()], axis=-1), pixels.astype(np.float32))[0]
-
-    def contrast(columns_at: FloatArray, rows_at: FloatArray) -> FloatArray:
-        at = np.stack([columns_at + 0.0, rows_at + 0.0], axis=-1)[:, None] + 0.25 * np.array(
-            [[1, 1], [-1, 1], [-1, -1], [1, -1]]
-        )
-        there = cv2.perspectiveTransform(at.reshape(1, -1, 2).astype(np.float32), plane).reshape(-1, 2)
-        light = cv2.remap(eight.astype(np.float32), there[:, 0], there[:, 1], cv2.INTER_LINEAR, borderValue=np.nan)
-        signs = np.where((columns_at + rows_at) % 2 == 0, 1.0, -1.0)
-        return np.asarray(signs * (light.reshape(-1, 4) @ np.array([1.0, -1.0, 1.0, -1.0])))
-
-    within = float(np.median(contrast(column.ravel().astype(float), row.ravel().astype(float))))
-    across, down = np.arange(columns, dtype=float), np.arange(rows, dtype=float)
-    sides = {
-        "left of it": (np.full(rows, -1.0), down),
-        "right of it": (np.full(rows, float(columns)), down),
-        "above it": (across, np.full(columns, -1.0)),
-        "below it": (across, np.full(columns, float(rows))),
-    }
-    means = {side: float(np.median(contrast(*places))) for side, places in sides.items()}
-    return [side for side, mean in means.items() if math.isfinite(mean) and mean / within > GOES_ON]
-
-
-def _other_size(picture: Picture, size: tuple[int, int]) -> tuple[int, int] | None:
-    """The largest chessboard near a size that a picture shows."""
-    eight = eight_bits(picture)
-    tries = [(size[0] + a, size[1] + b) for a, b in product((2, 1, 0, -1, -2), repeat=2)]
-    for other in sorted((t for t in tries if min(t) >= 3 and t != size), key=lambda t: -t[0] * t[1]):
-        if _chessboard(eight, other, False) is not None:
-            return other
-    return None
+        eight = eight_bits(picture)
+        for other in near:
+            if _chessboard(eight, other, False) is not None:
+                raise DataError(
+                    f"{picture.source.name}: shows a chessboard of {other[0]} x {other[1]}, not {size[0]} x {size[1]}; "
+                    "a chessboard's size is that of its inner corners, squares less one each way"
+                )
 
 
 FEWEST_VIEWS = 4
 """Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
 FEWEST_TILT_DEG = 10.0
 """Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
-OUTLYING = 5.0
-"""Points that are farther off, in robust standard deviations, are left out; assumed."""
 ROUNDS = 3
-"""How often outliers are left out and all is adjusted again, at most; assumed."""
 RIM = 24
-"""Places on the rim of a circle from which the middle of its picture is found; assumed."""
-
-
-class BoardView(NamedTuple):
-    """One moment: what each camera sees of the board; None where it does not."""
-
-    sightings: tuple[Sighting | None, ...]
+"""Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
+alike on all sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -276,39 +208,111 @@ class CameraCalibration:
 
     def uncertainty_px(self, index: int, pixels: FloatArray) -> FloatArray:
         """By how much intrinsics leave directions uncertain at pixels (n, 2), what a turn mends apart. (n,) [px]"""
-        camera = self.cameras[index]
-        first = index * len(INTRINSICS)
-        own = self.covariance[first : first + len(INTRINSICS), first : first + len(INTRINSICS)]
-        made = camera.project_with_derivatives(camera.rays(pixels))
-        turned = (made.by_point @ _crossed(camera.rays(pixels))).reshape(-1, 3)
-        change = made.by_intrinsics.reshape(-1, len(INTRINSICS))
+        camera, block = self.cameras[index], slice(9 * index, 9 * index + 9)
+        slopes = camera.project_with_derivatives(camera.rays(pixels))
+        turned, change = slopes.by_pose[..., :3].reshape(-1, 3), slopes.by_intrinsics.reshape(-1, len(INTRINSICS))
         change = change - turned @ np.linalg.lstsq(turned, change, rcond=None)[0]
-        variance = np.einsum("ni,ij,nj->n", change, own, change)
+        variance = np.einsum("ni,ij,nj->n", change, self.covariance[block, block], change)
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1)))
 
 
+class _Placed(NamedTuple):
+    """A sighting with its camera and the board's pose before it, by that of the left camera and the relative one."""
+
+    moment: int
+    side: int
+    sighting: Sighting
+    camera: Camera
+    turn: FloatArray
+    way: FloatArray
+    by_poses: FloatArray
+
+
 class _Adjustment(NamedTuple):
-    """What is adjusted: free intrinsics, whether there are two cameras, points, and what each camera sees of them."""
+    """What is adjusted: free intrinsics of each camera, points of the board, and what each camera sees of them.
+
+    Parameters are those intrinsics, of two cameras rotation vector and translation between them, and the board's poses.
+    """
 
     plain: tuple[Camera, ...]
-    rotation: FloatArray
     free: tuple[int, ...]
     points: FloatArray
     views: tuple[BoardView, ...]
 
     @property
-    def shared(self) -> int:
-        return len(self.plain) * len(self.free) + (6 if len(self.plain) > 1 else 0)
+    def lenses(self) -> int:
+        """Count of free intrinsics."""
+        return len(self.plain) * len(self.free)
 
-    def unpacked(self, x: FloatArray) -> tuple[list[Camera], FloatArray, FloatArray, FloatArray]:
-        """Cameras, rotation and translation between them, and poses (m, 6)."""
-        count, cameras = len(self.free), []
-        for k, camera in enumerate(self.plain):
-            vector = camera.vector()
-            vector[list(self.free)] = x[k * count : (k + 1) * count]
-            cameras.append(camera.with_vector(vector))
-        relative = x[len(self.plain) * count : self.shared] if len(self.plain) > 1 else np.zeros(6)
-        return cameras, rotation_of(relative[:3]) @ self.rotation, relative[3:], x[self.shared :].reshape(-1, 6)
+    @property
+    def shared(self) -> int:
+        """Count of the parameters that all pictures share."""
+        return self.lenses + (6 if len(self.plain) > 1 else 0)
+
+    def cameras(self, x: FloatArray) -> list[Camera]:
+        vectors = np.array([camera.vector() for camera in self.plain])
+        vectors[:, self.free] = x[: self.lenses].reshape(len(self.plain), -1)
+        return [camera.with_vector(vector) for camera, vector in zip(self.plain, vectors, strict=True)]
+
+    def relative(self, x: FloatArray) -> FloatArray:
+        """Rotation vector and translation from the left to the right camera, zeros of one alone. (6,)"""
+        return x[self.lenses : self.shared] if len(self.plain) > 1 else np.zeros(6)
+
+    def poses(self, x: FloatArray) -> FloatArray:
+        return x[self.shared :].reshape(-1, 6)
+
+    def placed(self, x: FloatArray) -> Iterator[_Placed]:
+        cameras, relative = self.cameras(x), self.relative(x)
+        for k, (view, pose) in enumerate(zip(self.views, self.poses(x), strict=True)):
+            for index, sighting in enumerate(view):
+                if sighting is None:
+                    continue
+                turn, way, by = pose[:3], pose[3:], np.eye(6, 12)
+                if index:
+                    turn, way, *parts = open_cv().composeRT(*np.split(pose, 2), *np.split(relative, 2))
+                    by = np.block([parts[:4], parts[4:]])
+                yield _Placed(k, index, sighting, cameras[index], turn, way, by)
+
+    def misses(self, x: FloatArray) -> list[FloatArray]:
+        """What is left of each sighting. (n, 2) [px]"""
+        return [
+            one.camera.project_with_derivatives(self.points[one.sighting.numbers], one.turn, one.way).pixels
+            - one.sighting.pixels
+            for one in self.placed(x)
+        ]
+
+    def slopes(self, x: FloatArray, inliers: Sequence[BoolArray]) -> FloatArray:
+        """Derivatives of the residuals of inliers. (n, parameters)"""
+        count, blocks = len(self.free), []
+        for one, good in zip(self.placed(x), inliers, strict=True):
+            seen = one.camera.project_with_derivatives(self.points[one.sighting.numbers[good]], one.turn, one.way)
+            block, first = np.zeros((*seen.pixels.shape, len(x))), self.shared + 6 * one.moment
+            block[..., one.side * count : (one.side + 1) * count] = seen.by_intrinsics[..., self.free]
+            by_poses = seen.by_pose @ one.by_poses
+            block[..., first : first + 6] = by_poses[..., :6]
+            if one.side:
+                block[..., self.lenses : self.shared] = by_poses[..., 6:]
+            blocks.append(block.reshape(-1, len(x)))
+        return np.concatenate(blocks)
+
+    def adjusted(self, x: FloatArray, inliers: Sequence[BoolArray]) -> FloatArray:
+        """Least squares over all inliers, by Levenberg and Marquardt."""
+        from scipy.optimize import least_squares
+
+        def misses(values: FloatArray) -> FloatArray:
+            try:
+                return _inlying(self.misses(values), inliers).ravel()
+            except ParameterError:  # no camera has such intrinsics
+                return np.full(2 * sum(int(good.sum()) for good in inliers), 1e4)
+
+        def slopes(values: FloatArray) -> FloatArray:
+            return self.slopes(values, inliers)
+
+        return np.asarray(least_squares(misses, x, slopes, method="lm", x_scale="jac", xtol=1e-12).x)
+
+
+def _inlying(parts: Sequence[FloatArray], inliers: Sequence[BoolArray]) -> FloatArray:
+    return np.concatenate([part[good] for part, good in zip(parts, inliers, strict=True)])
 
 
 def calibrate(
@@ -316,51 +320,51 @@ def calibrate(
 ) -> CameraCalibration:
     """Cameras of sizes (width, height) [px] from what they see of a target; one size, or left and right.
 
-    `distortion` is how many terms are found: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3); others are held at 0. Raises
+    `distortion` is how many terms are free: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3); others are held at 0. Raises
     DataError where the pictures are too few, or show the board from one side.
     """
     _check_count(views, len(sizes))
     terms = {0: (), 1: (4,), 2: (4, 5), 4: (4, 5, 7, 8), 5: (4, 5, 6, 7, 8)}[distortion]
     problem, x = _begun(views, target, sizes, (0, 1, 2, 3, *terms))
-    _check_tilt(problem.unpacked(x)[3])
-    seen = [s for view in views for s in view.sightings if s is not None]
-    kept: list[BoolArray] = [np.ones(len(s.numbers), dtype=bool) for s in seen]
+    if (tilt := _tilt_deg(problem.poses(x))) < FEWEST_TILT_DEG:
+        raise DataError(
+            f"all pictures show the board from one side: its normals lie within {tilt:.0f} deg, which leaves focal "
+            f"length and distance undetermined; tilt it by 30 deg and more each way"
+        )
+    inliers: list[BoolArray] = [np.ones(len(s.numbers), dtype=bool) for view in views for s in view if s is not None]
+    # So large that normal errors lose any point in one of a hundred calibrations (Bonferroni); the chi-square of two.
+    gate = math.sqrt(2 * math.log(sum(map(len, inliers)) / SIGNIFICANCE))
     for _ in range(ROUNDS):
         if target.circle_m:
             problem = problem._replace(views=_centred(problem, x, views, target.circle_m))
-        x = _adjusted(problem, x, kept)
-        off = _misses(problem, x)
-        scale = 1.4826 * float(np.median(np.abs(np.concatenate(off)[np.concatenate(kept)]))) + 1e-9
-        now: list[BoolArray] = [np.asarray((np.abs(part) < OUTLYING * scale).all(axis=1)) for part in off]
-        if all((a == b).all() for a, b in zip(now, kept, strict=True)) and not target.circle_m:
+        x = problem.adjusted(x, inliers)
+        off = problem.misses(x)
+        scale = robust_scatter(_inlying(off, inliers), 0.0) + 1e-9
+        now: list[BoolArray] = [np.asarray(np.linalg.norm(part, axis=1) < gate * scale) for part in off]
+        same = all((a == b).all() for a, b in zip(now, inliers, strict=True))
+        inliers = now
+        if same and not target.circle_m:
             break
-        kept = now
-    return _finished(problem, _adjusted(problem, x, kept), kept)
+    else:
+        x = problem.adjusted(x, inliers)
+    return _finished(problem, x, inliers)
 
 
 def _check_count(views: Sequence[BoardView], cameras: int) -> None:
     for index in range(cameras):
-        count = sum(view.sightings[index] is not None for view in views)
+        count = sum(view[index] is not None for view in views)
         if count < FEWEST_VIEWS:
             side = ("left", "right")[index] + " " if cameras > 1 else ""
             raise DataError(
                 f"the board was found in {count} {side}pictures; {FEWEST_VIEWS} or more are needed, better 12"
             )
-    both = sum(all(s is not None for s in view.sightings) for view in views)
+    both = sum(None not in view for view in views)
     if both < FEWEST_VIEWS:
         raise DataError(f"both cameras see the board at {both} moments; {FEWEST_VIEWS} or more are needed")
 
 
-def _check_tilt(poses: FloatArray) -> None:
-    if (tilt := _tilt_deg(poses)) < FEWEST_TILT_DEG:
-        raise DataError(
-            f"all pictures show the board from one side: its normals lie within {tilt:.0f} deg, which leaves focal "
-            f"length and distance undetermined; tilt it by 30 deg and more each way"
-        )
-
-
 def _tilt_deg(poses: FloatArray) -> float:
-    normals = np.array([rotation_of(pose[:3])[:, 2] for pose in poses])
+    normals = rotation_of(poses[:, :3])[..., 2]
     return math.degrees(math.acos(float(np.clip((normals @ normals.T).min(), -1, 1))))
 
 
@@ -370,31 +374,23 @@ def _begun(
     """Where the adjustment begins: each camera alone, by OpenCV; how they stand to each other by the median."""
     names = ("left camera", "right camera") if len(sizes) > 1 else ("camera",)
     alone = [_alone(views, k, target, size, names[k], free) for k, size in enumerate(sizes)]
-    cameras = tuple(camera for camera, _ in alone)
-    rotation, translation = np.eye(3), np.zeros(3)
+    cameras, poses = tuple(camera for camera, _ in alone), alone[0][1]
+    relative = []
     if len(sizes) > 1:
-        pairs = [(alone[0][1][k], alone[1][1][k]) for k in alone[0][1].keys() & alone[1][1].keys()]
-        turns = [rotation_of(b[:3]) @ rotation_of(a[:3]).T for a, b in pairs]
-        rotation = _median_turn(turns)
-        translation = np.median([b[3:] - rotation @ a[3:] for a, b in pairs], axis=0)
-    poses = []
-    for k in range(len(views)):
-        if k in alone[0][1]:
-            poses.append(alone[0][1][k])
-        else:
-            seen = alone[1][1][k]
-            turn = rotation.T @ rotation_of(seen[:3])
-            poses.append(np.concatenate([vector_of(turn), rotation.T @ (seen[3:] - translation)]))
-    problem = _Adjustment(cameras, rotation, free, target.points_m, tuple(views))
-    own = [camera.vector()[list(free)] for camera in cameras]
-    relative = [np.concatenate([np.zeros(3), translation])] if len(sizes) > 1 else []
-    return problem, np.concatenate([*own, *relative, np.ravel(poses)])
-
-
-def _median_turn(turns: Sequence[FloatArray]) -> FloatArray:
-    """The rotation that is nearest to all others."""
-    apart = [sum(float(np.linalg.norm(vector_of(a.T @ b))) for b in turns) for a in turns]
-    return turns[int(np.argmin(apart))]
+        others = alone[1][1]
+        both = sorted(poses.keys() & others.keys())
+        first, second = (np.array([side[k] for k in both]) for side in (poses, others))
+        turns = rotation_of(second[:, :3]) @ rotation_of(first[:, :3]).swapaxes(1, 2)
+        apart = [np.linalg.norm(vector_of(turns.swapaxes(1, 2) @ turn), axis=1).sum() for turn in turns]
+        turn = turns[int(np.argmin(apart))]
+        way = np.median(second[:, 3:] - first[:, 3:] @ turn.T, axis=0)
+        relative = [vector_of(turn), way]
+        alone_right = {k: np.append(vector_of(turn.T @ rotation_of(one[:3])), turn.T @ (one[3:] - way))
+                       for k, one in others.items()}  # fmt: skip
+        poses = alone_right | poses
+    problem = _Adjustment(cameras, free, target.points_m, tuple(views))
+    lenses = [camera.vector()[list(free)] for camera in cameras]
+    return problem, np.concatenate([*lenses, *relative, *(poses[k] for k in range(len(views)))])
 
 
 def _alone(
@@ -402,105 +398,17 @@ def _alone(
 ) -> tuple[Camera, dict[int, FloatArray]]:
     """One camera by OpenCV, and the board's pose in its frame by moment."""
     cv2 = open_cv()
-    seen = {k: sighting for k, view in enumerate(views) if (sighting := view.sightings[index]) is not None}
-    points = [target.points_m[s.numbers].astype(np.float32) for s in seen.values()]
-    pixels = [s.pixels.astype(np.float32) for s in seen.values()]
+    sightings = {k: sighting for k, view in enumerate(views) if (sighting := view[index]) is not None}
+    points = [target.points_m[s.numbers].astype(np.float32) for s in sightings.values()]
+    pixels = [s.pixels.astype(np.float32) for s in sightings.values()]
     flags = cv2.CALIB_FIX_K3 | (0 if 5 in free else cv2.CALIB_FIX_K2) | (0 if 4 in free else cv2.CALIB_FIX_K1)
     flags |= 0 if 7 in free else cv2.CALIB_ZERO_TANGENT_DIST
     _, matrix, terms, turns, places = cv2.calibrateCamera(points, pixels, size, None, None, flags=flags)
-    k1, k2, p1, p2 = (float(v) for v in np.ravel(terms)[:4])
-    camera = Camera(
-        name=name, width_px=size[0], height_px=size[1], fx_px=float(matrix[0, 0]), fy_px=float(matrix[1, 1]),
-        cx_px=float(matrix[0, 2]), cy_px=float(matrix[1, 2]), k1=k1, k2=k2, p1=p1, p2=p2,
-    )  # fmt: skip
-    found = zip(seen, turns, places, strict=True)
-    return camera, {k: np.concatenate([np.ravel(turn), np.ravel(place)]) for k, turn, place in found}
-
-
-def _crossed(points: FloatArray) -> FloatArray:
-    """Derivatives of points by a small rotation after them. (n, 3) to (n, 3, 3)"""
-    x, y, z = np.moveaxis(points, -1, 0)
-    zero = np.zeros_like(x)
-    rows = (zero, z, -y), (-z, zero, x), (y, -x, zero)
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _seen(problem: _Adjustment, x: FloatArray) -> "list[tuple[int, int, Sighting, Camera, FloatArray, FloatArray]]":
-    """By sighting: moment, camera's index, sighting, camera, points in its frame, and points less the board's place."""
-    cameras, rotation, translation, poses = problem.unpacked(x)
-    found = []
-    for k, view in enumerate(problem.views):
-        turn = rotation_of(poses[k, :3])
-        for index, sighting in enumerate(view.sightings):
-            if sighting is None:
-                continue
-            turned = problem.points[sighting.numbers] @ turn.T
-            there = turned + poses[k, 3:]
-            own = there if index == 0 else there @ rotation.T + translation
-            found.append((k, index, sighting, cameras[index], own, turned))
-    return found
-
-
-def _misses(problem: _Adjustment, x: FloatArray) -> list[FloatArray]:
-    """What is left of each sighting. (n, 2) [px]"""
-    return [camera.project(own) - s.pixels for _, _, s, camera, own, _ in _seen(problem, x)]
-
-
-def _rows(problem: _Adjustment, x: FloatArray, kept: Sequence[BoolArray]) -> tuple[FloatArray, FloatArray, list[int]]:
-    """Residuals (n,), their derivatives (n, parameters), and the moment of each row."""
-    _, rotation, translation, _ = problem.unpacked(x)
-    count, misses, slopes, moments = len(problem.free), [], [], []
-    for (k, index, sighting, camera, own, turned), good in zip(_seen(problem, x), kept, strict=True):
-        made = camera.project_with_derivatives(own)
-        block = np.zeros((*made.pixels.shape, len(x)))
-        block[..., index * count : (index + 1) * count] = made.by_intrinsics[..., problem.free]
-        by_there = made.by_point if index == 0 else made.by_point @ rotation
-        place = problem.shared + 6 * k
-        block[..., place : place + 3] = by_there @ _crossed(turned)
-        block[..., place + 3 : place + 6] = by_there
-        if index:
-            first = len(problem.plain) * count
-            block[..., first : first + 3] = made.by_point @ _crossed(own - translation)
-            block[..., first + 3 : first + 6] = made.by_point
-        misses.append((made.pixels - sighting.pixels)[good].ravel())
-        slopes.append(block[good].reshape(-1, len(x)))
-        moments += [k] * (2 * int(good.sum()))
-    return np.nan_to_num(np.concatenate(misses), nan=1e4), np.nan_to_num(np.concatenate(slopes)), moments
-
-
-def _adjusted(problem: _Adjustment, x: FloatArray, kept: Sequence[BoolArray]) -> FloatArray:
-    """Levenberg-Marquardt; small rotations are laid onto the whole ones after each step."""
-    damping, now = 1e-3, _rows(problem, x, kept)
-    for _ in range(60):
-        normal, side = now[1].T @ now[1], now[1].T @ now[0]
-        step = np.asarray(-np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), side), float)
-        other = _stepped(problem, x, step)
-        try:
-            then = _rows(problem, other, kept)
-        except ValueError:
-            then = (np.full(1, np.inf), now[1], now[2])
-        gain = float(now[0] @ now[0] - then[0] @ then[0])
-        if not gain >= 0:
-            damping *= 10
-            if damping > 1e8:
-                break
-            continue
-        damping, x, small = max(0.1 * damping, 1e-12), other, gain <= 1e-12 * float(then[0] @ then[0]) + 1e-18
-        now = then
-        if small:
-            break
-    return x
-
-
-def _stepped(problem: _Adjustment, x: FloatArray, step: FloatArray) -> FloatArray:
-    """Parameters after a step; rotations are small ones applied after those that were there."""
-    after = x + step
-    first = len(problem.plain) * len(problem.free)
-    places = [*([first] if len(problem.plain) > 1 else []), *range(problem.shared, len(x), 6)]
-    for place in places:
-        part = slice(place, place + 3)
-        after[part] = vector_of(rotation_of(step[part]) @ rotation_of(x[part]))
-    return after
+    k1, k2, p1, p2 = np.ravel(terms)[:4]
+    vector = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, 0.0, p1, p2]
+    camera = Camera(name=name, width_px=size[0], height_px=size[1], fx_px=1, fy_px=1, cx_px=0, cy_px=0)
+    poses = np.concatenate([np.array(turns), np.array(places)], axis=1)[..., 0]
+    return camera.with_vector(vector), dict(zip(sightings, poses, strict=True))
 
 
 def _centred(
@@ -512,23 +420,16 @@ def _centred(
     """
     turns = np.linspace(0, 2 * np.pi, RIM, endpoint=False)
     ring = 0.5 * diameter_m * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(RIM)])
-    cameras, rotation, translation, poses = problem.unpacked(x)
-    moved = []
-    for k, view in enumerate(views):
-        turn = rotation_of(poses[k, :3])
-        found: list[Sighting | None] = []
-        for index, sighting in enumerate(view.sightings):
-            if sighting is None:
-                found.append(None)
-                continue
-            places = problem.points[sighting.numbers]
-            rims = (places[:, None] + ring) @ turn.T + poses[k, 3:]
-            both = np.concatenate([rims, (places @ turn.T + poses[k, 3:])[:, None]], axis=1)
-            pixels = cameras[index].project(both if index == 0 else both @ rotation.T + translation)
-            shift = _middle(pixels[:, :-1]) - pixels[:, -1]
-            found.append(Sighting(sighting.numbers, sighting.pixels - shift))
-        moved.append(BoardView(tuple(found)))
-    return tuple(moved)
+    moved = [list(view) for view in views]
+    for one in problem.placed(x):
+        places = problem.points[one.sighting.numbers]
+        both = np.concatenate([places[:, None] + ring, places[:, None]], axis=1)
+        seen = one.camera.project_with_derivatives(both.reshape(-1, 3), one.turn, one.way)
+        pixels = seen.pixels.reshape(len(places), -1, 2)
+        given = views[one.moment][one.side]
+        shift = _middle(pixels[:, :-1]) - pixels[:, -1]
+        moved[one.moment][one.side] = given and Sighting(given.numbers, given.pixels - shift)
+    return tuple(map(tuple, moved))
 
 
 def _middle(rims: FloatArray) -> FloatArray:
@@ -536,40 +437,40 @@ def _middle(rims: FloatArray) -> FloatArray:
     start = rims[:, :1]
     (x, y), (p, q) = np.moveaxis(rims - start, -1, 0), np.moveaxis(np.roll(rims, -1, axis=1) - start, -1, 0)
     area = x * q - p * y
-    total = 3 * area.sum(axis=1)
     sums = [((x + p) * area).sum(axis=1), ((y + q) * area).sum(axis=1)]
-    return np.asarray(start[:, 0] + np.stack(sums, axis=-1) / total[:, None])
+    return np.asarray(start[:, 0] + np.stack(sums, axis=-1) / (3 * area.sum(axis=1))[:, None])
 
 
-def _finished(problem: _Adjustment, x: FloatArray, kept: Sequence[BoolArray]) -> CameraCalibration:
-    misses, slopes, moments = _rows(problem, x, kept)
-    freedom = max(len(misses) - len(x), 1)
-    variance = float(misses @ misses) / freedom
-    inverse = np.asarray(np.linalg.inv(slopes.T @ slopes)[: problem.shared, : problem.shared], float)
-    between = _between_pictures(problem, misses, slopes, np.array(moments), variance)
-    cameras, rotation, translation, poses = problem.unpacked(x)
-    left = tuple(
-        np.concatenate([
-            np.column_stack([np.full(int(good.sum()), k), s.pixels[good], (camera.project(own) - s.pixels)[good]])
-            for (k, at, s, camera, own, _), good in zip(_seen(problem, x), kept, strict=True) if at == index
-        ]) for index in range(len(cameras))
-    )  # fmt: skip
+def _finished(problem: _Adjustment, x: FloatArray, inliers: Sequence[BoolArray]) -> CameraCalibration:
+    off, slopes, cameras = problem.misses(x), problem.slopes(x, inliers), problem.cameras(x)
+    misses = _inlying(off, inliers).ravel()
+    variance = float(misses @ misses) / max(len(misses) - len(x), 1)
+    placed = list(problem.placed(x))
+    moments = np.repeat([one.moment for one in placed], [2 * int(good.sum()) for good in inliers])
+    between = _between_pictures(problem, misses, slopes, moments, variance)
+    inverse = np.asarray(np.linalg.inv(slopes.T @ slopes)[: problem.shared, : problem.shared], dtype=float)
+    residuals = [np.column_stack([np.full(int(good.sum()), one.moment), one.sighting.pixels[good], part[good]])
+                 for one, part, good in zip(placed, off, inliers, strict=True)]  # fmt: skip
+    relative = problem.relative(x)
     return CameraCalibration(
         cameras=tuple(cameras),
-        rotation=rotation,
-        translation_m=translation,
-        covariance=_spread_out(problem, inverse * variance * max(between, 1.0) ** 2),
+        rotation=rotation_of(relative[:3]),
+        translation_m=relative[3:],
+        covariance=_whole(problem, x, inverse * variance * max(between, 1.0) ** 2),
         residual_px=math.sqrt(variance),
         between_pictures=between,
-        residuals=left,
-        left_out=int(sum((~good).sum() for good in kept)),
-        poses=poses,
-        tilt_deg=_tilt_deg(poses),
+        residuals=tuple(
+            np.concatenate([rows for one, rows in zip(placed, residuals, strict=True) if one.side == index])
+            for index in range(len(cameras))
+        ),
+        left_out=int(sum((~good).sum() for good in inliers)),
+        poses=problem.poses(x),
+        tilt_deg=_tilt_deg(problem.poses(x)),
     )
 
 
 def _between_pictures(
-    problem: _Adjustment, misses: FloatArray, slopes: FloatArray, moments: Any, variance: float
+    problem: _Adjustment, misses: FloatArray, slopes: FloatArray, moments: npt.NDArray[np.int64], variance: float
 ) -> float:
     """Errors of the shared parameters by leaving out one moment at a time, over those by the residuals.
 
@@ -581,33 +482,34 @@ def _between_pictures(
     gradients, normals = [], []
     for k in np.unique(moments):
         rows = moments == k
-        own = slopes[rows][:, count + 6 * k : count + 6 * k + 6]
+        basis = np.linalg.qr(slopes[rows][:, count + 6 * k : count + 6 * k + 6])[0]
         shared = slopes[rows][:, :count]
-        basis = np.linalg.qr(own)[0]
         shared = shared - basis @ (basis.T @ shared)
         gradients.append(shared.T @ misses[rows])
         normals.append(shared.T @ shared)
     inverse = np.linalg.inv(np.sum(normals, axis=0))
-    found = sum(float(g @ inverse @ g) for g in gradients)
-    shares = [inverse @ normal for normal in normals]
-    expected = variance * sum(float(np.trace(a) - np.trace(a @ a)) for a in shares)
-    return math.sqrt(found / max(expected, 1e-300))
+    shares = inverse @ np.array(normals)
+    expected = variance * np.trace(shares - shares @ shares, axis1=1, axis2=2).sum()
+    return math.sqrt(sum(float(g @ inverse @ g) for g in gradients) / max(float(expected), 1e-300))
 
 
-def _spread_out(problem: _Adjustment, covariance: FloatArray) -> FloatArray:
-    """The covariance with zeros for what was held."""
-    width, count = len(INTRINSICS), len(problem.free)
-    places = [k * width + free for k in range(len(problem.plain)) for free in problem.free]
-    places += [len(problem.plain) * width + k for k in range(problem.shared - len(problem.plain) * count)]
-    whole = np.zeros((len(problem.plain) * width + (6 if len(problem.plain) > 1 else 0),) * 2)
+def _whole(problem: _Adjustment, x: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The covariance with zeros for what was held, its rotation a small one after the relative one."""
+    width, cameras = len(INTRINSICS), len(problem.plain)
+    places = [k * width + free for k in range(cameras) for free in problem.free]
+    whole = np.zeros((cameras * width + (6 if cameras > 1 else 0),) * 2)
+    if cameras > 1:
+        places += range(cameras * width, len(whole))
+        by_small = open_cv().composeRT(problem.relative(x)[:3], np.zeros(3), np.zeros(3), np.zeros(3))[4]
+        small = np.eye(len(covariance))
+        small[problem.lenses : problem.lenses + 3, problem.lenses : problem.lenses + 3] = np.linalg.inv(by_small)
+        covariance = small @ covariance @ small.T
     whole[np.ix_(places, places)] = covariance
     return whole
 
 
 Shown: TypeAlias = str | Path | InputFile
 """A picture, by its name or read; it is handed on as it is."""
-NAMED = 4
-"""Pictures that a warning names."""
 
 
 def pictures_matching(patterns: Sequence[str], what: str = "pictures") -> list[str]:
@@ -618,11 +520,6 @@ def pictures_matching(patterns: Sequence[str], what: str = "pictures") -> list[s
         raise RequestError(f"`{what}` {error}; put a pattern in quotes") from error
 
 
-def files_of(pictures: str | Sequence[Shown], what: str = "pictures") -> list[Shown]:
-    """The same of one pattern; files as they are."""
-    return [*pictures_matching([pictures], what)] if isinstance(pictures, str) else list(pictures)
-
-
 def of_moments(left: Sequence[Shown], right: Sequence[Shown]) -> tuple[list[Shown], list[Shown]]:
     """Pictures of both cameras with their partners.
 
@@ -630,13 +527,13 @@ def of_moments(left: Sequence[Shown], right: Sequence[Shown]) -> tuple[list[Show
     belong together by it, and pictures without a partner are left out with a warning; else by their order. Raises
     RequestError where that leaves some over.
     """
-    sides = [{_number(one): one for one in side} for side in (left, right)]
+    sides = [{_number(_name(one)): one for one in side} for side in (left, right)]
     common = [number for number in sides[0] if number and number in sides[1]]
     if common and [len(side) for side in sides] == [len(left), len(right)]:
         over = [_name(one) for side in sides for number, one in side.items() if number not in common]
         if over:
-            told = f"no partner of the other camera, left out: {some_of(over, NAMED)}"
-            warnings.warn(told, LunarSciWarning, stacklevel=3)
+            note = f"no partner of the other camera, left out: {some_of(over, 4)}"
+            warnings.warn(note, LunarSciWarning, stacklevel=3)
         return [sides[0][number] for number in common], [sides[1][number] for number in common]
     if len(left) != len(right):
         raise RequestError(f"{len(left)} pictures and {len(right)} of `right`; give one of each moment, in order")
@@ -647,11 +544,11 @@ def _name(picture: Shown) -> str:
     return picture.name if isinstance(picture, InputFile) else str(picture)
 
 
-def _number(picture: Shown) -> str:
+def _number(name: str) -> str:
     """The last number in a name, without what counts cameras (cam0, cam1); '' where there is none.
 
     >>> _number("left07.png"), _number("cam1_0007.png"), _number("12_L.png")
     ('7', '7', '12')
     """
-    stem = re.sub(r"(?i)cam(?:era)?[_-]?[01](?![0-9])", "", Path(_name(picture)).stem)
+    stem = re.sub(r"(?i)cam(?:era)?[_-]?[01](?![0-9])", "", Path(name).stem)
     return next((digits.lstrip("0") or "0" for digits in reversed(re.findall(r"\d+", stem))), "")

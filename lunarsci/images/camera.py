@@ -8,35 +8,27 @@ all pixels share.
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.images.pictures import open_cv
 from lunarsci.names import one_of
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 """What a camera's picture depends on, in the order of `Camera.vector`."""
-SOURCE = "Brown (1971), Photogramm. Eng. 37, 855: close-range camera calibration"
 NEWTON_STEPS = 30
 CONVERGED = 1e-12
 
 
 class Projection(NamedTuple):
-    """Pixels (..., 2) with their derivatives by the point (..., 2, 3) and by the intrinsics (..., 2, 9)."""
+    """Pixels (n, 2) with their derivatives by the points' pose (n, 2, 6), rotation first, and intrinsics (n, 2, 9)."""
 
     pixels: FloatArray
-    by_point: FloatArray
-    by_intrinsics: FloatArray
-
-
-class Unprojection(NamedTuple):
-    """Rays (..., 3) with z = 1, and derivatives of their x, y by pixel (..., 2, 2) and intrinsics (..., 2, 9)."""
-
-    rays: FloatArray
-    by_pixel: FloatArray
+    by_pose: FloatArray
     by_intrinsics: FloatArray
 
 
@@ -74,11 +66,13 @@ class Camera:
     p2: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.width_px >= 2 and self.height_px >= 2):
-            raise ParameterError(f"{self.name}: a picture of {self.width_px} x {self.height_px} px; give 2 or more")
-        if not (self.fx_px > 0 and self.fy_px > 0 and np.isfinite(self.vector()).all()):
-            numbers = ", ".join(f"{name} {getattr(self, name)}" for name in INTRINSICS)
-            raise ParameterError(f"{self.name}: focal length above 0 and finite numbers are needed, not {numbers}")
+        positive = min(self.fx_px, self.fy_px) > 0 and min(self.size) >= 2
+        if not (positive and np.isfinite(self.vector()).all()):
+            names = ("width_px", "height_px", *INTRINSICS)
+            numbers = ", ".join(f"{name} {getattr(self, name)}" for name in names)
+            raise ParameterError(
+                f"{self.name}: 2 px or more, a focal length above 0 and finite numbers are needed, not {numbers}"
+            )
 
     def vector(self) -> FloatArray:
         """The intrinsics in the order of `INTRINSICS`. (9,)"""
@@ -141,19 +135,21 @@ class Camera:
 
     def project(self, points: npt.ArrayLike) -> FloatArray:
         """Pixels (..., 2) of points or directions (..., 3) in the camera's frame; NaN behind it or past the fold."""
-        x, y, seen = self._over_depth(np.asarray(points, dtype=float))
+        given = np.asarray(points, dtype=float)
+        ahead = given[..., 2] > 0
+        x, y = np.moveaxis(given[..., :2] / np.where(ahead, given[..., 2], 1.0)[..., None], -1, 0)
         xd, yd = self._distorted(x, y)
         pixels = np.stack([self.fx_px * xd + self.cx_px, self.fy_px * yd + self.cy_px], axis=-1)
-        return np.where(seen[..., None], pixels, np.nan)
+        return np.where((ahead & (np.hypot(x, y) < self.fold()))[..., None], pixels, np.nan)
 
-    def project_with_derivatives(self, points: npt.ArrayLike) -> Projection:
-        """`project`, with derivatives by the points [px / unit] and by the intrinsics."""
-        given = np.asarray(points, dtype=float)
-        x, y, _ = self._over_depth(given)
-        by_xy, by_intrinsics = self._by_xy(x, y), self._by_intrinsics(x, y)
-        zero, depth = np.zeros_like(x), given[..., 2]
-        over = np.stack([np.stack([1 + zero, zero, -x], -1), np.stack([zero, 1 + zero, -y], -1)], -2)
-        return Projection(self.project(given), by_xy @ (over / depth[..., None, None]), by_intrinsics)
+    def project_with_derivatives(
+        self, points: FloatArray, turn: npt.ArrayLike = (0.0,) * 3, way_m: npt.ArrayLike = (0.0,) * 3
+    ) -> Projection:
+        """`project`, by OpenCV, of points (n, 3) after a rotation, by its vector [rad], and a translation."""
+        rotated = np.asarray(turn, dtype=float), np.asarray(way_m, dtype=float)
+        pixels, slopes = open_cv().projectPoints(points, *rotated, self.matrix, self.distortion)
+        slopes = np.asarray(slopes).reshape(-1, 2, 15)
+        return Projection(np.asarray(pixels)[:, 0], slopes[..., :6], slopes[..., [6, 7, 8, 9, 10, 11, 14, 12, 13]])
 
     def rays(self, pixels: npt.ArrayLike) -> FloatArray:
         """Directions (..., 3) with z = 1 of pixels (..., 2), by Newton's method; NaN where the distortion has none."""
@@ -165,26 +161,12 @@ class Camera:
             x, y = self._undistorted(goal_x, goal_y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
-    def rays_with_derivatives(self, pixels: npt.ArrayLike) -> Unprojection:
-        """`rays`, with derivatives of x and y by the pixel [1/px] and by the intrinsics."""
-        rays = self.rays(pixels)
-        x, y = rays[..., 0], rays[..., 1]
-        by_pixel = _inverse_2x2(self._by_xy(x, y))
-        return Unprojection(rays, by_pixel, -by_pixel @ self._by_intrinsics(x, y))
-
     def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether pixels lie in the picture, `margin_px` from its border at least."""
         given = np.asarray(pixels, dtype=float)
         u, v = given[..., 0] - margin_px, given[..., 1] - margin_px
         right, low = self.width_px - 1 - 2 * margin_px, self.height_px - 1 - 2 * margin_px
         return (u >= -0.5) & (v >= -0.5) & (u <= right + 0.5) & (v <= low + 0.5)
-
-    def _over_depth(self, points: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-        depth = points[..., 2]
-        seen = depth > 0
-        safe = np.where(seen, depth, 1.0)
-        x, y = points[..., 0] / safe, points[..., 1] / safe
-        return x, y, seen & (np.hypot(x, y) < self.fold())
 
     def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         r2 = x * x + y * y
@@ -196,36 +178,23 @@ class Camera:
         )
 
     def _by_xy(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Derivatives of the pixel by x and y. (..., 2, 2)"""
+        """Derivatives of what `_distorted` gives by x and y. (..., 2, 2)"""
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)
         mixed = 2 * (x * y * slope + self.p1 * x + self.p2 * y)
         dxx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
         dyy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
-        fx, fy = self.fx_px, self.fy_px
-        return np.stack([np.stack([fx * dxx, fx * mixed], -1), np.stack([fy * mixed, fy * dyy], -1)], -2)
-
-    def _by_intrinsics(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Derivatives of the pixel by the intrinsics. (..., 2, 9)"""
-        r2 = x * x + y * y
-        xd, yd = self._distorted(x, y)
-        fx, fy, zero, one = self.fx_px, self.fy_px, np.zeros_like(x), np.ones_like(x)
-        powers = [r2, r2 * r2, r2**3]
-        u = [xd, zero, one, zero, *(fx * x * p for p in powers), fx * 2 * x * y, fx * (r2 + 2 * x * x)]
-        v = [zero, yd, zero, one, *(fy * y * p for p in powers), fy * (r2 + 2 * y * y), fy * 2 * x * y]
-        return np.stack([np.stack(u, -1), np.stack(v, -1)], -2)
+        return np.stack([np.stack([dxx, mixed], -1), np.stack([mixed, dyy], -1)], -2)
 
     def _undistorted(self, goal_x: FloatArray, goal_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         fold = self.fold()
         goal = np.hypot(goal_x, goal_y)
         shrink = np.minimum(1.0, 0.9 * fold / np.maximum(goal, 1e-300))
         x, y = goal_x * shrink, goal_y * shrink
-        scale = np.array([[self.fx_px], [self.fy_px]])
         for _ in range(NEWTON_STEPS):
             xd, yd = self._distorted(x, y)
-            by_xy = self._by_xy(x, y) / scale
-            step = _inverse_2x2(by_xy) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
+            step = _inverse_2x2(self._by_xy(x, y)) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
             x, y = x + step[..., 0, 0], y + step[..., 1, 0]
             if not (np.abs(step) > CONVERGED).any():
                 break
@@ -255,11 +224,13 @@ class Pose:
     center_m: FloatArray
 
     def __post_init__(self) -> None:
-        rotation = np.asarray(self.rotation, dtype=float)
-        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-            raise ParameterError("a pose needs a rotation of 3 x 3 numbers that turns without stretching")
-        if not (np.linalg.det(rotation) > 0 and np.shape(self.center_m) == (3,) and np.isfinite(self.center_m).all()):
-            raise ParameterError("a pose needs a rotation that does not mirror and a centre of 3 finite numbers")
+        rotation, center = np.asarray(self.rotation, dtype=float), np.asarray(self.center_m, dtype=float)
+        turns = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+        if not (turns and np.linalg.det(rotation) > 0 and center.shape == (3,) and np.isfinite(center).all()):
+            raise ParameterError(
+                "a pose needs a rotation of 3 x 3 numbers that turns without stretching or mirroring, and a centre of "
+                "3 finite numbers"
+            )
 
     @classmethod
     def looking(
@@ -286,6 +257,11 @@ class Pose:
         right = np.array([math.sin(heading), -math.cos(heading), 0.0])
         roll = math.atan2(float(across @ np.cross(forward, right)), float(across @ right))
         return math.degrees(heading), math.degrees(down), math.degrees(roll)
+
+    def to_dict(self) -> dict[str, Any]:
+        """position_m, heading_deg, down_deg and roll_deg, as results and files have them."""
+        angles = dict(zip(("heading_deg", "down_deg", "roll_deg"), self.angles_deg(), strict=True))
+        return {"position_m": [float(v) for v in self.center_m], **angles}
 
     def to_world(self, points: npt.ArrayLike) -> FloatArray:
         """Points (..., 3) of the camera's frame in the world. [m]"""
@@ -337,11 +313,11 @@ class Sensor:
     mtf_at_nyquist: float = 0.33
 
     def __post_init__(self) -> None:
-        if not (8 <= self.bits <= 16 and 0 < self.full_well_e < math.inf and 0 <= self.read_noise_e < math.inf):
-            raise ParameterError("a sensor has 8 to 16 bits, electrons above 0 and noise of 0 or more")
-        if not 0.01 <= self.mtf_at_nyquist <= PIXEL_MTF:
+        electrons = 0 < self.full_well_e < math.inf and 0 <= self.read_noise_e < math.inf
+        if not (8 <= self.bits <= 16 and electrons and 0.01 <= self.mtf_at_nyquist <= PIXEL_MTF):
             raise ParameterError(
-                f"mtf_at_nyquist is {self.mtf_at_nyquist}; give 0.01 to {PIXEL_MTF:.3f}, a pixel alone"
+                "a sensor has 8 to 16 bits, electrons above 0, noise of 0 or more, and mtf_at_nyquist of 0.01 to "
+                f"{PIXEL_MTF:.3f}, that of a pixel alone; not {self}"
             )
 
     @property
@@ -401,14 +377,17 @@ class StereoRig:
         Pose(rotation=self.rotation, center_m=self.translation_m)
         if not self.baseline_m > 0:
             raise ParameterError(f"{self.name}: both cameras are at one place; a stereo rig needs a baseline")
-        size, given = len(PARAMETERS), np.asarray(self.covariance)
-        if given.shape != (size, size) or not np.allclose(given, given.T, atol=1e-9 * max(1.0, np.abs(given).max())):
+        size, given = len(PARAMETERS), np.asarray(self.covariance, dtype=float)
+        good = given.shape == (size, size) and np.isfinite(given).all()
+        if good:
+            scale = np.sqrt(np.maximum(np.diag(given), 1e-300))
+            good = np.allclose(given, given.T, atol=1e-9 * max(1.0, np.abs(given).max()))
+            good = good and np.linalg.eigvalsh(given / np.outer(scale, scale)).min() >= -1e-6
+        if not good:
             raise ParameterError(
-                f"{self.name}: the covariance has shape {given.shape}; give {size} x {size}, symmetric"
+                f"{self.name}: a covariance of shape {given.shape}; give {size} x {size} finite numbers, symmetric, "
+                "without a negative variance"
             )
-        spread = np.sqrt(np.maximum(np.diag(given), 1e-300))
-        if not np.isfinite(given).all() or np.linalg.eigvalsh(given / np.outer(spread, spread)).min() < -1e-6:
-            raise ParameterError(f"{self.name}: the covariance is not finite or has a negative variance")
 
     @property
     def height_m(self) -> float:
@@ -424,6 +403,10 @@ class StereoRig:
     def sigmas(self) -> dict[str, float]:
         """Standard deviation of each parameter."""
         return dict(zip(PARAMETERS, map(math.sqrt, np.diag(self.covariance)), strict=True))
+
+    def summary(self) -> dict[str, Any]:
+        """Name, baseline, and what is assumed, for a result."""
+        return {"name": self.name, "baseline_m": self.baseline_m, "assumed": list(self.assumed)}
 
     def moved(self, changes: npt.ArrayLike) -> "StereoRig":
         """The rig with its parameters changed by so much. (24,)"""
@@ -443,13 +426,13 @@ class StereoRig:
         The sensor's numbers stay those of a pixel. Raises ParameterError where a height is then no whole number.
         """
         share = width_px / self.left.width_px
-        own = [share if name.endswith("_px") else 1.0 for name in PARAMETERS]
+        scale = [share if name.endswith("_px") else 1.0 for name in PARAMETERS]
         return dataclasses.replace(
             self,
             name=f"{self.name}, {width_px} px wide",
             left=self.left.scaled(share),
             right=self.right.scaled(share),
-            covariance=self.covariance * np.outer(own, own),
+            covariance=self.covariance * np.outer(scale, scale),
         )
 
     def drawn(self, random: np.random.Generator) -> "StereoRig":
@@ -491,30 +474,14 @@ class StereoRig:
         The steps are a tenth of the standard deviations. With the covariance C of the rig, J_i C J_k^T is the
         covariance of two points: the error that does not average.
         """
-        spread = np.sqrt(np.diag(self.covariance))
-        steps = np.where(spread > 0, 0.1 * spread, 1.0)
-        columns = []
-        for index, step in enumerate(steps):
-            if spread[index] == 0:
-                columns.append(np.zeros((*np.shape(left_px)[:-1], 3)))
-                continue
-            change = np.zeros(len(steps))
-            change[index] = step
+        sigmas = np.sqrt(np.diag(self.covariance))
+        by = np.zeros((*np.shape(left_px)[:-1], 3, len(sigmas)))
+        for index in np.flatnonzero(sigmas):
+            change = np.zeros(len(sigmas))
+            change[index] = 0.1 * sigmas[index]
             more, less = (self.moved(sign * change).triangulate(left_px, right_px).points for sign in (1.0, -1.0))
-            columns.append((more - less) / (2 * step))
-        return np.stack(columns, axis=-1)
-
-    def by_pixels(self, left_px: npt.ArrayLike, right_px: npt.ArrayLike, step_px: float = 0.01) -> FloatArray:
-        """Derivatives (..., 3, 4) of triangulated points by (u, v) of the left and of the right pixel. [m/px]"""
-        pixels = np.concatenate([np.asarray(left_px, dtype=float), np.asarray(right_px, dtype=float)], axis=-1)
-        columns = []
-        for index in range(4):
-            change = np.zeros(4)
-            change[index] = step_px
-            more, less = (pixels + sign * change for sign in (1.0, -1.0))
-            points = [self.triangulate(p[..., :2], p[..., 2:]).points for p in (more, less)]
-            columns.append((points[0] - points[1]) / (2 * step_px))
-        return np.stack(columns, axis=-1)
+            by[..., index] = (more - less) / (2 * change[index])
+        return by
 
     def range_error_m(self, range_m: npt.ArrayLike, disparity_sigma_px: float) -> FloatArray:
         """Random error of the range from that of a disparity: z^2 s / (f b). [m]"""
@@ -532,8 +499,9 @@ def covariance_of(sigmas: dict[str, float]) -> FloatArray:
     Raises ParameterError for a name that is none, and for a negative or infinite sigma.
     """
     for name, value in sigmas.items():
-        if name not in PARAMETERS:
-            raise ParameterError(f"'{name}' is no parameter of a stereo rig; {one_of(name, PARAMETERS)}")
-        if not 0 <= value < math.inf:
-            raise ParameterError(f"sigma of {name} is {value}; give a number of 0 or more")
+        if name not in PARAMETERS or not 0 <= value < math.inf:
+            raise ParameterError(
+                f"'{name}' is no parameter of a stereo rig; {one_of(name, PARAMETERS)}" if name not in PARAMETERS else
+                f"sigma of {name} is {value}; give a number of 0 or more"
+            )  # fmt: skip
     return np.diag([sigmas.get(name, 0.0) ** 2 for name in PARAMETERS])

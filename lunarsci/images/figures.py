@@ -18,15 +18,8 @@ from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolle
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.image import AxesImage
 
 MARK, BAND = "#D55E00", "#9fb4c0"
-
-
-def _page(title: str, height_in: float, synthetic: bool) -> "Figure":
-    figure = page(height_in)
-    headline(figure, title, synthetic=synthetic)
-    return figure
 
 
 def _map(axes: "Axes", model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:
@@ -36,21 +29,13 @@ def _map(axes: "Axes", model: ElevationModel, values: FloatArray, label: str, **
     axes.set_facecolor("#c9c9c9")
 
 
-def _levelled(model: ElevationModel) -> FloatArray:
-    """Heights less their plane. (ny, nx) [m]"""
-    x, y = np.meshgrid(model.x_m, model.y_m)
-    known = np.isfinite(model.height_m)
-    design = np.column_stack([np.ones(int(known.sum())), x[known], y[known]])
-    plane = np.linalg.lstsq(design, model.height_m[known], rcond=None)[0]
-    return np.asarray(model.height_m - (plane[0] + plane[1] * x + plane[2] * y))
-
-
 def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> "Figure":
     """Where the track is, its depth along it with errors, and the mean profile across."""
-    figure = _page(f"track on {as_label(model.name)}", 7.6, model.synthetic)
+    figure = page(7.6)
+    headline(figure, f"track on {as_label(model.name)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(3, 1, height_ratios=(1.3, 1, 1))
     reach = 4 * width_m
-    level = 1e3 * _levelled(model)
+    level = 1e3 * model.less_plane()
     seen = level[np.isfinite(level)]
     low, high = np.percentile(seen, (1, 99))
     _map(axes[0], model, level, "height less its plane [mm]", cmap="cividis", vmin=low, vmax=high)
@@ -110,7 +95,8 @@ def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: floa
 
 def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
     """Rocks on the heights over the ground, and the share found by diameter."""
-    figure = _page(f"rocks on {as_label(model.name)}", 4.3, model.synthetic)
+    figure = page(4.3)
+    headline(figure, f"rocks on {as_label(model.name)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(1, 2, width_ratios=(2, 1))
     above = 1e3 * survey.above_m
     high = max(float(np.nanpercentile(above, 99.5)), 1e-3)
@@ -135,9 +121,10 @@ def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
 def merge_page(merged: MergedMap) -> "Figure":
     """The merged heights, their errors, how many models there are, and where these disagree."""
     model = merged.model
-    figure = _page(f"map of {as_label(model.name, 60)}", 6.4, model.synthetic)
+    figure = page(6.4)
+    headline(figure, f"map of {as_label(model.name, 60)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(2, 2)
-    _map(axes[0, 0], model, _levelled(model), "height less its plane [m]", cmap="cividis")
+    _map(axes[0, 0], model, model.less_plane(), "height less its plane [m]", cmap="cividis")
     errors = 1e3 * np.hypot(model.layer("height_m_sigma"), model.layer("height_m_common_sigma"))
     high = float(np.nanpercentile(errors, 98))
     _map(axes[0, 1], model, errors, "error, random and common [mm]", cmap="viridis", vmin=0, vmax=high)
@@ -157,30 +144,28 @@ def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Fi
     axes = figure.subplots(2, 3)
     title = f"{as_label(model.name)}: {matches.shares()['matched']:.0%} of the pixels matched"
     headline(figure, title, synthetic=model.synthetic)
-    _matched_picture(axes[0, 0], matches)
-    _disparity(figure, axes[0, 1], matches)
-    _reasons(axes[0, 2], matches)
-    for axis, key, name in (
-        (axes[1, 0], "height_m", "height [m]"),
-        (axes[1, 1], "height_m_sigma", "random error [mm]"),
-        (axes[1, 2], "height_m_common_sigma", "common error [mm]"),
-    ):
-        _shown_map(figure, axis, model, key, name, pose)
-    return figure
-
-
-def _matched_picture(axis: "Axes", matches: StereoMatches) -> None:
     low, high = np.percentile(matches.left, [0.5, 99.5])
-    axis.imshow(matches.left, cmap="gray", vmin=low, vmax=high)
-    axis.set_title("left picture, rectified")
-    axis.set_axis_off()
-
-
-def _disparity(figure: "Figure", axis: "Axes", matches: StereoMatches) -> None:
-    shown = axis.imshow(matches.disparity, cmap="viridis", interpolation="nearest")
-    axis.set_title("disparity")
-    axis.set_axis_off()
-    _bar(figure, shown, axis, "disparity [px]")
+    axes[0, 0].imshow(matches.left, cmap="gray", vmin=low, vmax=high)
+    axes[0, 0].set_title("left picture, rectified")
+    disparity = axes[0, 1].imshow(matches.disparity, cmap="viridis", interpolation="nearest")
+    axes[0, 1].set_title("disparity")
+    for axis in axes[0]:
+        axis.set_axis_off()
+    bar: Any = {"orientation": "horizontal", "shrink": 0.85, "aspect": 25}
+    figure.colorbar(disparity, ax=axes[0, 1], label="disparity [px]", **bar)
+    _reasons(axes[0, 2], matches)
+    for axis, key, title, unit, colours in (
+        (axes[1, 0], "height_m", "height", "m", "cividis"),
+        (axes[1, 1], "height_m_sigma", "random error", "mm", "viridis"),
+        (axes[1, 2], "height_m_common_sigma", "common error", "mm", "viridis"),
+    ):
+        values = model.layer(key) * (1e3 if unit == "mm" else 1.0)
+        low, high = np.nanpercentile(values, [2, 98])
+        heights = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
+        axis.plot(*pose.center_m[:2], marker="^", color=COLORS[1], markeredgecolor="white", clip_on=False)
+        axis.set(title=title, xlabel="x [m]", ylabel="y [m]")
+        figure.colorbar(heights, ax=axis, label=f"{title} [{unit}]", **bar)
+    return figure
 
 
 def _reasons(axis: "Axes", matches: StereoMatches) -> None:
@@ -196,65 +181,49 @@ def _reasons(axis: "Axes", matches: StereoMatches) -> None:
         if share >= 0.0005 or name == REASONS[MATCHED]
     ]
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.03), frameon=False, ncols=2)
-    axis.set_axis_off()
-
-
-def _shown_map(figure: "Figure", axis: "Axes", model: ElevationModel, key: str, name: str, pose: Pose) -> None:
-    scale = 1e3 if "mm" in name else 1.0
-    values = scale * model.layer(key)
-    low, high = np.nanpercentile(values, [2, 98])
-    colours = "cividis" if key == "height_m" else "viridis"
-    shown = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
-    axis.plot(*pose.center_m[:2], marker="^", color=COLORS[1], markeredgecolor="white", clip_on=False)
-    axis.set(title=name.partition(" [")[0], xlabel="x [m]", ylabel="y [m]")
-    _bar(figure, shown, axis, name)
-
-
-def _bar(figure: "Figure", shown: "AxesImage", axis: "Axes", label: str) -> None:
-    figure.colorbar(shown, ax=axis, orientation="horizontal", label=label, shrink=0.85, aspect=25)
 
 
 LONG = 0.08
 """Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 
 
-def calibration_page(found: CameraCalibration, name: str) -> "Figure":
+def calibration_page(result: CameraCalibration, name: str) -> "Figure":
     """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
-    count = len(found.cameras)
+    count = len(result.cameras)
     figure = page(6.0 if count > 1 else 3.6)
-    headline(figure, f"{as_label(name, 60)}: residuals {found.residual_px:.3f} px")
+    headline(figure, f"{as_label(name, 60)}: residuals {result.residual_px:.3f} px")
     axes: Any = figure.subplots(2, 2) if count > 1 else figure.subplots(1, 2)[None]
     for k in range(count):
-        _calibration_residuals(figure, axes[0, k], found, k)
-        _by_moment(axes[1, k] if count > 1 else axes[0, 1], found, k)
+        _calibration_residuals(figure, axes[0, k], result, k)
+        _by_moment(axes[1, k] if count > 1 else axes[0, 1], result, k)
     legend_below(figure, axes.flat)
     return figure
 
 
-def _calibration_residuals(figure: "Figure", axis: "Axes", found: CameraCalibration, index: int) -> None:
-    camera, rows = found.cameras[index], found.residuals[index]
+def _calibration_residuals(figure: "Figure", axis: "Axes", result: CameraCalibration, index: int) -> None:
+    camera, rows = result.cameras[index], result.residuals[index]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 25), np.linspace(0, camera.height_px - 1, 21))
-    uncertain = found.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
+    uncertain = result.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
     top = float(np.nanpercentile(uncertain, 98))
     shown = axis.pcolormesh(u, v, uncertain, cmap="Blues", vmin=0, vmax=top, shading="gouraud")
     figure.colorbar(shown, ax=axis, orientation="horizontal", label="uncertainty of a direction [px]", shrink=0.8)
-    scale = 3 * found.residual_px / (LONG * camera.width_px)
+    scale = 3 * result.residual_px / (LONG * camera.width_px)
     arrows = axis.quiver(
         *rows[:, 1:].T, angles="xy", scale_units="xy", scale=scale, width=0.002, color=MARK, headwidth=3
     )
-    axis.quiverkey(arrows, 0.85, 1.03, 3 * found.residual_px, f"{3 * found.residual_px:.2f} px", labelpos="E")
+    axis.quiverkey(arrows, 0.85, 1.03, 3 * result.residual_px, f"{3 * result.residual_px:.2f} px", labelpos="E")
     axis.set(xlim=(0, camera.width_px), ylim=(camera.height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
     axis.set_title(f"{camera.name}: {len(rows)} points", loc="left")
 
 
-def _by_moment(axis: "Axes", found: CameraCalibration, index: int) -> None:
-    rows = found.residuals[index]
+def _by_moment(axis: "Axes", result: CameraCalibration, index: int) -> None:
+    rows = result.residuals[index]
     moments = np.unique(rows[:, 0]).astype(int)
     rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]
     axis.bar(moments + 1, rms, color=INK)
-    axis.axhline(found.residual_px, color=MARK, lw=1, label="all pictures")
+    axis.axhline(result.residual_px, color=MARK, lw=1, label="all pictures")
     axis.set(xlabel="picture, in the order given [-]", ylabel="rms of residuals [px]")
-    axis.set_title(found.cameras[index].name, loc="left")
+    axis.set_title(result.cameras[index].name, loc="left")
 
 
 def range_page(
@@ -280,10 +249,10 @@ ARROW = 30.0
 """Residuals are drawn so many times as long."""
 
 
-def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "Figure":
+def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> "Figure":
     """Picture of one pair's ties: in the farther and the nearer left picture, residuals, and a plan of stations."""
-    pair, adjusted = found.pairs[number], found.adjusted
-    far, near = found.stations[pair.far], found.stations[pair.near]
+    pair, adjusted = result.pairs[number], result.adjusted
+    far, near = result.stations[pair.far], result.stations[pair.near]
     figure = page(7.2)
     parts: Any = figure.subfigures(2, 1)
     above, below = parts
@@ -295,7 +264,7 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
     _ties_picture(right, near.matches.left, pair.ties.near_px, colours, f"{as_label(near.name)}, from near")
     off = adjusted.residual_px[number]
     _ties_residuals(residuals, pair.ties.far_px, off, adjusted.weights[number])
-    _plan(plan, found)
+    _plan(plan, result)
     legend_below(below, plan, 2)
     return figure
 
@@ -318,17 +287,17 @@ def _ties_residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: 
     axis.figure.colorbar(shown, ax=axis, orientation="horizontal", label="weight of the tie [-]", shrink=0.8)
 
 
-def _plan(axis: "Axes", found: Localised) -> None:
+def _plan(axis: "Axes", result: Localised) -> None:
     """Stations by dead reckoning and by ties, with ellipses of 95 %, drawn larger where they would not be seen."""
     from matplotlib.patches import Ellipse
 
-    told = np.array([s.pose.center_m[:2] for s in found.stations])
-    now = np.array([p.center_m[:2] for p in found.poses])
-    axis.plot(*told.T, "o--", color="0.5", label="dead reckoning")
+    reckoned = np.array([s.pose.center_m[:2] for s in result.stations])
+    now = np.array([p.center_m[:2] for p in result.poses])
+    axis.plot(*reckoned.T, "o--", color="0.5", label="dead reckoning")
     axis.plot(*now.T, "^-", color=COLORS[1], label="by ties")
     for k in range(1, len(now)):
-        own = found.covariance[6 * k - 3 : 6 * k - 1, 6 * k - 3 : 6 * k - 1]
-        sizes, ways = np.linalg.eigh(own)
+        covariance = result.covariance[6 * k - 3 : 6 * k - 1, 6 * k - 3 : 6 * k - 1]
+        sizes, ways = np.linalg.eigh(covariance)
         turn = np.degrees(np.arctan2(ways[1, 1], ways[0, 1]))
         width, height = 2 * 2.448 * np.sqrt(np.maximum(sizes[::-1], 0)) * 10
         axis.add_patch(Ellipse(tuple(now[k]), width, height, angle=turn, fill=False, color=COLORS[1]))

@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, StereoRig
-from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.elevation import ElevationModel, mean_about
 from lunarsci.images.matching import HALF_PX, StereoMatches
 
 COMMON_NODES = 4
@@ -22,11 +22,9 @@ STEEPEST = 1.5
 GRAZING_DEG = 3.0
 """What is seen flatter than that is no surface: something may hide between its pixels; assumed. [deg]"""
 PARTS = 3
-"""A cell's height is the mean over so many places along x and y on the triangles between pixels; assumed."""
+"""A cell's height is the mean over so many places along x and y on the triangles between pixels."""
 COVERED = 0.5
 """Share of these places that must lie on triangles; assumed."""
-ASIDE = 1.0
-"""Share of the unevenness between nodes that turns an error along the level into one of height; assumed: all of it."""
 ALIKE_PX = 4.0
 """Distance of pixels whose errors are independent: as `matching.CORRELATED`."""
 REPRESENTED = 0.09
@@ -50,17 +48,17 @@ class Cloud(NamedTuple):
 
 def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     """The points of a pair up to a range. Raises DataError where there are none."""
-    known = np.isfinite(matches.disparity) & (matches.disparity > 0)
-    place = np.argwhere(known)
+    valid = np.isfinite(matches.disparity) & (matches.disparity > 0)
+    place = np.argwhere(valid)
     frame = matches.rectified
-    d = matches.disparity[known]
+    d = matches.disparity[valid]
     depth = frame.focal_px * frame.baseline_m / d
     rays = np.column_stack([(place[:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
     local = (rays * depth[:, None]) @ frame.turn
     near = np.linalg.norm(local, axis=1) <= farthest_m
     if near.sum() < 100:
         raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger `farthest`")
-    return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[known][near])
+    return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[valid][near])
 
 
 def levelled(matches: StereoMatches, height_m: float) -> Pose:
@@ -99,14 +97,15 @@ def grid_of(
     cell = cells[:, 1] * shape[1] + cells[:, 0]
     first = _medians(cell, cloud.points[:, 2], shape)
     gain = _height_by_disparity(cloud, first, pose, cells, spacing_m)
-    aside = ASIDE * _unevenness(first, spacing_m)[cells[:, 1], cells[:, 0]] * _level(cloud, pose) / cloud.disparity
+    away = np.linalg.norm((cloud.points - pose.center_m)[:, :2], axis=1)
+    aside = _unevenness(first, spacing_m)[cells[:, 1], cells[:, 0]] * away / cloud.disparity
     sigma = np.hypot(gain, aside) * cloud.sigma_px
     window = (2 * HALF_PX + 1) * np.linalg.norm(cloud.points - pose.center_m, axis=1) / matches.rectified.focal_px
-    kept = np.abs(cloud.points[:, 2] - first.ravel()[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
+    near = np.abs(cloud.points[:, 2] - first.ravel()[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
     values = np.column_stack([cloud.points[:, 2], sigma**2, gain, window])
-    layers, covered = _on_triangles(cloud, kept, values, matches, (x0, y0, spacing_m), shape)
+    layers, covered = _on_triangles(cloud, near, values, matches, (x0, y0, spacing_m), shape)
     height, variance, by_disparity, width = np.moveaxis(layers, -1, 0)
-    count = np.bincount(cell[kept], minlength=shape[0] * shape[1]).reshape(shape)
+    count = np.bincount(cell[near], minlength=shape[0] * shape[1]).reshape(shape)
     common, shift = _common_errors(rig, pose, height, (x0, y0, spacing_m))
     parts = _spread_of_means(height, variance, count, covered, spacing_m), _unevenness(height, spacing_m) * shift
     return ElevationModel(
@@ -140,11 +139,11 @@ def _spread_of_means(
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Median height of each cell, NaN where it has none. (ny, nx)"""
-    order = np.lexsort((z, cell))
-    places, starts, counts = np.unique(cell[order], return_index=True, return_counts=True)
-    found = np.full(shape[0] * shape[1], np.nan)
-    found[places] = 0.5 * (z[order][starts + counts // 2] + z[order][starts + (counts - 1) // 2])
-    return found.reshape(shape)
+    from scipy.ndimage import median
+
+    medians, places = np.full(shape[0] * shape[1], np.nan), np.unique(cell)
+    medians[places] = median(z, cell, places)
+    return medians.reshape(shape)
 
 
 def _height_by_disparity(
@@ -157,18 +156,13 @@ def _height_by_disparity(
     return np.asarray((along - way[:, 2]) / cloud.disparity)
 
 
-def _level(cloud: Cloud, pose: Pose) -> FloatArray:
-    """Distance from the camera along the level. (n,) [m]"""
-    return np.asarray(np.linalg.norm((cloud.points - pose.center_m)[:, :2], axis=1))
-
-
 def _unevenness(height: FloatArray, spacing_m: float) -> FloatArray:
     """Rms of slopes from node to node about the smoothed ones; 0 where nothing is known. (ny, nx)"""
     apart = [
         np.clip(np.gradient(height, spacing_m, axis=axis), -STEEPEST, STEEPEST) - smooth
         for axis, smooth in enumerate(_slope(height, spacing_m))
     ]
-    mean = _smoothed(0.5 * (apart[0] ** 2 + apart[1] ** 2), SMOOTH_M / spacing_m)
+    mean = mean_about(0.5 * (apart[0] ** 2 + apart[1] ** 2), SMOOTH_M / spacing_m)
     return np.sqrt(np.nan_to_num(mean))
 
 
@@ -177,13 +171,10 @@ def _slope(height: FloatArray, spacing_m: float) -> tuple[FloatArray, FloatArray
 
     Where everything is known that is the gradient of the smoothed heights (Stein 1981, 10.1214/aos/1176345632).
     """
-    from scipy.ndimage import gaussian_filter
-
-    width, known = SMOOTH_M / spacing_m, np.isfinite(height)
-    weight = np.maximum(gaussian_filter(known.astype(float), width), 1e-12)
+    width, valid = SMOOTH_M / spacing_m, np.isfinite(height)
 
     def mean(values: FloatArray) -> FloatArray:
-        return np.asarray(gaussian_filter(np.where(known, values, 0.0), width) / weight)
+        return mean_about(np.where(valid, values, np.nan), width)
 
     y, x = np.indices(height.shape, dtype=float)
     my, mx, mz = mean(y), mean(x), mean(height)
@@ -193,21 +184,11 @@ def _slope(height: FloatArray, spacing_m: float) -> tuple[FloatArray, FloatArray
     return tuple(np.clip(g / (xx * yy - xy * xy) / spacing_m, -STEEPEST, STEEPEST) for g in both)  # type: ignore[return-value]
 
 
-def _smoothed(height: FloatArray, width: float) -> FloatArray:
-    """Gaussian mean of what is known; NaN far from it. (ny, nx)"""
-    from scipy.ndimage import gaussian_filter
-
-    known = np.isfinite(height)
-    weight = gaussian_filter(known.astype(float), width)
-    total = gaussian_filter(np.where(known, height, 0.0), width)
-    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
-
-
 def _relief(height: FloatArray, spacing_m: float) -> FloatArray:
     """Rms of heights about the smoothed ground. (ny, nx) [m]"""
     width = 2 * SMOOTH_M / 3 / spacing_m
-    apart = (height - _smoothed(height, width)) ** 2
-    return np.sqrt(np.nan_to_num(_smoothed(apart, width)))
+    apart = (height - mean_about(height, width)) ** 2
+    return np.sqrt(np.nan_to_num(mean_about(apart, width)))
 
 
 def _common_errors(
@@ -218,16 +199,16 @@ def _common_errors(
     With the covariance V of a point, ground whose slopes are p and q rises by (-p, -q, 1) V (-p, -q, 1)^T, squared.
     (ny, nx), (ny, nx) [m]
     """
-    known = np.isfinite(height)
-    slope_y, slope_x = (part[known] for part in _slope(height, grid[2]))
-    covariance = _of_points(rig, pose, height, grid)[known]
-    rows, columns = np.nonzero(known)
+    valid = np.isfinite(height)
+    slope_y, slope_x = (part[valid] for part in _slope(height, grid[2]))
+    covariance = _of_points(rig, pose, height, grid)[valid]
+    rows, columns = np.nonzero(valid)
     away = np.column_stack([columns, rows]) * grid[2] + np.array(grid[:2]) - pose.center_m[:2]
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
     ways = np.stack([-slope_x, -slope_y, np.ones(len(rows))], axis=-1), np.pad(away, ((0, 0), (0, 1)))
     result = np.full((2, *height.shape), np.nan)
     for layer, way in zip(result, ways, strict=True):
-        layer[known] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, covariance, way), 0.0))
+        layer[valid] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, covariance, way), 0.0))
     return result[0], result[1]
 
 
@@ -259,7 +240,7 @@ def _nearest(values: FloatArray) -> FloatArray:
 
 def _on_triangles(
     cloud: Cloud,
-    kept: npt.NDArray[np.bool_],
+    used: npt.NDArray[np.bool_],
     values: FloatArray,
     matches: StereoMatches,
     grid: tuple[float, float, float],
@@ -268,7 +249,7 @@ def _on_triangles(
     """Means of values (n, m) over each cell (ny, nx, m), on triangles between neighbouring pixels, and how much of it
     these cover (ny, nx); NaN where that is little."""
     numbers = np.full(matches.disparity.shape, -1, dtype=np.int64)
-    numbers[cloud.pixels[kept, 0], cloud.pixels[kept, 1]] = np.flatnonzero(kept)
+    numbers[cloud.pixels[used, 0], cloud.pixels[used, 1]] = np.flatnonzero(used)
     place = (cloud.points[:, :2] - np.array(grid[:2])) / grid[2] * PARTS + 0.5 * (PARTS - 1)
     total = np.zeros((shape[0] * PARTS, shape[1] * PARTS, values.shape[1]), dtype=np.float32)
     weight = np.zeros(total.shape[:2], dtype=np.float32)

@@ -6,13 +6,12 @@ how much the fit misses is part of the answer.
 
 import re
 from dataclasses import dataclass, replace
-from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, rotation_of
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, text
@@ -20,13 +19,13 @@ from lunarsci.io.inputs import InputFile, text
 STEPS = 12
 """Points along each side of a picture that a model is fitted at."""
 FEWEST_POINTS = 50
-"""That a fit of 15 numbers rests on; assumed."""
+"""That a fit of 15 numbers rests on: 100 equations, six or seven for each."""
 RANGES = (2.0, 5.0, 20.0)
 """Ranges of those points, since the pupil of CAHVORE moves. [m]"""
 MOST_TRIES = 100
 """Of a fit; sound models need some ten."""
 MOST_PX = 100_000
-"""Lines or samples of a picture; assumed."""
+"""Lines or samples of a picture: a hundred times those of cameras on rovers; assumed."""
 COARSE_PX = 1.0
 """A fit that misses by more says so; assumed."""
 Z_DOWN = re.compile(r'COORD\w*SYSTEM_NAME\s*=\s*"?(?:ROVER|SITE|LOCAL_LEVEL|LANDER)\w*')
@@ -113,8 +112,6 @@ class CahvModel:
 def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
     """The Brown-Conrady camera nearest to a model of the CAHV family, or another lens, over its whole picture at 2, 5
     and 20 m."""
-    from scipy.optimize import least_squares
-
     v = model.vectors
     axis = v["A"] / np.linalg.norm(v["A"])
     across, down = np.cross(np.cross(axis, v["H"]), axis), np.cross(np.cross(axis, v["V"]), axis)
@@ -122,35 +119,57 @@ def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
     if not (0 < focal_x < np.inf and 0 < focal_y < np.inf):
         raise DataError(f"{name}: A, H and V span no picture ({focal_x:g}, {focal_y:g} px); check the label")
     rotation = orthonormal(np.stack([across / focal_x, np.cross(axis, across / focal_x), axis], axis=1))
-    first = np.array([focal_x, focal_y, axis @ v["H"], axis @ v["V"]])
-    size = {"width_px": model.width_px, "height_px": model.height_px}
-    plain = Camera(name=name, **size, **dict(zip(INTRINSICS[:4], map(float, first), strict=True)))  # type: ignore[arg-type]
+    numbers = dict(zip(INTRINSICS, map(float, (focal_x, focal_y, axis @ v["H"], axis @ v["V"])), strict=False))
+    plain = Camera(name=name, width_px=model.width_px, height_px=model.height_px, **numbers)
     points, pixels = _samples(model, plain, rotation)
+    begin = Pose(rotation=rotation, center_m=v["C"])
+    fitted = _fitted(plain, begin, points, pixels, free=slice(0, 9), moves=True)
+    pinhole = _fitted(plain, begin, points, pixels, free=slice(0, 4), moves=True)
+    remark = f"the fit to its model misses it by {fitted.residual_max_px:.2g} px at most"
+    return replace(
+        fitted,
+        pinhole_max_px=pinhole.residual_max_px,
+        remarks=(remark,) if fitted.residual_max_px > COARSE_PX else (),
+    )
+
+
+def _fitted(
+    plain: Camera, begin: Pose, points: FloatArray, pixels: FloatArray, *, free: slice, moves: bool
+) -> LabelCamera:
+    """The camera and pose that see points (n, 3) nearest to pixels (n, 2): free intrinsics, a turn, and a place if it
+    moves."""
+    from scipy.optimize import least_squares
+
+    count = len(INTRINSICS[free])
+
+    def unpacked(values: FloatArray) -> tuple[Camera, Pose]:
+        vector = plain.vector()
+        vector[free] += values[:count]
+        turned = begin.rotation @ rotation_of(values[count : count + 3])
+        center = begin.center_m + values[count + 3 :] if moves else begin.center_m
+        return plain.with_vector(vector), Pose(rotation=orthonormal(turned), center_m=center)
 
     def misses(values: FloatArray) -> FloatArray:
-        vector = np.concatenate([first + values[:4], values[4:9] if len(values) > 10 else np.zeros(5)])
-        turn, place = values[-6:-3], v["C"] + values[-3:]
-        seen = (points - place) @ (rotation @ rotation_of(turn))
         try:
-            found = plain.with_vector(vector).project(seen)
-        except ValueError:
+            camera, pose = unpacked(values)
+        except ParameterError:
             return np.full(pixels.size, 1e4)
-        return np.asarray(np.nan_to_num((found - pixels).ravel(), nan=1e4))
+        return np.asarray(np.nan_to_num((camera.project(pose.to_camera(points)) - pixels).ravel(), nan=1e4))
 
-    scale = np.array([1.0] * 4 + [1e-3] * 11)
-    bent = least_squares(misses, np.zeros(15), x_scale=scale, xtol=1e-14, ftol=1e-14, max_nfev=MOST_TRIES)
-    pinhole = least_squares(
-        misses, np.zeros(10), x_scale=scale[[0, 1, 2, 3, 9, 10, 11, 12, 13, 14]], max_nfev=MOST_TRIES
+    scale = np.array(
+        [1.0 if name.endswith("_px") else 1e-3 for name in INTRINSICS[free]] + [1e-3] * (6 if moves else 3)
     )
-    left, flat = (np.linalg.norm(fit.fun.reshape(-1, 2), axis=1) for fit in (bent, pinhole))
-    remark = f"the fit to its model misses it by {left.max():.2g} px at most"
+    fit = least_squares(misses, np.zeros(len(scale)), x_scale=scale, xtol=1e-14, ftol=1e-14, max_nfev=MOST_TRIES)
+    camera, pose = unpacked(fit.x)
+    left = np.linalg.norm(fit.fun.reshape(-1, 2), axis=1)
+    largest = float(left.max())
     return LabelCamera(
-        camera=plain.with_vector(np.concatenate([first + bent.x[:4], bent.x[4:9]])),
-        pose=Pose(rotation=orthonormal(rotation @ rotation_of(bent.x[9:12])), center_m=v["C"] + bent.x[12:15]),
+        camera=camera,
+        pose=pose,
         residual_rms_px=float(np.sqrt(np.mean(left**2))),
-        residual_max_px=float(left.max()),
-        pinhole_max_px=float(flat.max()),
-        remarks=(remark,) if left.max() > COARSE_PX else (),
+        residual_max_px=largest,
+        pinhole_max_px=largest,
+        remarks=(),
     )
 
 
@@ -167,42 +186,41 @@ def _samples(model: CahvModel, plain: Camera, rotation: FloatArray) -> tuple[Flo
     return points[inside], pixels[inside]
 
 
-def read_cahv(name: str, content: str) -> LabelCamera:
-    """The camera of a text with a CAHV, CAHVOR or CAHVORE model, its frame with z up. Raises DataError."""
-    return _upright(fit_cahv(_cahv_of(name, content), name), content)
-
-
-def _upright(found: LabelCamera, content: str) -> LabelCamera:
+def _upright(fitted: LabelCamera, content: str) -> LabelCamera:
     """A camera in a frame whose z is up.
 
     Frames of rovers and sites have z down (Maki et al. 2003, 10.1029/2003JE002077, for MER; MSL and Mars 2020 as well).
     Where a label names none of these the picture is held for upright.
     """
-    down = bool(Z_DOWN.search(content)) or found.pose.rotation[2, 1] > 0
-    if not down:
-        return found
+    if not (Z_DOWN.search(content) or fitted.pose.rotation[2, 1] > 0):
+        return fitted
     turn = np.diag([1.0, -1.0, -1.0])
-    pose = Pose(rotation=turn @ found.pose.rotation, center_m=turn @ found.pose.center_m)
-    return replace(found, pose=pose, remarks=(*found.remarks, DOWN))
+    pose = Pose(rotation=turn @ fitted.pose.rotation, center_m=turn @ fitted.pose.center_m)
+    return replace(fitted, pose=pose, remarks=(*fitted.remarks, DOWN))
 
 
 def _cahv_of(name: str, content: str) -> CahvModel:
     vectors = _components(content)
     if not {"C", "A", "H", "V"} <= vectors.keys():
         raise DataError(f"{name}: no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label")
-    for letter, partner in (("O", "R"), ("R", "O")):
-        if letter in vectors and partner not in vectors:
-            raise DataError(f"{name}: a CAHVOR model needs O and R; {partner} is missing")
     width = _first_number(content, ("LINE_SAMPLES", "xdim", "NS"))
     height = _first_number(content, ("LINES", "ydim", "NL"))
-    if width is None or height is None:
-        raise DataError(f"{name}: the size of the picture is missing; add LINES = … and LINE_SAMPLES = …")
+    halves = {"O", "R"} & vectors.keys()
+    if width is None or height is None or len(halves) == 1:
+        lacks = (
+            f"a CAHVOR model needs O and R, not {halves.pop()} alone"
+            if len(halves) == 1
+            else "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …"
+        )
+        raise DataError(f"{name}: {lacks}")
     kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
-    own = {"linearity": 1.0 if kind is None else float(kind)}
     vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
     vectors.setdefault("R", np.zeros(3))
     return CahvModel(
-        vectors=vectors, width_px=count_of(name, width, "samples"), height_px=count_of(name, height, "lines"), **own
+        vectors=vectors,
+        width_px=count_of(name, width, "samples"),
+        height_px=count_of(name, height, "lines"),
+        linearity=1.0 if kind is None else kind,
     )
 
 
@@ -211,26 +229,18 @@ def _components(content: str) -> dict[str, FloatArray]:
     unit = r"(?:\s*<[^<>]*>)?"
     triple = rf"\(?\s*({NUMBER}){unit}[\s,]++({NUMBER}){unit}[\s,]++({NUMBER})"
     listed = re.search(r"MODEL_COMPONENT_ID\s*=\s*\(([^)]*)\)", content)
-    found: dict[str, FloatArray] = {}
-    if listed:
-        for index, letter in enumerate(re.findall(r"\w+", listed[1]), start=1):
-            if cells := re.search(rf"MODEL_COMPONENT_{index}\s*=\s*{triple}", content):
-                found.setdefault(letter, _floats(cells))
-        return found
-    for cells in re.finditer(rf"^[ \t]*+([CAHVORE])\s*=\s*{triple}", content, re.MULTILINE):
-        found.setdefault(cells[1], _floats(cells, 2))
-    return found
+    letters = re.findall(r"\w+", listed[1]) if listed else "CAHVORE"
+    vectors: dict[str, FloatArray] = {}
+    for index, letter in enumerate(letters, start=1):
+        start = rf"MODEL_COMPONENT_{index}" if listed else rf"^[ \t]*+{letter}"
+        if letter not in vectors and (cells := re.search(rf"{start}\s*=\s*{triple}", content, re.MULTILINE)):
+            vectors[letter] = np.array([float(cell.upper().replace("D", "E")) for cell in cells.groups()])
+    return vectors
 
 
-def _floats(cells: re.Match[str], first: int = 1) -> FloatArray:
-    return np.array([float(cells[place].replace("D", "e").replace("d", "e")) for place in range(first, first + 3)])
-
-
-def _first_number(content: str, names: tuple[str, ...]) -> Any:
-    for key in names:
-        if cells := re.search(rf"^[ \t]*+{key}\s*=\s*({NUMBER})", content, re.MULTILINE):
-            return float(cells[1])
-    return None
+def _first_number(content: str, names: tuple[str, ...]) -> float | None:
+    cells = (re.search(rf"^[ \t]*+{key}\s*=\s*({NUMBER})", content, re.MULTILINE) for key in names)
+    return next((float(match[1]) for match in cells if match), None)
 
 
 def orthonormal(matrix: FloatArray) -> FloatArray:
@@ -269,7 +279,7 @@ def read_label(file: InputFile) -> LabelCamera:
     content = text(file)
     if content.lstrip().startswith("<"):
         return _from_pds4(file.name, content)
-    return read_cahv(file.name, content)
+    return _upright(fit_cahv(_cahv_of(file.name, content), file.name), content)
 
 
 def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
@@ -316,70 +326,43 @@ def _from_pds4(name: str, content: str) -> LabelCamera:
         raise DataError(f"{name}: pixel_size {pitch:g}, focal_length {length:g}; both are above 0")
     focal = length / (pitch := pitch * 1e-3)
     across, down = (_principal(name, root, axis) / pitch for axis in "xy")
-    found = {corner: _vector(name, root, f"{corner}_point_observe_vector") for corner in CORNERS}
-    told = {corner: vector / np.linalg.norm(vector) for corner, vector in found.items() if vector is not None}
+    vectors = {corner: _vector(name, root, f"{corner}_point_observe_vector") for corner in CORNERS}
+    stated = {corner: vector / np.linalg.norm(vector) for corner, vector in vectors.items() if vector is not None}
     center = np.array([_number(name, root, f"camera_center_position_{axis}", 0.0) for axis in "xyz"])
-    fits = [
-        _fit_corners(name, (width, height), focal, (across, sign * down), told, center) for sign in (1.0, -1.0)
-    ] if len(told) >= 3 else []  # fmt: skip
-    if not fits:
-        raise DataError(f"{name}: its label states {len(told)} directions of corners; three or more are needed")
+    if len(stated) < 3:
+        raise DataError(f"{name}: its label states {len(stated)} directions of corners; three or more are needed")
+    fits = [_fit_corners(name, (width, height), focal, (across, sign * down), stated) for sign in (1.0, -1.0)]
     best = min(fits, key=lambda fit: fit.residual_rms_px)
     if best.residual_max_px > 0.1 * width:
         raise DataError(
             f"{name}: focal length and stated corners differ by {best.residual_max_px:.0f} px; is the label damaged?"
         )
-    return best
+    return replace(best, pose=Pose(rotation=best.pose.rotation, center_m=center))
 
 
 def _fit_corners(
-    name: str,
-    size: tuple[int, int],
-    focal: float,
-    principal: tuple[float, float],
-    told: dict[str, FloatArray],
-    center: FloatArray,
+    name: str, size: tuple[int, int], focal: float, principal: tuple[float, float], stated: dict[str, FloatArray]
 ) -> LabelCamera:
     """Rotation and k1 from stated directions of the corners and the middle of a picture."""
-    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
 
     right, low = size[0] - 1.0, size[1] - 1.0
     places = {"up_left": (0, 0), "down_left": (0, low), "up_right": (right, 0), "down_right": (right, low)}
-    pixels = np.array([places.get(corner, (0.5 * right, 0.5 * low)) for corner in told])
-    directions = np.array(list(told.values()))
-    middle = 0.5 * right + principal[0], 0.5 * low + principal[1]
+    pixels = np.array([places.get(corner, (0.5 * right, 0.5 * low)) for corner in stated])
+    directions = np.array(list(stated.values()))
     plain = Camera(
-        name=name, width_px=size[0], height_px=size[1], fx_px=focal, fy_px=focal, cx_px=middle[0], cy_px=middle[1]
-    )
-    first = _turned_onto(plain.rays(pixels), directions)
-
-    def misses(values: FloatArray) -> FloatArray:
-        vector = plain.vector()
-        vector[4] = values[3] if len(values) > 3 else 0.0
-        seen = directions @ (rotation_of(values[:3]) @ first)
-        return np.asarray(np.nan_to_num((plain.with_vector(vector).project(seen) - pixels).ravel(), nan=1e4))
-
-    pinhole, bent = (least_squares(misses, np.zeros(count), x_scale=1e-3, max_nfev=MOST_TRIES) for count in (3, 4))
-    chosen = bent if len(told) >= 4 else pinhole
-    vector = plain.vector()
-    vector[4] = chosen.x[3] if len(chosen.x) > 3 else 0.0
-    left = np.linalg.norm(chosen.fun.reshape(-1, 2), axis=1)
-    k1 = "k1 from the stated corners, other distortion unknown" if len(told) >= 4 else "distortion unknown"
-    return LabelCamera(
-        camera=plain.with_vector(vector),
-        pose=Pose(rotation=orthonormal(rotation_of(chosen.x[:3]) @ first), center_m=center),
-        residual_rms_px=float(np.sqrt(np.mean(left**2))),
-        residual_max_px=float(left.max()),
-        pinhole_max_px=float(np.linalg.norm(pinhole.fun.reshape(-1, 2), axis=1).max()),
-        remarks=(k1, "the sign of the principal point's y is the one that fits the corners better"),
-    )
-
-
-def _turned_onto(rays: FloatArray, directions: FloatArray) -> FloatArray:
-    """The rotation that turns rays of the camera best into directions (Kabsch 1976, 10.1107/S0567739476001873)."""
-    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    left, _, right = np.linalg.svd(directions.T @ unit)
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+        name=name, width_px=size[0], height_px=size[1], fx_px=focal, fy_px=focal,
+        cx_px=0.5 * right + principal[0], cy_px=0.5 * low + principal[1],
+    )  # fmt: skip
+    rays = plain.rays(pixels)
+    turn, _ = Rotation.align_vectors(directions, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    begin = Pose(rotation=turn.as_matrix(), center_m=np.zeros(3))
+    pinhole = _fitted(plain, begin, directions, pixels, free=slice(0, 0), moves=False)
+    bends = len(stated) >= 4
+    fitted = _fitted(plain, begin, directions, pixels, free=slice(4, 5), moves=False) if bends else pinhole
+    k1 = "k1 from the stated corners, other distortion unknown" if bends else "distortion unknown"
+    remarks = (k1, "the sign of the principal point's y is the one that fits the corners better")
+    return replace(fitted, pinhole_max_px=pinhole.residual_max_px, remarks=remarks)
 
 
 def _size(name: str, root: Element) -> tuple[int, int]:
@@ -392,10 +375,10 @@ def _size(name: str, root: Element) -> tuple[int, int]:
 
 
 def _number(name: str, root: Element, tag: str, default: float | None = None) -> float:
-    found = next((node.text for node in root.iter(tag) if node.text), None)
-    if found is None and default is None:
+    cell = next((node.text for node in root.iter(tag) if node.text), default)
+    if cell is None:
         raise DataError(f"{name}: its label has no {tag}; labels of Chang'E's PCAM of level 2B have one")
-    return finite(name, tag, str(default) if found is None else found)
+    return finite(name, tag, str(cell))
 
 
 def _principal(name: str, root: Element, axis: str) -> float:
@@ -403,8 +386,8 @@ def _principal(name: str, root: Element, axis: str) -> float:
     for place in ("principal_point_coordinate", "principle_point_coordinate"):
         for node in root.iter(place):
             for tag in (f"{axis}0", axis):
-                if (found := node.findtext(tag)) is not None:
-                    return finite(name, tag, found)
+                if (cell := node.findtext(tag)) is not None:
+                    return finite(name, tag, cell)
     raise DataError(f"{name}: its label has no principal point")
 
 

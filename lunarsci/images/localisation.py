@@ -1,10 +1,11 @@
-"""Where a rover's stations were: pairs of them that see the same ground, and all at once.
+"""Where a rover's stations were: points that pairs of them see, and all poses, points and the rig's own error at once.
 
-Where stations were, from points that they see in pairs: all poses, points and the rig's own error at once.
-
-Bundle adjustment (Triggs et al. 2000, 10.1007/3-540-44480-7_21): points are eliminated (Schur's complement), the rig
-moves within its covariance, dead reckoning is a prior, and what does not fit counts less (Huber 1964,
-10.1214/aoms/1177703732). The rig's baseline is the scale.
+What the nearer of two stations sees is laid into the view of the farther one by its stereo points, where both are alike
+but for the light. Features (SIFT, Lowe 2004, 10.1023/B:VISI.0000029664.99615.94) with a rigid motion that most of them
+share (MAGSAC++, Barath et al. 2020, 10.1109/CVPR42600.2020.00138) bring them within some pixels, templates to parts of
+one. Bundle adjustment (Triggs et al. 2000, 10.1007/3-540-44480-7_21): a point is where the nearer station sees it, with
+that error, the rig moves within its covariance, dead reckoning is a prior, and what does not fit counts less (Huber
+1964, 10.1214/aoms/1177703732). The rig's baseline is the scale.
 """
 
 import math
@@ -13,45 +14,93 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray, huber_weights
 from lunarsci.errors import DataError
 from lunarsci.images.camera import PARAMETERS, Pose, StereoRig, rotation_of, vector_of
-from lunarsci.images.ties import (
-    ENOUGH,
-    FARTHEST_M,
-    FEWEST,
-    FEWEST_OF_ONE_MOTION,
-    LOOSE_CORRELATION,
-    OVERLAPPING,
-    WIDE_PX,
-    WIDE_STEP_PX,
-    RigidMotion,
-    Station,
-    TiePoints,
-    Transferred,
-    features,
-    original_px,
-    reach_of,
-    rigid_motion,
-    templates,
-    transfer,
-)
+from lunarsci.images.matching import Rectified, StereoMatches
+from lunarsci.images.pictures import open_cv
 
+HIDDEN = 0.02
+"""Points are hidden that lie behind the nearest one of a pixel by more than this share of its depth; assumed."""
+TEMPLATE_PX, WIDE_PX = (41, 17), (81, 25)
+"""Width and height of what is compared, on ground that is foreshortened from afar, and of what is compared where the
+pose is not known better than by dead reckoning; assumed. [px]"""
+OVERLAPPING = 4.0
+"""How many templates see each pixel, half of one apart each way (as `TEMPLATE_PX`): by this the variance of one is
+larger, since their errors hang together."""
+LEAST_CORRELATION, LOOSE_CORRELATION = 0.6, 0.45
+"""Templates that agree less are no ties; the same where many are searched for one motion, which chance does not share,
+or where there are few; assumed."""
+LIKE = 0.8
+"""Largest ratio of the best to the second best distance of features: Lowe (2004), section 7.1."""
+INLIER_PX = 4.0
+"""Features that are off by more, on foreshortened ground, do not follow a motion; assumed. [px]"""
+REACHES_PX = ((12, 6), (6, 4))
+"""Half sides of where templates are looked for, a round; assumed."""
+FEWEST = 8
+"""Fewest ties that a pose is believed of: four times the equations that its six unknowns need; assumed."""
 STEPS = 30
 SMALL = 1e-6
 """Step of poses [rad, m] and rig that ends the adjustment."""
-HUBER = 2.0
-"""Residuals above so many sigmas count by their size, not its square; assumed."""
 DEFINED_PX = 0.05
 """Error of the pixel that defines a point: of the interpolation between pixels; assumed."""
 SMALLEST_PX = 0.1
 """Error of a template's place that is left where light says none; assumed."""
-
-
 SHIFTED_PX = 0.25
 """Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. Assumed;
 the templates of three rendered pairs were off by 0 to 0.4 px."""
+AGREEING = 0.6
+"""Share of the templates that must be within 2 px of where the pose has them: by chance, few are; assumed."""
+ODD_SIGMAS = 5.0
+"""Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
+LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
+"""Share of a station's ground that a much later one must see to be tied to it, to how many at most, and from how near;
+assumed. [-], [-], [m]"""
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Station:
+    """A stereo pair, matched, and where dead reckoning puts its left camera.
+
+    Attributes
+    ----------
+    name : what it is called.
+    matches : of its pair.
+    pose : of its left camera.
+    covariance : of its direction about x, y, z of the world [rad], and of the step from the station before [m]. (6, 6)
+    time_s : of the pair; None where it is not known. [s]
+    rover : the rover's frame (x ahead, y left, z up) in that of the left camera; None where it is not known.
+    """
+
+    name: str
+    matches: StereoMatches
+    pose: Pose
+    covariance: FloatArray
+    time_s: float | None = None
+    rover: Pose | None = None
+
+
+class TiePoints(NamedTuple):
+    """Points that two stations see.
+
+    near_px, far_px : (u, v) in the left pictures. (n, 2) [px]
+    near_disparity, far_disparity : u of the right picture less that of the left one; NaN where unknown. (n,) [px]
+    near_sigma, far_sigma : their random errors. (n,) [px]
+    covariance : of `far_px`, as the templates say. (n, 2, 2) [px^2]
+    correlation : of the templates. (n,)
+    """
+
+    near_px: FloatArray
+    near_disparity: FloatArray
+    near_sigma: FloatArray
+    far_px: FloatArray
+    far_disparity: FloatArray
+    far_sigma: FloatArray
+    covariance: FloatArray
+    correlation: FloatArray
 
 
 class PairTies(NamedTuple):
@@ -85,15 +134,6 @@ class Adjusted:
     weights: tuple[FloatArray, ...]
 
 
-class _Side(NamedTuple):
-    """What one station's rig shows of points: (u, v, u_right - u_left), and derivatives by point, pose and rig."""
-
-    seen: FloatArray
-    by_point: FloatArray
-    by_pose: FloatArray
-    by_rig: FloatArray
-
-
 def adjust(
     poses: Sequence[Pose],
     covariances: Sequence[FloatArray],
@@ -102,32 +142,57 @@ def adjust(
     *,
     start: Sequence[Pose] | None = None,
 ) -> Adjusted:
-    """Adjust stations by what they see in pairs; the first pose is kept.
+    """Adjust stations by what they see in pairs; the first pose is given.
 
     poses, covariances : where dead reckoning puts left cameras, and how well: direction, and the step from the one
         before (6, 6); that of the first one is not used.
-    rig : as it is told, with its covariance.
+    rig : as its file has it, with its covariance.
     pairs : may be none; then poses stay, and their covariance is that of dead reckoning.
     start : poses to begin with; where dead reckoning puts them if None.
 
     Raises DataError where the equations have no answer.
     """
-    problem = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
-    state = problem.begun(tuple(start or poses))
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+    bundle = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
+    state = _Unknowns(tuple(start or poses), np.zeros(len(PARAMETERS)), np.zeros((len(pairs), 2)), (1.0,) * len(pairs))
     for _ in range(STEPS):
-        step = problem.step(state)
-        state = problem.moved(state, step)
-        if np.abs(step[0]).max(initial=0.0) < SMALL:
+        normal, goal, parts = bundle.equations(state)
+        try:
+            change = cho_solve(cho_factor(normal), goal)
+        except LinAlgError as error:
+            raise DataError("the stations' poses do not follow from their ties; give better poses") from error
+        state = bundle.moved(state, change, tuple(part.inflation for part in parts))
+        if np.abs(change).max(initial=0.0) < SMALL:
             break
-    return problem.finished(state)
+    normal, _, parts = bundle.equations(state)
+    return Adjusted(
+        poses=state.poses,
+        covariance=np.asarray(np.linalg.inv(normal)[: bundle.free, : bundle.free], dtype=float),
+        rig=rig.moved(state.delta),
+        inflation=state.inflation,
+        residual_px=tuple(part.off_px for part in parts),
+        weights=tuple(part.weight for part in parts),
+    )
 
 
 class _Unknowns(NamedTuple):
+    """Poses, changes of the rig's parameters (24,), shifts of each pair's templates (p, 2) [px]; and `inflation`."""
+
     poses: tuple[Pose, ...]
     delta: FloatArray
-    points: tuple[FloatArray, ...]
-    inflation: tuple[float, ...]
     shifts: FloatArray
+    inflation: tuple[float, ...]
+
+
+class _Residuals(NamedTuple):
+    """Of a pair: weighted and whitened residuals (n, 3) with derivatives (n, 3, size), and what is told of them."""
+
+    residual: FloatArray
+    slopes: FloatArray
+    off_px: FloatArray
+    weight: FloatArray
+    inflation: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,188 +208,91 @@ class _Bundle:
         return np.flatnonzero(np.diag(self.rig.covariance) > 0)
 
     @property
-    def size(self) -> int:
-        """Numbers of all unknowns but the points: poses, rig, shifts of templates."""
-        return self.free + len(self.loose) + 2 * len(self.pairs)
-
-    @property
     def free(self) -> int:
-        """Numbers of all poses but the first."""
+        """Numbers of all poses but the first; those of the rig, and shifts of templates, come after them."""
         return 6 * (len(self.priors) - 1)
 
-    def begun(self, poses: tuple[Pose, ...]) -> _Unknowns:
-        points = []
-        for near, _, ties in self.pairs:
-            local = triangulated(self.rig, ties.near_px, ties.near_disparity)
-            points.append(poses[near].to_world(local))
-        count = len(self.pairs)
-        return _Unknowns(poses, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * count, np.zeros((count, 2)))
+    def moved(self, state: _Unknowns, change: FloatArray, inflation: tuple[float, ...]) -> _Unknowns:
+        turns, moves = np.split(change[: self.free].reshape(-1, 2, 3), 2, axis=1)
+        poses = [
+            Pose(rotation=rotation_of(turn[0]) @ pose.rotation, center_m=pose.center_m + move[0])
+            for pose, turn, move in zip(state.poses[1:], turns, moves, strict=True)
+        ]
+        delta, rest = state.delta.copy(), change[self.free :]
+        delta[self.loose] += rest[: len(self.loose)]
+        shifts = state.shifts + rest[len(self.loose) :].reshape(-1, 2)
+        return _Unknowns((state.poses[0], *poses), delta, shifts, inflation)
 
-    def moved(self, state: _Unknowns, step: tuple[FloatArray, list[FloatArray], tuple[float, ...]]) -> _Unknowns:
-        change, points, inflation = step
-        poses = [state.poses[0]]
-        for k, pose in enumerate(state.poses[1:]):
-            part = change[6 * k : 6 * k + 6]
-            turned = rotation_of(part[:3]) @ pose.rotation
-            poses.append(Pose(rotation=turned, center_m=pose.center_m + part[3:]))
-        delta = state.delta.copy()
-        delta[self.loose] += change[self.free : self.free + len(self.loose)]
-        moved = tuple(a + b for a, b in zip(state.points, points, strict=True))
-        shifts = state.shifts + change[self.free + len(self.loose) :].reshape(-1, 2)
-        return _Unknowns(tuple(poses), delta, moved, inflation, shifts)
-
-    def step(self, state: _Unknowns) -> tuple[FloatArray, list[FloatArray], tuple[float, ...]]:
-        """The Gauss-Newton step of poses and rig, of points, and how errors are to be inflated after it."""
-        from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-        normal, goal = self._priors(state)
-        kept = []
-        for index, pair in enumerate(self.pairs):
-            part = self._reduced(state, index, pair)
-            normal += part.normal
-            goal += part.goal
-            kept.append(part)
-        try:
-            change = cho_solve(cho_factor(normal), goal)
-        except LinAlgError as error:
-            raise DataError("the stations' poses do not follow from their ties; give better poses") from error
-        points = [part.own - np.einsum("nij,j->ni", part.by_common, change) for part in kept]
-        return change, points, tuple(part.inflation for part in kept)
-
-    def _priors(self, state: _Unknowns) -> tuple[FloatArray, FloatArray]:
-        size = self.size
+    def equations(self, state: _Unknowns) -> tuple[FloatArray, FloatArray, list[_Residuals]]:
+        """Normal matrix and right side of the Gauss-Newton step, and the residuals of pairs."""
+        size, rig = self.free + len(self.loose) + 2 * len(self.pairs), slice(self.free, self.free + len(self.loose))
         normal, goal = np.zeros((size, size)), np.zeros(size)
         moved = np.array([now.center_m - prior.center_m for now, prior in zip(state.poses, self.priors, strict=True)])
         for k in range(1, len(self.priors)):
             weight = np.linalg.inv(self.covariances[k])
             turned = vector_of(state.poses[k].rotation @ self.priors[k].rotation.T)
-            off = np.concatenate([turned, moved[k] - moved[k - 1]])
             by = np.zeros((6, size))
             by[:, 6 * k - 6 : 6 * k] = np.eye(6)
             if k > 1:
                 by[3:, 6 * k - 9 : 6 * k - 6] = -np.eye(3)
             normal += by.T @ weight @ by
-            goal -= by.T @ weight @ off
+            goal -= by.T @ weight @ np.concatenate([turned, moved[k] - moved[k - 1]])
         weight = np.linalg.inv(self.rig.covariance[np.ix_(self.loose, self.loose)])
-        rig = slice(self.free, self.free + len(self.loose))
         normal[rig, rig] += weight
         goal[rig] -= weight @ state.delta[self.loose]
         shifts = np.arange(rig.stop, size)
         normal[shifts, shifts] += SHIFTED_PX**-2
         goal[shifts] -= SHIFTED_PX**-2 * state.shifts.ravel()
-        return normal, goal
+        parts = [self._residuals(state, index, pair, size) for index, pair in enumerate(self.pairs)]
+        for part in parts:
+            flat = part.slopes.reshape(-1, size)
+            normal += flat.T @ flat
+            goal += flat.T @ part.residual.ravel()
+        return normal, goal, parts
 
-    def _reduced(self, state: _Unknowns, index: int, pair: PairTies) -> "_Reduced":
-        """A pair's part of the equations of poses and rig, its points eliminated."""
-        residual, by_point, by_common = self._whitened(state, index, pair)
-        weight = _weights(residual)
-        root = np.sqrt(weight)[:, None]
-        residual, by_point, by_common = residual * root, by_point * root[..., None], by_common * root[..., None]
-        own = by_point.transpose(0, 2, 1) @ by_point
-        cross = by_point.transpose(0, 2, 1) @ by_common
-        inverse = np.linalg.inv(own + 1e-12 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3))
-        pull = np.einsum("nki,nk->ni", by_point, residual)
-        solved = inverse @ cross
-        flat = by_common.reshape(-1, self.size)
-        normal = flat.T @ flat - cross.reshape(-1, self.size).T @ solved.reshape(-1, self.size)
-        goal = flat.T @ residual.ravel() - solved.reshape(-1, self.size).T @ pull.ravel()
-        return _Reduced(
-            normal, goal, np.einsum("nij,nj->ni", inverse, pull), solved, self._inflation(state, index, pair)
-        )
+    def _residuals(self, state: _Unknowns, index: int, pair: PairTies, size: int) -> _Residuals:
+        """What the farther station sees of points less where these are as the nearer one sees them.
 
-    def _whitened(self, state: _Unknowns, index: int, pair: PairTies) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals of both stations over their errors (n, 6), and derivatives by points and by poses and rig."""
-        ties, rig = pair.ties, self.rig.moved(state.delta)
-        first = self.free + len(self.loose) + 2 * index
-        residuals, points, commons = [], [], []
-        for station, seen, whiten in (
-            (pair.near, np.column_stack([ties.near_px, ties.near_disparity]), _near_whitening(ties)),
-            (
-                pair.far,
-                np.column_stack([ties.far_px, ties.far_disparity]),
-                _far_whitening(ties, state.inflation[index]),
-            ),
-        ):
-            side = _seen_by(rig, state.poses[station], state.points[index], self.loose)
-            common = np.zeros((len(seen), 3, self.size))
-            if station > 0:
-                common[:, :, 6 * station - 6 : 6 * station] = side.by_pose
-            common[:, :, self.free : self.free + len(self.loose)] = side.by_rig
-            off = np.nan_to_num(seen - side.seen)
-            if station == pair.far:
-                common[:, :2, first : first + 2] = np.eye(2)
-                off[:, :2] -= state.shifts[index]
-            residuals.append(np.einsum("nij,nj->ni", whiten, off))
-            points.append(whiten @ side.by_point)
-            commons.append(whiten @ common)
-        return np.concatenate(residuals, 1), np.concatenate(points, 1), np.concatenate(commons, 1)
-
-    def _off(self, state: _Unknowns, index: int, pair: PairTies) -> FloatArray:
-        """How far ties are from their places in the farther left picture. (n, 2) [px]"""
-        local = state.poses[pair.far].to_camera(state.points[index])
-        return np.asarray(pair.ties.far_px - state.shifts[index] - self.rig.moved(state.delta).left.project(local))
-
-    def _inflation(self, state: _Unknowns, index: int, pair: PairTies) -> float:
-        """By how much errors of templates are to be larger for residuals to fit these.
-
-        Residuals are those of points as the nearer station alone has them, with its errors; single templates scatter by
-        `OVERLAPPING` less in variance than they count. Medians: that of chi-square of two is 1.386.
+        Weights are Huber's of a tie by its whole residual. Errors of templates are inflated for residuals to fit them:
+        single ones scatter by `OVERLAPPING` less in variance than they count; medians, of which that of the chi-square
+        of two is 1.386.
         """
         ties, rig = pair.ties, self.rig.moved(state.delta)
         points = state.poses[pair.near].to_world(triangulated(rig, ties.near_px, ties.near_disparity))
         near, far = (_seen_by(rig, state.poses[k], points, self.loose) for k in (pair.near, pair.far))
-        whiten = math.sqrt(OVERLAPPING) * _far_whitening(ties, 1.0)[:, :2, :2]
-        off = np.einsum("nij,nj->ni", whiten, ties.far_px - state.shifts[index] - far.seen[:, :2])
-        by = whiten @ far.by_point[:, :2] @ np.linalg.inv(_near_whitening(ties) @ near.by_point)
-        left = np.median((off**2).sum(axis=1)) / 1.386 - 0.5 * np.median((by**2).sum(axis=(1, 2)))
-        return math.sqrt(max(1.0, float(left)))
-
-    def finished(self, state: _Unknowns) -> Adjusted:
-        normal, _ = self._priors(state)
-        residuals, weights = [], []
-        for index, pair in enumerate(self.pairs):
-            normal += self._reduced(state, index, pair).normal
-            residuals.append(self._off(state, index, pair))
-            weights.append(_weights(self._whitened(state, index, pair)[0]))
-        covariance = np.asarray(np.linalg.inv(normal)[: self.free, : self.free], dtype=float)
-        return Adjusted(
-            poses=state.poses,
-            covariance=covariance,
-            rig=self.rig.moved(state.delta),
-            inflation=state.inflation,
-            residual_px=tuple(residuals),
-            weights=tuple(weights),
+        by_near = far.by_point @ np.linalg.inv(near.by_point)
+        of_near = by_near @ _diagonal(ties.near_sigma, DEFINED_PX**2 * np.eye(2)) @ by_near.swapaxes(1, 2)
+        template = ties.covariance + OVERLAPPING * SMALLEST_PX**2 * np.eye(2)
+        # A disparity that is not known says nothing.
+        sigma = np.where(np.isfinite(ties.far_disparity), ties.far_sigma, 1e6)
+        covariance = of_near + _diagonal(sigma, state.inflation[index] ** 2 * template)
+        off = np.nan_to_num(np.column_stack([ties.far_px, ties.far_disparity]) - far.pixels)
+        off[:, :2] -= state.shifts[index]
+        slopes = np.zeros((len(off), 3, size))
+        for station, by_pose in ((pair.near, -by_near @ near.by_pose), (pair.far, far.by_pose)):
+            if station:
+                slopes[:, :, 6 * station - 6 : 6 * station] += by_pose
+        slopes[:, :, self.free : self.free + len(self.loose)] = far.by_rig - by_near @ near.by_rig
+        first = self.free + len(self.loose) + 2 * index
+        slopes[:, :2, first : first + 2] = np.eye(2)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        residual = np.einsum("nij,nj->ni", whiten, off)
+        weight = huber_weights((residual**2).sum(axis=1), 3)
+        root = np.sqrt(weight)[:, None]
+        alone = math.sqrt(OVERLAPPING) * np.linalg.inv(np.linalg.cholesky(template))
+        square = (np.einsum("nij,nj->ni", alone, off[:, :2]) ** 2).sum(axis=1)
+        by_defined = np.trace(alone @ of_near[:, :2, :2] @ alone.swapaxes(1, 2), axis1=1, axis2=2)
+        inflation = float(np.median(square)) / 1.386 - 0.5 * float(np.median(by_defined))
+        return _Residuals(
+            residual * root, whiten @ slopes * root[..., None], off[:, :2], weight, math.sqrt(max(1.0, inflation))
         )
 
 
-class _Reduced(NamedTuple):
-    normal: FloatArray
-    goal: FloatArray
-    own: FloatArray
-    by_common: FloatArray
-    inflation: float
-
-
-def _weights(residual: FloatArray) -> FloatArray:
-    """Huber's, of a tie by its whole residual, whose square is 3 without error (six seen, three unknown). (n,)"""
-    size = np.sqrt((residual**2).sum(axis=1) / 3)
-    return np.asarray(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
-
-
-def _near_whitening(ties: TiePoints) -> FloatArray:
-    whiten = np.zeros((len(ties.near_px), 3, 3))
-    whiten[:, 0, 0] = whiten[:, 1, 1] = 1 / DEFINED_PX
-    whiten[:, 2, 2] = 1 / ties.near_sigma
-    return whiten
-
-
-def _far_whitening(ties: TiePoints, inflation: float) -> FloatArray:
-    """Of the place by the template's covariance, of the disparity by its own error; nothing where there is none."""
-    covariance = inflation**2 * (ties.covariance + OVERLAPPING * SMALLEST_PX**2 * np.eye(2))
-    whiten = np.zeros((len(ties.far_px), 3, 3))
-    whiten[:, :2, :2] = np.linalg.inv(np.linalg.cholesky(covariance))
-    whiten[:, 2, 2] = np.nan_to_num(1 / ties.far_sigma)
-    return whiten
+def _diagonal(sigma: FloatArray, places: FloatArray) -> FloatArray:
+    """Covariances of places and disparities, (n, 3, 3), from those of both: (n,), (2, 2) or (n, 2, 2)."""
+    covariance = np.zeros((len(sigma), 3, 3))
+    covariance[:, :2, :2], covariance[:, 2, 2] = places, sigma**2
+    return covariance
 
 
 def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
@@ -341,45 +309,225 @@ def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> 
     return np.asarray(rays * depth[:, None])
 
 
+class _Side(NamedTuple):
+    """What one station's rig shows of points: (u, v, u_right - u_left), and derivatives by point, pose and rig."""
+
+    pixels: FloatArray
+    by_point: FloatArray
+    by_pose: FloatArray
+    by_rig: FloatArray
+
+
 def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) -> _Side:
     """Pixels and disparities of points (n, 3) of the world with their derivatives."""
     local = pose.to_camera(points)
     left = rig.left.project_with_derivatives(local)
     right = rig.right.project_with_derivatives(local @ rig.rotation.T + rig.translation_m)
-    by_right = right.by_point @ rig.rotation
-    by_local = np.concatenate([left.by_point, by_right[:, :1] - left.by_point[:, :1]], axis=1)
+    by_left, by_right = left.by_pose[..., 3:], right.by_pose[..., 3:]
+    by_local = np.concatenate([by_left, (by_right @ rig.rotation - by_left)[:, :1]], axis=1)
     by_point = by_local @ pose.rotation.T
     by_turn = by_point @ crossed(points - pose.center_m)
-    turned = local @ rig.rotation.T
-    move = np.concatenate([right.by_point @ -crossed(turned), right.by_point], axis=2)[:, :1]
-    zero = np.zeros_like(left.by_intrinsics)
-    rows = np.concatenate([left.by_intrinsics, zero, np.zeros((len(points), 2, 6))], axis=2)
-    last = np.concatenate([-left.by_intrinsics[:, :1], right.by_intrinsics[:, :1], move], axis=2)
-    seen = np.column_stack([left.pixels, right.pixels[:, 0] - left.pixels[:, 0]])
-    return _Side(
-        seen, by_point, np.concatenate([by_turn, -by_point], axis=2), np.concatenate([rows, last], axis=1)[:, :, loose]
-    )
+    by_rig = np.zeros((len(points), 3, len(PARAMETERS)))
+    by_rig[:, :2, :9], by_rig[:, 2, :9] = left.by_intrinsics, -left.by_intrinsics[:, 0]
+    by_rig[:, 2, 9:18], by_rig[:, 2, 21:] = right.by_intrinsics[:, 0], by_right[:, 0]
+    by_rig[:, 2, 18:21] = (by_right[:, :1] @ -crossed(local @ rig.rotation.T))[:, 0]
+    pixels = np.column_stack([left.pixels, right.pixels[:, 0] - left.pixels[:, 0]])
+    return _Side(pixels, by_point, np.concatenate([by_turn, -by_point], axis=2), by_rig[:, :, loose])
 
 
 def crossed(vectors: FloatArray) -> FloatArray:
     """Matrices of the cross product from the left. (n, 3) to (n, 3, 3)"""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+    return np.asarray(np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2))
 
 
-LEAST_OVERLAP = 0.01
-"""Share of the farther picture that the nearer one must fill; assumed."""
-REACHES_PX = ((12, 6), (6, 4))
-"""Half sides of where templates are looked for, a round; assumed."""
-AGREE_PX, AGREEING = 2.0, 0.6
-"""Share of the templates that must be so near to where the pose has them: by chance, few are; assumed."""
-ODD_SIGMAS = 5.0
-"""Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
-LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
-"""Share of a station's ground that a much later one must see to be tied to it, to how many at most, and from how near;
-assumed. [-], [-], [m]"""
-Progress = Callable[[int, int], None]
+class Transferred(NamedTuple):
+    """One station's picture in the rectified frame of another.
+
+    light, seen : (h, w). place : rectified (u, v) of the station that it is from, a whole pixel, and apart : how far
+    that falls from the middle of the pixel here. (h, w, 2) [px]
+    """
+
+    light: npt.NDArray[np.float32]
+    seen: BoolArray
+    place: FloatArray
+    apart: FloatArray
+
+
+def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transferred:
+    """Lay what the nearer station sees into the view of the farther one: the mean of what falls into a pixel, and the
+    place that falls nearest to its middle."""
+    from scipy.ndimage import gaussian_filter
+
+    frame, matches = far.matches.rectified, near.matches
+    pixels = np.argwhere(np.isfinite(matches.disparity) & (matches.disparity > 0))
+    points = matches.rectified.points(matches.disparity)[pixels[:, 0], pixels[:, 1]]
+    local = far_pose.to_camera(pose.to_world(points)) @ frame.turn.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        places = frame.focal_px * local[:, :2] / local[:, 2:] + frame.center_px
+    height, width = frame.shape
+    inside = (
+        (local[:, 2] > NEAREST_M) & (places > -0.5).all(axis=1) & (places < (width - 0.5, height - 0.5)).all(axis=1)
+    )
+    pixels, places, depth = pixels[inside], places[inside], local[inside, 2]
+    whole = np.rint(places).astype(np.int64)
+    cell = whole[:, 1] * width + whole[:, 0]
+    nearest = np.full(height * width, np.inf)
+    np.minimum.at(nearest, cell, depth)
+    front = depth <= (1 + HIDDEN) * nearest[cell]
+    pixels, cell, off = pixels[front], cell[front], (places - whole)[front]
+
+    def laid(values: FloatArray | None) -> FloatArray:
+        total = np.bincount(cell, weights=values, minlength=height * width)
+        return np.asarray(gaussian_filter(total.reshape(height, width), 0.7))
+
+    count = laid(None)
+    light = laid(np.sqrt(np.maximum(matches.left[pixels[:, 0], pixels[:, 1]], 0.0))) / np.maximum(count, 1e-9)
+    # The last one written is the nearest to the middle.
+    order = np.argsort(-(off**2).sum(axis=1), kind="stable")
+    flat = np.full((height * width, 4), np.nan)
+    flat[cell[order]] = np.column_stack([pixels[order, ::-1], off[order]])
+    place, apart = np.split(flat.reshape(height, width, 4), 2, axis=2)
+    seen = (count > 0.25) & np.isfinite(place[..., 0])
+    return Transferred(np.where(seen, light, 0.0).astype(np.float32), seen, place, apart)
+
+
+def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    """Features that both views have, (u, v) in the transferred and in the true one. (n, 2), (n, 2) [px]"""
+    cv2 = open_cv()
+    views = seen.light, np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
+    mask = cv2.erode(seen.seen.astype(np.uint8), np.ones((9, 9), np.uint8))
+    around = cv2.dilate(mask, np.ones((2 * reach_px[0] + 1,) * 2, np.uint8))
+    sift = cv2.SIFT_create(nfeatures=6000, contrastThreshold=0.01)
+    detected = [sift.detectAndCompute(_eight(view, m > 0), m) for view, m in zip(views, (mask, around), strict=True)]
+    if any(len(keys) < 3 for keys, _ in detected):
+        return np.empty((0, 2)), np.empty((0, 2))
+    places = [cv2.KeyPoint_convert(keys) for keys, _ in detected]
+    # Of features within reach alone, so that the light of other ground does not count as the second best.
+    apart = np.abs(places[0][:, None] - places[1][None])
+    within = (apart <= reach_px).all(axis=2).astype(np.uint8)
+    pairs = cv2.BFMatcher().knnMatch(detected[0][1], detected[1][1], k=2, mask=within)
+    good = [best[0] for best in pairs if best and (len(best) < 2 or best[0].distance < LIKE * best[1].distance)]
+    rows, columns = [m.queryIdx for m in good], [m.trainIdx for m in good]
+    return np.asarray(places[0][rows], dtype=float), np.asarray(places[1][columns], dtype=float)
+
+
+def _eight(light: npt.NDArray[np.float32], used: BoolArray) -> npt.NDArray[np.uint8]:
+    """Light over its surroundings', with contrast alike all over, in 8 bits."""
+    cv2 = open_cv()
+    weight = np.maximum(cv2.GaussianBlur(used.astype(np.float32), (0, 0), 12), 1e-3)
+    mean = cv2.GaussianBlur(np.where(used, light, 0).astype(np.float32), (0, 0), 12) / weight
+    rest = np.where(used, light - mean, 0).astype(np.float32)
+    contrast = np.sqrt(cv2.GaussianBlur(rest * rest, (0, 0), 12) / weight) + 1e-6
+    return np.asarray(np.clip(128 + 45 * rest / contrast, 0, 255), dtype=np.uint8)
+
+
+class RigidMotion(NamedTuple):
+    """A rigid motion from the nearer camera's frame into the farther one's, and which ties follow it. (n,)"""
+
+    rotation: FloatArray
+    translation_m: FloatArray
+    inliers: BoolArray
+
+
+def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float) -> RigidMotion:
+    """The motion that carries most points (n, 3) onto rays (n, 3), z = 1, of the other camera; none of few points."""
+    cv2 = open_cv()
+    nothing = RigidMotion(np.eye(3), np.zeros(3), np.zeros(len(points), dtype=bool))
+    if len(points) < FEWEST:
+        return nothing
+    works, turn, move, inliers = cv2.solvePnPRansac(
+        points, focal_px * rays[:, :2], np.diag([focal_px, focal_px, 1.0]), None,
+        iterationsCount=10_000, reprojectionError=INLIER_PX, confidence=0.999, flags=cv2.USAC_MAGSAC,
+    )  # fmt: skip
+    if not works or inliers is None:
+        return nothing
+    return RigidMotion(rotation_of(np.ravel(turn)), np.ravel(move), np.isin(np.arange(len(points)), inliers))
+
+
+def templates(
+    seen: Transferred,
+    near: Station,
+    far: Station,
+    rig: StereoRig,
+    reach_px: tuple[int, int],
+    *,
+    size_px: tuple[int, int] = TEMPLATE_PX,
+    least: float = LEAST_CORRELATION,
+) -> TiePoints:
+    """Ties on a grid of the transferred view: where templates of it agree best with the true one."""
+    cv2 = open_cv()
+    width, height = (side // 2 for side in size_px)
+    margin = width + reach_px[0] + 1, height + reach_px[1] + 1
+    truth = np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
+    truth = cv2.copyMakeBorder(truth, margin[1], margin[1], margin[0], margin[0], cv2.BORDER_CONSTANT, value=0.0)
+    whole = (cv2.blur(seen.seen.astype(np.float32), size_px) >= 0.98) & seen.seen
+    rows, columns = (np.arange(half, n - half, half) for half, n in zip((height, width), whole.shape, strict=True))
+    table = []
+    for v, u in ((v, u) for v in rows for u in columns if whole[v, u]):
+        patch = seen.light[v - height : v + height + 1, u - width : u + width + 1]
+        field = truth[v : v + 2 * margin[1] + 1, u : u + 2 * margin[0] + 1]
+        peak = _peak(np.asarray(cv2.matchTemplate(field, patch, cv2.TM_CCOEFF_NORMED)), patch.size, least)
+        if peak is not None:
+            table.append((u, v, u + peak[0] - reach_px[0] - 1, v + peak[1] - reach_px[1] - 1, *peak[2:]))
+    start, goal, correlation, spread = np.split(np.array(table, dtype=float).reshape(-1, 8), (2, 4, 5), axis=1)
+    sources, apart = (_nearest(values, start) for values in (seen.place, seen.apart))
+    sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, goal + apart))]
+    ties = TiePoints(*sides[0], *sides[1], spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2), correlation[:, 0])
+    return TiePoints(*(values[np.isfinite(ties.near_disparity)] for values in ties))
+
+
+def _peak(surface: FloatArray, size: int, least: float = LEAST_CORRELATION) -> tuple[float, ...] | None:
+    """Place, correlation and covariance (uu, uv, vv) of a correlation's best place; None where it is none.
+
+    With correlation r and its second derivatives H the covariance is that of least squares, 2 (1 - r) / n (-H)^-1;
+    it is taken `OVERLAPPING` times as large.
+    """
+    v, u = np.unravel_index(int(surface.argmax()), surface.shape)
+    if surface[v, u] < least or not (0 < v < surface.shape[0] - 1 and 0 < u < surface.shape[1] - 1):
+        return None
+    near = surface[v - 1 : v + 2, u - 1 : u + 2].astype(float)
+    gradient = 0.5 * np.array([near[1, 2] - near[1, 0], near[2, 1] - near[0, 1]])
+    uu, vv = near[1, 2] + near[1, 0] - 2 * near[1, 1], near[2, 1] + near[0, 1] - 2 * near[1, 1]
+    uv = 0.25 * (near[2, 2] - near[2, 0] - near[0, 2] + near[0, 0])
+    if uu >= 0 or uu * vv - uv * uv <= 0:
+        return None
+    inverse = np.linalg.inv([[-uu, -uv], [-uv, -vv]])
+    step = inverse @ gradient
+    if np.abs(step).max() > 1:
+        return None
+    covariance = OVERLAPPING * 2 * (1 - near[1, 1]) / size * inverse
+    return float(u + step[0]), float(v + step[1]), near[1, 1], covariance[0, 0], covariance[0, 1], covariance[1, 1]
+
+
+def _side(matches: StereoMatches, rig: StereoRig, places: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Left pixels as taken, u of the right one less that of the left one, and its error, of rectified places."""
+    disparity, sigma = _at(np.stack([matches.disparity, matches.sigma_px], axis=-1), places).T
+    left = original_px(matches.rectified, rig, places)
+    right = original_px(matches.rectified, rig, places - np.stack([disparity, 0 * disparity], -1), right=True)
+    return left, right[:, 0] - left[:, 0], sigma
+
+
+def original_px(frame: Rectified, rig: StereoRig, places: FloatArray, *, right: bool = False) -> FloatArray:
+    """Pixels in the picture as it was taken of rectified ones. (..., 2)"""
+    flat = (places - np.array(frame.center_px)) / frame.focal_px
+    rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1) @ frame.turn
+    return rig.right.project(rays @ rig.rotation.T) if right else rig.left.project(rays)
+
+
+def _at(values: FloatArray, places: FloatArray) -> FloatArray:
+    """Values (h, w, k) at (u, v) (n, 2), bilinear; NaN where one of the four is unknown. (n, k)"""
+    from scipy.ndimage import map_coordinates
+
+    where = [np.nan_to_num(places[:, k], nan=-9.0) for k in (1, 0)]
+    layers = [map_coordinates(values[..., k], where, order=1, cval=np.nan) for k in range(values.shape[-1])]
+    return np.stack(layers, axis=-1)
+
+
+def _nearest(values: FloatArray, places: FloatArray) -> FloatArray:
+    """Values (h, w, ...) at the pixels nearest to (u, v) (n, 2). (n, ...)"""
+    u, v = np.rint(places).astype(int).T
+    height, width = values.shape[:2]
+    return np.asarray(values[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)])
 
 
 class PairReport(NamedTuple):
@@ -387,7 +535,7 @@ class PairReport(NamedTuple):
 
     first, second : their numbers. near : number of the one that sees the common ground from nearer.
     overlap : share of the farther picture that the nearer one fills.
-    features, inliers : found in both, and those of the motion that most share.
+    features, inliers : seen by both, and those of the motion that most share.
     ties : of templates. correlation : their median, nan where there are none.
     ground_m : median distance of the common ground from both. failure : '' or why there are no ties.
     """
@@ -432,8 +580,8 @@ class Localised:
         """
         station, pose = self.stations[number], self.poses[number]
         step = pose.center_m - self.poses[number - 1].center_m
-        told = station.pose.center_m - self.stations[number - 1].pose.center_m
-        off = np.concatenate([vector_of(pose.rotation @ station.pose.rotation.T), step - told])
+        reckoned = station.pose.center_m - self.stations[number - 1].pose.center_m
+        off = np.concatenate([vector_of(pose.rotation @ station.pose.rotation.T), step - reckoned])
         return math.sqrt(float(off @ np.linalg.solve(station.covariance, off)) / 6)
 
     def place(self, number: int) -> Pose:
@@ -466,38 +614,41 @@ def localise(stations: Sequence[Station], rig: StereoRig, *, progress: Progress 
     stations : in the order of the drive, two or more; the first one's pose is taken as it is.
     rig : of all pairs.
     """
-    told = progress or (lambda done, total: None)
-    poses = [stations[0].pose]
-    steps = [station.covariance for station in stations]
-    found: list[PairTies] = []
+    report_progress = progress or (lambda done, total: None)
+    poses, steps = [stations[0].pose], [station.covariance for station in stations]
+    pairs: list[PairTies] = []
     reports = []
     for b in range(1, len(stations)):
-        told(b - 1, len(stations))
+        report_progress(b - 1, len(stations))
         reckoned = stations[b].pose.center_m - stations[b - 1].pose.center_m
         poses.append(Pose(rotation=stations[b].pose.rotation, center_m=poses[-1].center_m + reckoned))
         tied = False
         for a in _partners(stations, poses, rig, b):
-            outcome = _tied(stations, poses, a, b, rig, np.asarray(sum(steps[a + 1 : b + 1])))
-            reports.append(outcome.report)
-            if outcome.pair is None or outcome.pose is None:
+            report, outcome = _tied(stations, poses, a, b, rig, np.asarray(sum(steps[a + 1 : b + 1])))
+            reports.append(report)
+            if outcome is None:
                 continue
-            found.append(outcome.pair)
+            pair, fitted = outcome
+            pairs.append(pair)
             if not tied:
-                poses[b] = outcome.pose
+                poses[b] = fitted.poses[1]
             if a == b - 1:
-                steps[b] = outcome.covariance
+                steps[b] = fitted.covariance
             tied = True
-    told(len(stations) - 1, len(stations))
-    adjusted = adjust([s.pose for s in stations], [s.covariance for s in stations], rig, found, start=poses)
-    told(len(stations), len(stations))
+    report_progress(len(stations) - 1, len(stations))
+    adjusted = adjust([s.pose for s in stations], [s.covariance for s in stations], rig, pairs, start=poses)
+    report_progress(len(stations), len(stations))
+    together = {0}
+    for _ in stations:
+        together |= {k for pair in pairs if {pair.near, pair.far} & together for k in (pair.near, pair.far)}
     return Localised(
         stations=tuple(stations),
         poses=adjusted.poses,
         covariance=adjusted.covariance,
-        pairs=tuple(found),
+        pairs=tuple(pairs),
         adjusted=adjusted,
         reports=tuple(reports),
-        tied=_together(len(stations), found),
+        tied=tuple(k in together for k in range(len(stations))),
     )
 
 
@@ -511,64 +662,45 @@ def _partners(stations: Sequence[Station], poses: Sequence[Pose], rig: StereoRig
 def _shared(first: Station, pose: Pose, other: Pose, rig: StereoRig) -> float:
     """Share of the places that a station knows, which the other one's left camera sees; by every 16th pixel."""
     points = first.matches.rectified.points(first.matches.disparity)[::16, ::16].reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1) & (np.linalg.norm(points, axis=1) < FARTHEST_M)]
+    points = points[np.isfinite(points).all(axis=1)]
     local = other.to_camera(pose.to_world(points))
     ahead = local[local[:, 2] > NEAREST_M]
     return float(rig.left.sees(rig.left.project(ahead)).sum()) / max(len(points), 1)
 
 
-def _together(count: int, pairs: Sequence[PairTies]) -> tuple[bool, ...]:
-    tied = {0}
-    for _ in range(count):
-        tied |= {k for pair in pairs if {pair.near, pair.far} & tied for k in (pair.near, pair.far)}
-    return tuple(k in tied for k in range(count))
-
-
-class _Outcome(NamedTuple):
-    """Ties of two stations, what came of them, and the second one's pose with its covariance beside the first one's."""
-
-    pair: PairTies | None
-    report: PairReport
-    pose: Pose | None
-    covariance: FloatArray
-
-
 def _tied(
     stations: Sequence[Station], poses: Sequence[Pose], a: int, b: int, rig: StereoRig, covariance: FloatArray
-) -> _Outcome:
-    """Ties of two stations, the second of which is known beside the first with a covariance (6, 6)."""
+) -> tuple[PairReport, tuple[PairTies, Adjusted] | None]:
+    """Ties of two stations, the second of which is known beside the first with a covariance (6, 6), and both adjusted
+    by them; None where there are none."""
     near, far, seen, ground = _nearer(stations, poses, a, b)
     report = PairReport(a, b, near, float(seen.seen.mean()), 0, 0, 0, math.nan, ground, "")
-
-    def failed(why: str) -> _Outcome:
-        return _Outcome(None, report._replace(failure=why), None, covariance)
-
-    if report.overlap < LEAST_OVERLAP:
-        return failed(f"they share no ground: overlap {report.overlap:.1%} of a picture")
-    motion, report = _by_features(stations, poses, near, far, seen, rig, report, covariance)
-    if motion is None:
-        return failed(report.failure)
+    if not seen.seen.any() or report.overlap < 0.01:
+        return report._replace(failure=f"they share no ground: overlap {report.overlap:.1%} of a picture"), None
+    motion, count = _by_features(stations, poses, near, far, seen, rig, covariance)
+    report = report._replace(features=count, inliers=int(motion.inliers.sum()))
+    if report.inliers < FEWEST:
+        return report._replace(failure=_matter(report, seen)), None
     now = _moved(poses, near, far, motion, b)
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
-        ties = templates(seen, stations[near], stations[far], rig, reach)
-        if len(ties.correlation) < ENOUGH:
-            ties = templates(seen, stations[near], stations[far], rig, reach, least=LOOSE_CORRELATION)
+        for least in (LEAST_CORRELATION, LOOSE_CORRELATION):
+            ties = templates(seen, stations[near], stations[far], rig, reach, least=least)
+            if len(ties.correlation) >= 2 * FEWEST:
+                break
         report = report._replace(ties=len(ties.correlation))
         if report.ties < FEWEST:
-            return failed(_matter(report, seen))
+            return report._replace(failure=_matter(report, seen)), None
         report = report._replace(correlation=float(np.median(ties.correlation)))
-        pair = PairTies(int(near != a), int(far != a), ties)
-        fitted = adjust([poses[a], now[b]], [np.eye(6), covariance], rig, [pair])
+        fitted = adjust(
+            [poses[a], now[b]], [np.eye(6), covariance], rig, [PairTies(int(near != a), int(far != a), ties)]
+        )
         now[b] = fitted.poses[1]
-        # What is many times farther off than the rest is no tie.
         off = np.linalg.norm(fitted.residual_px[0], axis=1)
-        good = off < max(AGREE_PX, 4 * float(np.median(off)))
-        if (off < AGREE_PX).mean() < AGREEING or good.sum() < FEWEST:
-            return failed(f"{(off < AGREE_PX).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?")
-        ties = ties.kept(good)
-    report = report._replace(ties=len(ties.correlation))
-    return _Outcome(PairTies(near, far, ties), report, now[b], fitted.covariance)
+        if (off < 2.0).mean() < AGREEING:
+            why = f"{(off < 2.0).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?"
+            return report._replace(failure=why), None
+    return report, (PairTies(near, far, ties), fitted)
 
 
 def _nearer(
@@ -578,24 +710,15 @@ def _nearer(
     tried = []
     for near, far in ((b, a), (a, b)):
         seen = transfer(stations[near], poses[near], stations[far], poses[far])
-        distances = tuple(_distance(stations[k], seen, k == near) for k in (near, far))
-        tried.append((near, far, seen, distances))
-    best = min(tried, key=lambda t: t[3][0] / t[3][1] if t[2].seen.any() else math.inf)
-    return best  # type: ignore[return-value]
-
-
-def _distance(station: Station, seen: Transferred, near: bool) -> float:
-    """Median distance of the common ground, nan where there is none. [m]"""
-    disparity = station.matches.disparity
-    if near:
-        at = np.rint(seen.place[seen.seen]).astype(int)
-        size = disparity.shape
-        disparity = disparity[np.clip(at[:, 1], 0, size[0] - 1), np.clip(at[:, 0], 0, size[1] - 1)]
-    else:
-        disparity = disparity[seen.seen]
-    frame = station.matches.rectified
-    known = disparity[np.isfinite(disparity)]
-    return frame.focal_px * frame.baseline_m / float(np.median(known)) if len(known) else math.nan
+        disparities = (
+            _nearest(stations[near].matches.disparity, seen.place[seen.seen]),
+            stations[far].matches.disparity[seen.seen],
+        )
+        frames = [stations[k].matches.rectified for k in (near, far)]
+        away = [frame.focal_px * frame.baseline_m / float(np.nanmedian(d)) if np.isfinite(d).any() else math.nan
+                for frame, d in zip(frames, disparities, strict=True)]  # fmt: skip
+        tried.append((near, far, seen, (away[0], away[1])))
+    return min(tried, key=lambda t: t[3][0] / t[3][1] if t[2].seen.any() else math.inf)
 
 
 def _by_features(
@@ -605,54 +728,28 @@ def _by_features(
     far: int,
     seen: Transferred,
     rig: StereoRig,
-    report: PairReport,
     covariance: FloatArray,
-) -> tuple[RigidMotion | None, PairReport]:
-    """The motion that features share, within reach of dead reckoning; None, and why, where they share none."""
-    frame = stations[far].matches.rectified
-    points = poses[near].to_world(stations[near].matches.rectified.points(stations[near].matches.disparity))
-    at = np.rint(seen.place[seen.seen][::50]).astype(int)
-    common = points[np.clip(at[:, 1], 0, points.shape[0] - 1), np.clip(at[:, 0], 0, points.shape[1] - 1)]
-    common = common[np.isfinite(common).all(axis=1)]
-    reach = reach_of(covariance, poses[far], common, frame.focal_px)
-    first, second = features(seen, stations[far], reach)
-    local = _at(stations[near].matches.rectified.points(stations[near].matches.disparity), _nearest(seen.place, first))
+) -> tuple[RigidMotion, int]:
+    """The motion that features and wide templates share, within reach of dead reckoning, and how many there are."""
+    first, second = stations[near], stations[far]
+    frame, points = second.matches.rectified, first.matches.rectified.points(first.matches.disparity)
+    reach = _reach_px(covariance, _nearest(points, seen.place[seen.seen][::50]), frame.focal_px)
+    there, here = features(seen, second, reach)
+    local = _at(points, _nearest(seen.place, there))
     good = np.isfinite(local).all(axis=1)
-    rays = rig.left.rays(original_px(frame, rig, second[good] + _nearest(seen.apart, first)[good]))
-    wide = templates(
-        seen,
-        stations[near],
-        stations[far],
-        rig,
-        (int(reach), max(int(0.4 * reach), 8)),
-        size_px=WIDE_PX,
-        step_px=WIDE_STEP_PX,
-        least=LOOSE_CORRELATION,
-    )
+    rays = rig.left.rays(original_px(frame, rig, here[good] + _nearest(seen.apart, there)[good]))
+    wide = templates(seen, first, second, rig, reach, size_px=WIDE_PX, least=LOOSE_CORRELATION)
     local = np.concatenate([local[good], triangulated(rig, wide.near_px, wide.near_disparity)])
-    rays = np.concatenate([rays, rig.left.rays(wide.far_px)])
-    turn = poses[far].rotation.T @ poses[near].rotation
-    guess = RigidMotion(turn, poses[far].to_camera(poses[near].center_m), np.zeros(len(local), dtype=bool))
-    motion = rigid_motion(local, rays, frame.focal_px, guess, seed=17)
-    report = report._replace(features=len(local), inliers=int(motion.inliers.sum()))
-    if report.inliers < FEWEST_OF_ONE_MOTION:
-        return None, report._replace(failure=_matter(report, seen))
-    return motion, report
+    return rigid_motion(local, np.concatenate([rays, rig.left.rays(wide.far_px)]), frame.focal_px), len(local)
 
 
-def _at(values: FloatArray, places: FloatArray) -> FloatArray:
-    """Values (h, w, k) at (u, v) (n, 2), bilinear; NaN where one of the four is unknown. (n, k)"""
-    from scipy.ndimage import map_coordinates
-
-    where = [np.nan_to_num(places[:, k], nan=-9.0) for k in (1, 0)]
-    layers = [map_coordinates(values[..., k], where, order=1, cval=np.nan) for k in range(values.shape[-1])]
-    return np.stack(layers, axis=-1)
-
-
-def _nearest(values: FloatArray, places: FloatArray) -> FloatArray:
-    """Values (h, w, k) at the pixels nearest to (u, v) (n, 2). (n, k)"""
-    at = np.rint(places).astype(int)
-    return np.asarray(values[at[:, 1], at[:, 0]])
+def _reach_px(covariance: FloatArray, points: FloatArray, focal_px: float) -> tuple[int, int]:
+    """How far an error of a pose may put points (n, 3) of a camera beside their places along u and v: 3.5 sigma, and
+    across a ray 0.4 of it, or that of the first `REACHES_PX` and more. [px]"""
+    depth = float(np.nanmedian(np.linalg.norm(points, axis=1)))
+    turn, move = covariance[2, 2], 0.5 * (covariance[3, 3] + covariance[4, 4])
+    reach = max(int(3.5 * focal_px * math.sqrt(turn + move / depth**2)), REACHES_PX[0][0])
+    return reach, max(int(0.4 * reach), 8)
 
 
 def _moved(poses: Sequence[Pose], near: int, far: int, motion: RigidMotion, second: int) -> list[Pose]:
@@ -672,8 +769,6 @@ def _matter(report: PairReport, seen: Transferred) -> str:
     light = seen.light[seen.seen]
     contrast = float(light.std() / max(float(light.mean()), 1e-9))
     seems = "; the ground shows too little texture" if contrast < 0.05 else "; has the Sun moved far?"
-    if report.features < 5 * FEWEST and report.ties == 0:
-        return f"{report.features} features in common, {report.inliers} of one motion{seems}"
-    if report.ties == 0:
-        return f"only {report.inliers} of {report.features} features share a motion{seems}"
-    return f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more{seems}"
+    if report.ties:
+        return f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more{seems}"
+    return f"{report.features} features in common, {report.inliers} of one motion{seems}"

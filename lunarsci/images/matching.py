@@ -4,8 +4,6 @@ Semi-global matching (Hirschmueller 2008, 10.1109/TPAMI.2007.1166) of OpenCV giv
 small windows of the rectified pictures go on: about a pixel the left picture is the right one, moved by a disparity
 that changes linearly over the window, times a gain, plus an offset (Gruen 1985, S. Afr. J. Photogramm. 14, 175:
 adaptive least squares correlation). The normal matrix and what is left of the light give the disparity's error.
-
-Also what is wrong with two pictures that do not make a pair, as far as looking and trying tells.
 """
 
 import math
@@ -16,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray, robust_scatter
+from lunarsci.arrays import FloatArray, robust_fit, robust_scatter
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
-from lunarsci.images.camera import Camera, StereoRig
+from lunarsci.images.camera import StereoRig
 from lunarsci.images.pictures import Picture, open_cv
 
 HALF_PX = 3
@@ -62,12 +60,12 @@ def refine(
     distance of the rows is solved for as well.
     """
     shape = left.shape
-    found = Refined(*(np.full(shape, np.nan) for _ in Refined._fields))
+    refined = Refined(*(np.full(shape, np.nan) for _ in Refined._fields))
     grids = [np.ascontiguousarray(a, dtype=np.float32) for a in (left, right)]
     starts = [np.ascontiguousarray(a, dtype=float) for a in (first, *slopes)]
     blocks = [(low, min(low + ROWS * step_px, shape[0])) for low in range(0, shape[0], ROWS * step_px)]
-    each_in_threads(lambda n: _refine_rows(*grids, *starts, *blocks[n], half_px, step_px, rows, *found), len(blocks))
-    return found
+    each_in_threads(lambda n: _refine_rows(*grids, *starts, *blocks[n], half_px, step_px, rows, *refined), len(blocks))
+    return refined
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
@@ -219,69 +217,11 @@ def _spread(picture, u, v, half):  # type: ignore[no-untyped-def]
     return square - total * total / (2 * half + 1) ** 2
 
 
-ALIKE = 0.999
-"""Correlation of two pictures, pixel on pixel, from which they are one: assumed. Two views of ground are below 0.9."""
-LEAST_SHARE = 0.4
-"""Share that must match before a trial is believed: pictures of two places, turned, may match by their parallax.
-Assumed."""
-UNEVEN_PX = 0.45
-"""Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
-rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
-Share = Callable[[FloatArray, FloatArray], float]
-"""Share of the pixels of two pictures, left and right, that match."""
-
-
-def check_two(left: Picture, right: Picture) -> None:
-    """Raise DataError where two pictures are one and the same."""
-    if left.size != right.size:
-        return
-    one, two = (p.values[::4, ::4].ravel() for p in (left, right))
-    if np.corrcoef(one, two)[0, 1] > ALIKE:
-        names = f"{left.source.name}, {right.source.name}"
-        raise DataError(f"{names}: show the same, pixel on pixel; give the pictures of the left and the right camera")
-
-
-def check_rows(apart_px: FloatArray, names: str) -> None:
-    """Raise DataError where distances of rows (n,) [px], less their plane, scatter as in no pair of one moment."""
-    scatter = 1.4826 * float(np.median(np.abs(apart_px - np.median(apart_px))))
-    if scatter > UNEVEN_PX:
-        raise DataError(
-            f"{names}: rows are apart unevenly, by {scatter:.1f} px; did the rover move between them, "
-            "is one turned, or the rig another one?"
-        )
-
-
-def what_is_wrong(left: Picture, right: Picture, share: Share, fewest: float) -> str:
-    """One line on two pictures of which less than the share `fewest` matches, from trying them otherwise."""
-    names = f"{left.source.name}, {right.source.name}"
-    one, two = left.values, right.values
-    square = left.size[0] == left.size[1]
-    tries = {
-        "left and right are swapped, or both are upside down; give the left one first": (two, one),
-        "the right picture is upside down": (one, two[::-1, ::-1]),
-        "the left picture is upside down": (one[::-1, ::-1], two),
-    }
-    if square:
-        tries |= {
-            "both pictures are turned by 90 deg clockwise": (np.rot90(one), np.rot90(two)),
-            "both pictures are turned by 90 deg anticlockwise": (np.rot90(one, -1), np.rot90(two, -1)),
-            "the right picture is turned by 90 deg": (one, np.rot90(two)),
-            "the left picture is turned by 90 deg": (np.rot90(one), two),
-        }
-    found = {said: share(*pair) for said, pair in tries.items()}
-    likeliest = max(found, key=lambda said: found[said])
-    if found[likeliest] > max(LEAST_SHARE, 1.5 * share(one, two)):
-        return f"{names}: do not match as they are: {likeliest}"
-    return (
-        f"{names}: less than {fewest:.0%} of the pixels match; are they of one place, one moment and this rig, "
-        "and is neither turned?"
-    )
-
-
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
 MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH, ISLAND = range(len(REASONS))
 BLOCK_PX = 5
-"""Window of semi-global matching, with the penalties 8 and 32 times its area of OpenCV's own example; assumed."""
+"""Window of semi-global matching: the manual of OpenCV (Bradski 2000, Dr. Dobb's J. Softw. Tools 25, 120) advises 3 to
+11 px, and penalties of 8 and 32 times its area."""
 DARK = 0.05
 """Light below this share of the bright tenth of a picture is shadow; assumed."""
 LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
@@ -291,6 +231,14 @@ FEWEST = 0.1
 """Share of pixels that must match before anything is said of a pair; assumed."""
 LARGEST_ROW_PX = 3.0
 """Rows that are farther apart are of another rig; assumed."""
+UNEVEN_PX = 0.45
+"""Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
+rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
+ALIKE = 0.999
+"""Correlation of two pictures, pixel on pixel, from which they are one: assumed. Two views of ground are below 0.9."""
+LEAST_SHARE = 0.4
+"""Share that must match before a trial is believed: pictures of two places, turned, may match by their parallax.
+Assumed."""
 ISLAND_PX, ISLAND_STEP_PX = 400, 1.0
 """Pixels of a patch below which it is an island, and the step of disparity at which a patch ends. Measured on
 six rendered pairs of ground without texture: a third of the pixels on islands were wrong, of all others 2 %."""
@@ -399,38 +347,38 @@ def match(
 
     Raises DataError where they do not match, and says what seems to be the matter.
     """
-    told = progress or (lambda done, total: None)
-    told(0, 5)
-    check_two(left, right)
+    report = progress or (lambda done, total: None)
+    report(0, 5)
+    names = f"{left.source.name}, {right.source.name}"
+    one, two = (p.values[::4, ::4].ravel() for p in (left, right))
+    if left.size == right.size and np.corrcoef(one, two)[0, 1] > ALIKE:
+        raise DataError(f"{names}: show the same, pixel on pixel; give the pictures of the left and the right camera")
     frame = rectify(rig)
     alike = (2**left.bits - 1) / (2**right.bits - 1)
     pictures = [_warped(left.values, frame.maps[0]), _warped(alike * right.values, frame.maps[1])]
     full = [_warped(p.saturated.astype(float), m) > 0.01 for p, m in zip((left, right), frame.maps, strict=True)]
-    told(1, 5)
+    report(1, 5)
     span = frame.focal_px * frame.baseline_m / nearest_m, frame.focal_px * frame.baseline_m / farthest_m
     first = _semi_global(pictures, span)
     if np.isfinite(first).mean() < FEWEST:
-        raise DataError(_matter(left, right, frame, span))
-    told(2, 5)
-    offset, moved = _rows_in_line(pictures, first, f"{left.source.name}, {right.source.name}")
-    told(3, 5)
+        raise DataError(f"{names}: {_matter(left, right, frame, span)}")
+    report(2, 5)
+    offset, moved = _rows_in_line(pictures, first, names)
+    report(3, 5)
     refined = refine(pictures[0], moved, first, _slopes(first))
-    told(4, 5)
+    report(4, 5)
     reason = _reasons(pictures, full, first, refined, frame)
-    known = reason == MATCHED
-    if known.mean() < FEWEST:
-        raise DataError(_matter(left, right, frame, span))
-    reason[known & _islands(np.where(known, refined.disparity, np.nan))] = ISLAND
-    known = reason == MATCHED
-    disparity = np.where(known, refined.disparity, np.nan)
+    reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, refined.disparity, np.nan))] = ISLAND
+    if (reason == MATCHED).mean() < FEWEST:
+        raise DataError(f"{names}: {_matter(left, right, frame, span)}")
+    disparity = np.where(reason == MATCHED, refined.disparity, np.nan)
     parts = CORRELATED * refined.sigma, RELIEF * _relief(disparity), SMALLEST_SIGMA_PX
-    sigma = np.where(known, np.sqrt(sum(np.square(part) for part in parts)), np.nan)
-    told(5, 5)
+    report(5, 5)
     return StereoMatches(
         rectified=frame,
         left=pictures[0].astype(float),
         disparity=disparity,
-        sigma_px=sigma,
+        sigma_px=np.where(reason == MATCHED, np.sqrt(sum(np.square(part) for part in parts)), np.nan),
         reason=reason,
         first=first,
         row_offset_px=offset,
@@ -440,8 +388,9 @@ def match(
 def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     cv2 = open_cv()
     maps = np.nan_to_num(places, nan=-9.0)
-    found = cv2.remap(values.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_LANCZOS4, borderValue=0)
-    return np.asarray(found, dtype=np.float32)
+    return np.asarray(
+        cv2.remap(values.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_LANCZOS4, borderValue=0)
+    )
 
 
 def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, float]) -> FloatArray:
@@ -466,67 +415,55 @@ def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, flo
     )
     # A border as wide as the disparities keeps the left side of the picture.
     padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REPLICATE) for p in eight]
-    found = np.asarray(matcher.compute(*padded)[:, count:], dtype=float) / 16
-    u = np.arange(found.shape[1])
-    return np.where((found >= lowest) & (u - found >= 0), found, np.nan)
+    disparity = np.asarray(matcher.compute(*padded)[:, count:], dtype=float) / 16
+    return np.where((disparity >= lowest) & (disparity <= np.arange(disparity.shape[1])), disparity, np.nan)
+
+
+def _mean_in_window(values: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
+    """Mean of what is known in a square window about each pixel, and the share of it that is. (h, w), (h, w)"""
+    cv2, valid = open_cv(), np.isfinite(values)
+    share = cv2.blur(valid.astype(float), (side, side))
+    return cv2.blur(np.where(valid, values, 0.0), (side, side)) / np.maximum(share, 1e-9), share
 
 
 def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Change of disparity along u and v, smoothed; 0 where it is not known. (h, w) [px/px]"""
-    cv2 = open_cv()
-    known = np.isfinite(first)
-    filled = np.where(known, first, 0.0)
-    weight = cv2.boxFilter(known.astype(float), -1, (11, 11))
-    mean = cv2.boxFilter(filled, -1, (11, 11)) / np.maximum(weight, 1e-9)
-    down, across = np.gradient(np.where(weight > 0.3, mean, np.nan))
+    mean, share = _mean_in_window(first, 11)
+    down, across = np.gradient(np.where(share > 0.3, mean, np.nan))
     return np.clip(np.nan_to_num(across), -0.5, 0.5), np.clip(np.nan_to_num(down), -0.5, 0.5)
 
 
 def _rows_in_line(
-    pictures: list[npt.NDArray[np.float32]], first: FloatArray, name: str
+    pictures: list[npt.NDArray[np.float32]], first: FloatArray, names: str
 ) -> tuple[float, npt.NDArray[np.float32]]:
     """The right picture with its rows moved onto the left one's, and by how much at the middle. [px]
 
     A calibration that is a little off leaves them apart; the distance is a plane over the picture. Raises DataError
-    where it is large.
+    where it is large, or scatters as in no pair of one moment.
     """
-    right = pictures[1]
+    right, total = pictures[1], 0.0
     height, width = right.shape
-    total = 0.0
+    grid = np.mgrid[:height, :width].astype(np.float32)
     for _ in range(2):
-        found = refine(pictures[0], right, first, _slopes(first), step_px=12, rows=True)
-        good = (
-            np.isfinite(found.row_offset)
-            & (found.misfit < LARGEST_MISFIT)
-            & (np.abs(found.row_offset) < LARGEST_ROW_PX)
-        )
+        refined = refine(pictures[0], right, first, _slopes(first), step_px=12, rows=True)
+        good = (refined.misfit < LARGEST_MISFIT) & (np.abs(refined.row_offset) < LARGEST_ROW_PX)
         if good.sum() < 50:
             return total, right
         v, u = np.nonzero(good)
         terms = np.column_stack([np.ones(len(u)), u / width - 0.5, v / height - 0.5])
-        plane = _robust(terms, found.row_offset[good])
-        grid = np.mgrid[:height, :width].astype(np.float32)
-        shift = plane[0] + plane[1] * (grid[1] / width - 0.5) + plane[2] * (grid[0] / height - 0.5)
-        if abs(total + plane[0]) > LARGEST_ROW_PX:
-            raise DataError(
-                f"{name}: rows of the pictures are {abs(total + plane[0]):.1f} px apart; is the rig another one?"
-            )
-        check_rows(found.row_offset[good] - terms @ plane, name)
-        right = _warped(right, np.stack([grid[1], grid[0] + shift], axis=-1).astype(np.float32))
+        plane, _ = robust_fit(terms, refined.row_offset[good])
         total += float(plane[0])
+        if abs(total) > LARGEST_ROW_PX:
+            raise DataError(f"{names}: rows of the pictures are {abs(total):.1f} px apart; is the rig another one?")
+        scatter = robust_scatter(refined.row_offset[good] - terms @ plane)
+        if scatter > UNEVEN_PX:
+            raise DataError(
+                f"{names}: rows are apart unevenly, by {scatter:.1f} px; did the rover move between them, "
+                "is one turned, or the rig another one?"
+            )
+        shift = plane[0] + plane[1] * (grid[1] / width - 0.5) + plane[2] * (grid[0] / height - 0.5)
+        right = _warped(right, np.stack([grid[1], grid[0] + shift], axis=-1).astype(np.float32))
     return total, right
-
-
-def _robust(terms: FloatArray, values: FloatArray) -> FloatArray:
-    """Least squares with Huber's (1964, 10.1214/aoms/1177703732) weights."""
-    weight: FloatArray = np.ones(len(values))
-    found: FloatArray = np.zeros(terms.shape[1])
-    for _ in range(10):
-        found = np.asarray(np.linalg.lstsq(terms * weight[:, None], values * weight, rcond=None)[0], dtype=float)
-        away = np.abs(values - terms @ found)
-        scale = robust_scatter(away, 0.0) + 1e-9
-        weight = np.asarray(np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(away, 1e-12))), dtype=float)
-    return np.asarray(found)
 
 
 def _reasons(
@@ -542,11 +479,8 @@ def _reasons(
     light = cv2.boxFilter(pictures[0], -1, window)
     black = float(np.percentile(pictures[0], 0.5))
     bright = float(np.percentile(pictures[0], 90)) - black
-    width, height = frame.shape[1], frame.shape[0]
-    outside = ~Camera(name="", width_px=width, height_px=height, fx_px=1, fy_px=1, cx_px=0, cy_px=0).sees(
-        np.nan_to_num(frame.maps[0], nan=-9.0), HALF_PX + 1
-    )
-    u = np.arange(width)
+    reach, last = HALF_PX + 0.5, np.array(frame.shape[::-1]) - HALF_PX - 1.5
+    inside = ((frame.maps[0] >= reach) & (frame.maps[0] <= last)).all(axis=-1)
     reason = np.full(frame.shape, MATCHED, dtype=np.uint8)
     unfit = ~np.isfinite(refined.disparity) | (refined.misfit > LARGEST_MISFIT)
     for code, mask in (
@@ -555,7 +489,7 @@ def _reasons(
         (NO_TEXTURE, refined.sigma > LARGEST_SIGMA_PX),
         (SHADOW, light - black < DARK * bright),
         (SATURATED, cv2.boxFilter(full[0].astype(np.float32), -1, window) > 1e-6),
-        (EDGE, outside | (u - np.nan_to_num(first) < HALF_PX + 2)),
+        (EDGE, ~inside | (np.arange(frame.shape[1]) - np.nan_to_num(first) < HALF_PX + 2)),
     ):
         reason[mask] = code
     return reason
@@ -564,55 +498,66 @@ def _reasons(
 def _occluded(first: FloatArray) -> npt.NDArray[np.bool_]:
     """Pixels whose place in the right picture belongs to something nearer. (h, w)"""
     height, width = first.shape
-    known = np.isfinite(first)
-    v, u = np.nonzero(known)
-    there = np.clip(np.rint(u - first[known]).astype(int), 0, width - 1)
+    valid = np.isfinite(first)
+    v, u = np.nonzero(valid)
+    there = np.clip(np.rint(u - first[valid]).astype(int), 0, width - 1)
     nearest = np.zeros((height, width))
-    np.maximum.at(nearest, (v, there), first[known])
+    np.maximum.at(nearest, (v, there), first[valid])
     hidden = np.zeros((height, width), dtype=bool)
-    hidden[known] = nearest[v, there] > first[known] + 1.5
+    hidden[valid] = nearest[v, there] > first[valid] + 1.5
     return hidden
 
 
 def _islands(disparity: FloatArray) -> npt.NDArray[np.bool_]:
     """Pixels of small patches that are off the ground about them, or have none about them. (h, w)"""
-    cv2 = open_cv()
-    known = np.isfinite(disparity)
-    filled = np.where(known, disparity, 0.0)
-    steps = np.where(known, np.rint(16 * disparity), -1).astype(np.int16)
-    ground = cv2.filterSpeckles(steps, -1, ISLAND_PX, 16 * ISLAND_STEP_PX)[0] >= 0
-    window = (ABOUT_PX, ABOUT_PX)
-    weight = cv2.blur(ground.astype(float), window)
-    mean = cv2.blur(np.where(ground, filled, 0.0), window) / np.maximum(weight, 1e-9)
-    return np.asarray(known & ~ground & ((weight < 1e-6) | (np.abs(filled - mean) > ISLAND_OFF * mean)))
+    valid = np.isfinite(disparity)
+    steps = np.where(valid, np.rint(16 * np.nan_to_num(disparity)), -1).astype(np.int16)
+    ground = open_cv().filterSpeckles(steps, -1, ISLAND_PX, 16 * ISLAND_STEP_PX)[0] >= 0
+    mean, share = _mean_in_window(np.where(ground, disparity, np.nan), ABOUT_PX)
+    off = np.abs(np.nan_to_num(disparity) - mean) > ISLAND_OFF * mean
+    return np.asarray(valid & ~ground & ((share < 1e-6) | off))
 
 
 def _relief(disparity: FloatArray) -> FloatArray:
     """Rms of neighbouring disparities about each window's plane, less what their own errors explain. (h, w) [px]"""
-    cv2 = open_cv()
-    window = (2 * HALF_PX + 1,) * 2
-    known = np.isfinite(disparity)
-    weight = np.maximum(cv2.boxFilter(known.astype(float), -1, window), 1e-9)
+    valid = np.isfinite(disparity)
 
     def mean(values: FloatArray) -> FloatArray:
-        return np.asarray(cv2.boxFilter(np.where(known, values, 0.0), -1, window) / weight)
+        return _mean_in_window(np.where(valid, values, np.nan), 2 * HALF_PX + 1)[0]
 
     v, u = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(float)
-    d = np.where(known, disparity, 0.0)
-    mu, mv, md = mean(u), mean(v), mean(d)
-    uu, vv, dd = mean(u * u) - mu**2, mean(v * v) - mv**2, mean(d * d) - md**2
-    du, dv = mean(d * u) - md * mu, mean(d * v) - md * mv
+    mu, mv, md = mean(u), mean(v), mean(disparity)
+    uu, vv, dd = mean(u * u) - mu**2, mean(v * v) - mv**2, mean(disparity**2) - md**2
+    du, dv = mean(disparity * u) - md * mu, mean(disparity * v) - md * mv
     left = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
     return np.sqrt(np.maximum(left, 0.0))
 
 
 def _matter(left: Picture, right: Picture, frame: Rectified, span: tuple[float, float]) -> str:
-    """What is wrong with two pictures that do not match, as far as trying tells."""
-    half = span[0] / 2, span[1] / 2
+    """What is wrong with two pictures of which too few pixels match, from trying them otherwise, half as large."""
 
     def share(one: FloatArray, two: FloatArray) -> float:
-        pair = zip((one, two), frame.maps, strict=True)
-        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in pair]
-        return float(np.isfinite(_semi_global(small, half)).mean())
+        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in zip((one, two), frame.maps, strict=True)]
+        return float(np.isfinite(_semi_global(small, (span[0] / 2, span[1] / 2))).mean())
 
-    return what_is_wrong(left, right, share, FEWEST)
+    one, two = left.values, right.values
+    tries = {
+        "left and right are swapped, or both are upside down; give the left one first": (two, one),
+        "the right picture is upside down": (one, two[::-1, ::-1]),
+        "the left picture is upside down": (one[::-1, ::-1], two),
+    }
+    if left.size[0] == left.size[1]:
+        tries |= {
+            "both pictures are turned by 90 deg clockwise": (np.rot90(one), np.rot90(two)),
+            "both pictures are turned by 90 deg anticlockwise": (np.rot90(one, -1), np.rot90(two, -1)),
+            "the right picture is turned by 90 deg": (one, np.rot90(two)),
+            "the left picture is turned by 90 deg": (np.rot90(one), two),
+        }
+    shares = {reason: share(*pair) for reason, pair in tries.items()}
+    likeliest = max(shares, key=lambda reason: shares[reason])
+    if shares[likeliest] > max(LEAST_SHARE, 1.5 * share(one, two)):
+        return f"do not match as they are: {likeliest}"
+    return (
+        f"less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig, "
+        "and is neither turned?"
+    )

@@ -78,20 +78,20 @@ def read_picture(source: str | Path | InputFile) -> Picture:
     cv2 = open_cv()
     _check_size(file)
     with unheard():
-        found = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if found is None:
+        values = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if values is None:
         raise DataError(f"{file.name}: {NO_PICTURE}")
-    if found.ndim == 3:
-        found = cv2.cvtColor(found[..., :3], cv2.COLOR_BGR2GRAY) if found.shape[2] > 2 else found[..., 0]
-    return _picture(file, found)
+    if values.ndim == 3:
+        values = cv2.cvtColor(values[..., :3], cv2.COLOR_BGR2GRAY) if values.shape[2] > 2 else values[..., 0]
+    return _picture(file, values)
 
 
-def _picture(file: InputFile, found: npt.NDArray[Any]) -> Picture:
-    if found.dtype not in (np.uint8, np.uint16, np.int16):
-        raise DataError(f"{file.name}: numbers of type {found.dtype}; give a picture of 8 or 16 bits")
-    top = int(found.max(initial=0))
-    bits = 8 if found.dtype == np.uint8 else next(bits for bits in (10, 12, 14, 16) if top < 2**bits)
-    return Picture(source=file, values=np.maximum(found, 0).astype(np.float64), bits=bits)
+def _picture(file: InputFile, values: npt.NDArray[Any]) -> Picture:
+    if values.dtype not in (np.uint8, np.uint16, np.int16):
+        raise DataError(f"{file.name}: numbers of type {values.dtype}; give a picture of 8 or 16 bits")
+    top = int(values.max(initial=0))
+    bits = 8 if values.dtype == np.uint8 else next(bits for bits in (10, 12, 14, 16) if top < 2**bits)
+    return Picture(source=file, values=np.maximum(values, 0).astype(np.float64), bits=bits)
 
 
 def _check_size(file: InputFile) -> None:
@@ -102,13 +102,13 @@ def _check_size(file: InputFile) -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            width, height = Image.open(io.BytesIO(file.data), formats=("PNG", "TIFF", "JPEG")).size
+            pixels = math.prod(Image.open(io.BytesIO(file.data), formats=("PNG", "TIFF", "JPEG")).size)
     except Image.DecompressionBombError:
-        raise DataError(f"{file.name}: {TOO_LARGE}") from None
-    except (OSError, ValueError, SyntaxError, OverflowError) as error:
-        raise DataError(f"{file.name}: {NO_PICTURE}") from error
-    if width * height > MOST_PIXELS:
-        raise DataError(f"{file.name}: {TOO_LARGE}")
+        pixels = MOST_PIXELS + 1
+    except (OSError, ValueError, SyntaxError, OverflowError):
+        pixels = 0
+    if not 0 < pixels <= MOST_PIXELS:
+        raise DataError(f"{file.name}: {TOO_LARGE if pixels else NO_PICTURE}")
 
 
 def _read_pds4(file: InputFile) -> Picture:
@@ -133,11 +133,11 @@ def _read_pds4(file: InputFile) -> Picture:
     return picture
 
 
-def _whole(file: InputFile, told: str | None) -> int:
+def _whole(file: InputFile, cell: str | None) -> int:
     """A count of a label. Raises DataError for what is none."""
-    if not re.fullmatch(r"\s*\d{1,12}\s*", told or "", re.ASCII):
-        raise DataError(f"{file.name}: its label says {str(told)[:20]!r} for a count; fetch it again")
-    return int(str(told))
+    if not re.fullmatch(r"\s*\d{1,12}\s*", cell or "", re.ASCII):
+        raise DataError(f"{file.name}: its label says {str(cell)[:20]!r} for a count; fetch it again")
+    return int(str(cell))
 
 
 def _without_mosaic(values: FloatArray) -> FloatArray:

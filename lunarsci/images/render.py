@@ -6,6 +6,7 @@ with the highest of larger and larger squares to skip what they fly over (Tevs, 
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,12 +61,13 @@ class Landscape:
     def __post_init__(self) -> None:
         if self.height_m.ndim != 2 or min(self.height_m.shape) < 3 or not np.isfinite(self.height_m).all():
             raise ParameterError(f"{self.name}: heights must be a grid of 3 x 3 or more finite numbers; fill its holes")
-        if self.albedo.shape != self.height_m.shape or not (self.albedo > 0).all():
-            raise ParameterError(f"{self.name}: reflectance must be above 0 at every node")
-        if self.rocks.shape[1:] != (len(ROCK_COLUMNS),) or not (self.rocks[:, 3:6] > 0).all():
-            raise ParameterError(f"{self.name}: rocks need {', '.join(ROCK_COLUMNS)}, with half axes above 0")
-        if not (0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90):
-            raise ParameterError(f"{self.name}: spacing must be above 0, and the Sun over the horizon: 0 to 90 deg")
+        bright = self.albedo.shape == self.height_m.shape and (self.albedo > 0).all()
+        rocky = self.rocks.shape[1:] == (len(ROCK_COLUMNS),) and (self.rocks[:, 3:6] > 0).all()
+        if not (bright and rocky and 0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90):
+            raise ParameterError(
+                f"{self.name}: needs reflectance above 0 at every node, {', '.join(ROCK_COLUMNS)} of rocks with half "
+                "axes above 0, a spacing above 0, and the Sun 0 to 90 deg over the horizon"
+            )
 
     @property
     def sun(self) -> FloatArray:
@@ -92,17 +94,13 @@ class Landscape:
     def surface(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Height of ground or rock, whichever is higher, as seen from above. [m]"""
         x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
-        found = self.ground(x, y)
+        height = self.ground(x, y)
         for row in self.rocks:
-            along, across = _turned(x - row[0], y - row[1], math.radians(row[6]))
-            left = 1 - (along / row[3]) ** 2 - (across / row[4]) ** 2
+            turned = ((x - row[0]) + 1j * (y - row[1])) * np.exp(-1j * math.radians(row[6]))
+            left = 1 - (turned.real / row[3]) ** 2 - (turned.imag / row[4]) ** 2
             top = row[2] + row[5] * np.sqrt(np.maximum(left, 0.0))
-            found = np.where((left > 0) & (top > found), top, found)
-        return found
-
-
-def _turned(x: FloatArray, y: FloatArray, angle: float) -> tuple[FloatArray, FloatArray]:
-    return x * math.cos(angle) + y * math.sin(angle), -x * math.sin(angle) + y * math.cos(angle)
+            height = np.where((left > 0) & (top > height), top, height)
+        return height
 
 
 def landscape_on(
@@ -135,8 +133,6 @@ def landscape_on(
             f"the landscape's spacing is {fine:g} m, and the heights it is made from lie {coarse:g} m apart; give a "
             f"spacing above 0, at most {coarse:g} m, for detail is added to the ground and none is taken away"
         )
-    if not (rocks_per_m2 >= 0 and roughness >= 0):
-        raise ParameterError(f"rocks are {rocks_per_m2:g} a square metre and roughness {roughness:g}; give 0 or more")
     random = np.random.default_rng(seed)
     ground = _refined(height, coarse / fine)
     longest = min(max(4 * coarse, 8 * fine), 1.0)
@@ -155,20 +151,12 @@ def landscape_on(
         sun_azimuth_deg=sun_azimuth_deg,
         sun_elevation_deg=sun_elevation_deg,
     )
-    places = random.uniform(
-        (x0, y0), (x0 + extent[0], y0 + extent[1]), (random.poisson(rocks_per_m2 * np.prod(extent)), 2)
-    )
-    return _with_rocks(bare, places, random)
-
-
-def _with_rocks(bare: Landscape, places: FloatArray, random: np.random.Generator) -> Landscape:
-
-    count = len(places)
-    width = np.minimum(0.04 / np.sqrt(np.maximum(random.random(count), 0.01)), 0.4)
+    count = random.poisson(rocks_per_m2 * np.prod(extent))
+    places = random.uniform((x0, y0), (x0 + extent[0], y0 + extent[1]), (count, 2))
+    half = 0.5 * np.minimum(0.04 / np.sqrt(np.maximum(random.random(count), 0.01)), 0.4)
     flat = random.uniform(0.6, 1.0, (count, 2))
-    half = 0.5 * width
-    sunk = bare.ground(places[:, 0], places[:, 1]) + random.uniform(-0.3, 0.5, count) * half * flat[:, 1]
-    rows = np.column_stack([places, sunk, half, half * flat[:, 0], half * flat[:, 1], random.uniform(0, 180, count)])
+    sunk = bare.ground(*places.T) + random.uniform(-0.3, 0.5, count) * half * flat[:, 1]
+    rows = np.column_stack([places, sunk, half, half[:, None] * flat, random.uniform(0, 180, count)])
     return dataclasses.replace(bare, rocks=rows)
 
 
@@ -199,8 +187,8 @@ def read_track(source: str) -> tuple[FloatArray, FloatArray]:
     if depth is None or not {"x_m", "y_m"} <= set(table.columns):
         raise DataError(f"{source}: a track needs the columns x_m, y_m, and rut_m or sinkage_m")
     x, y, z = (numbers_of(source, name, table[name]) for name in ("x_m", "y_m", depth))
-    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
-    return np.column_stack([x, y])[known], z[known]
+    valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    return np.column_stack([x, y])[valid], z[valid]
 
 
 def _refined(height: FloatArray, times: float) -> FloatArray:
@@ -219,8 +207,7 @@ def _fractal(shape: tuple[int, int], spacing_m: float, longest_m: float, random:
     with np.errstate(divide="ignore"):
         weight = np.where(k >= 1 / longest_m, k ** -(HURST + 1), 0.0)
     waves = np.fft.irfft2(weight * np.fft.rfft2(random.standard_normal(shape)), s=shape)
-    spread = float(waves.std())
-    return np.asarray(waves / spread if spread > 0 else waves)
+    return np.asarray(waves / (waves.std() or 1.0))
 
 
 SKYLIGHT = 0.0015
@@ -252,25 +239,22 @@ class World(NamedTuple):
         normals = np.stack([-slope_x, -slope_y, np.ones_like(height)], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         peaks, levels = _peaks(height)
-        rocks = np.column_stack([landscape.rocks[:, :6], *_turns(landscape.rocks[:, 6])])
+        turns = np.radians(landscape.rocks[:, 6])
+        rocks = np.column_stack([landscape.rocks[:, :6], np.cos(turns), np.sin(turns)])
         place = np.array([landscape.x0_m, landscape.y0_m, landscape.spacing_m])
-        return cls(place, height, normals, landscape.albedo, peaks, levels, np.ascontiguousarray(rocks), landscape.sun)
-
-
-def _turns(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+        return cls(place, height, normals, np.ascontiguousarray(landscape.albedo), peaks, levels, rocks, landscape.sun)
 
 
 def _peaks(height: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """Highest corner of each cell, and of squares of 2, 4, … cells; rows of `levels` are (start, ny, nx)."""
     level = np.maximum(np.maximum(height[:-1, :-1], height[1:, :-1]), np.maximum(height[:-1, 1:], height[1:, 1:]))
-    found, levels, start = [], [], 0
+    peaks, levels, start = [], [], 0
     while True:
-        found.append(level.ravel())
+        peaks.append(level.ravel())
         levels.append((start, *level.shape))
         start += level.size
         if max(level.shape) == 1:
-            return np.concatenate(found), np.array(levels, dtype=np.int64)
+            return np.concatenate(peaks), np.array(levels, dtype=np.int64)
         padded = np.pad(level, [(0, n % 2) for n in level.shape], constant_values=-np.inf)
         level = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2).max(axis=(1, 3))
 
@@ -299,98 +283,58 @@ def seen_by(
     """
     count = len(ways)
     flags = (np.empty(count, dtype=np.bool_) for _ in range(2))
-    found = Seen(np.empty(count), np.empty(count), np.empty(count, dtype=np.uint8), *flags)
-    _look(
-        np.ascontiguousarray(ways),
-        np.ascontiguousarray(origin, dtype=float),
-        np.ascontiguousarray(suns),
-        world.place,
-        world.heights,
-        world.normals,
-        world.albedo,
-        world.peaks,
-        world.levels,
-        world.rocks,
-        np.ascontiguousarray(world.rocks if near is None else world.rocks[near]),
-        hapke,
-        *found,
-    )
-    return found
+    seen = Seen(np.empty(count), np.empty(count), np.empty(count, dtype=np.uint8), *flags)
+    rocks = np.ascontiguousarray(world.rocks if near is None else world.rocks[near])
+    rays = (np.ascontiguousarray(part, dtype=float) for part in (ways, origin, suns))
+    _look(*rays, world, rocks, hapke, seen)
+    return seen
 
 
 def clear(world: World, points: FloatArray, ways: FloatArray, far: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether nothing is between points and what is `far` along ways from them."""
-    found = np.empty(len(points), dtype=np.bool_)
-    arrays = world.place, world.heights, world.peaks, world.levels, world.rocks
-    _free(np.ascontiguousarray(points), np.ascontiguousarray(ways), far, *arrays, found)
-    return found
+    free = np.empty(len(points), dtype=np.bool_)
+    _free(np.ascontiguousarray(points), np.ascontiguousarray(ways), far, world, free)
+    return free
 
 
 @compiled(nogil=True)
-def _look(  # type: ignore[no-untyped-def]
-    ways,
-    origin,
-    suns,
-    place,
-    heights,
-    normals,
-    albedo,
-    peaks,
-    levels,
-    rocks,
-    near,
-    hapke,
-    light,
-    far,
-    kind,
-    lit,
-    sunward,
-):
+def _look(ways, origin, suns, world, near, hapke, seen):  # type: ignore[no-untyped-def]
     normal = np.empty(3)
-    point = np.empty(3)
     for n in range(len(ways)):
         way, sun = ways[n], suns[n]
-        distance = _to_ground(origin, way, place, heights, peaks, levels, np.inf)
-        rock, nearer = _to_rocks(origin, way, near, distance)
-        kind[n], far[n], light[n], lit[n], sunward[n] = 0, np.inf, 0.0, False, False
+        seen.kind[n], seen.far[n], seen.light[n], seen.lit[n], seen.facing[n] = 0, np.inf, 0.0, False, False
+        to_ground = _to_ground(origin, way, world, np.inf)
+        rock, distance = _to_rocks(origin, way, near, to_ground)
         if rock < 0 and not distance < np.inf:
             continue
-        if rock >= 0:
-            distance = nearer
-        for axis in range(3):
-            point[axis] = origin[axis] + distance * way[axis]
+        point = origin + distance * way
         tint = ROCK_ALBEDO
         if rock >= 0:
             _rock_normal(point, near[rock], normal)
         else:
-            tint = _ground_normal(point, place, normals, albedo, normal)
-        kind[n], far[n] = 2 if rock >= 0 else 1, distance
-        light[n] = SKYLIGHT * tint
+            tint = _ground_normal(point, world, normal)
+        seen.kind[n], seen.far[n], seen.light[n] = 2 if rock >= 0 else 1, distance, SKYLIGHT * tint
         facing = normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2]
         toward = -(normal[0] * way[0] + normal[1] * way[1] + normal[2] * way[2])
-        sunward[n] = facing > 0.0
-        if facing > 0.0 and _is_clear(point, sun, np.inf, place, heights, peaks, levels, rocks):
+        seen.facing[n] = facing > 0.0
+        if facing > 0.0 and _is_clear(point, sun, np.inf, world):
             cosine = -(way[0] * sun[0] + way[1] * sun[1] + way[2] * sun[2])
-            lit[n] = True
-            light[n] += _scattered(facing, max(toward, 1e-3), cosine, tint, hapke)
+            seen.lit[n] = True
+            seen.light[n] += _scattered(facing, max(toward, 1e-3), cosine, tint, hapke)
 
 
 @compiled(nogil=True)
-def _free(points, ways, far, place, heights, peaks, levels, rocks, found):  # type: ignore[no-untyped-def]
+def _free(points, ways, far, world, free):  # type: ignore[no-untyped-def]
     for n in range(len(points)):
-        found[n] = _is_clear(points[n], ways[n], far[n], place, heights, peaks, levels, rocks)
+        free[n] = _is_clear(points[n], ways[n], far[n], world)
 
 
 @compiled(nogil=True)
-def _is_clear(point, way, far, place, heights, peaks, levels, rocks):  # type: ignore[no-untyped-def]
+def _is_clear(point, way, far, world):  # type: ignore[no-untyped-def]
     """Whether a ray from just over a surface gets as far as that."""
-    start = np.empty(3)
-    for axis in range(3):
-        start[axis] = point[axis] + LIFT_M * way[axis]
+    start = point + LIFT_M * way
     start[2] += LIFT_M
-    if _to_ground(start, way, place, heights, peaks, levels, far) < far:
-        return False
-    return _to_rocks(start, way, rocks, far)[0] < 0
+    return _to_ground(start, way, world, far) >= far and _to_rocks(start, way, world.rocks, far)[0] < 0
 
 
 @compiled(nogil=True)
@@ -409,8 +353,9 @@ def _scattered(mu0, mu, cosine, tint, hapke):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _ground_normal(point, place, normals, albedo, normal):  # type: ignore[no-untyped-def]
+def _ground_normal(point, world, normal):  # type: ignore[no-untyped-def]
     """Normal between the nodes' normals, and the reflectance."""
+    place, normals, albedo = world.place, world.normals, world.albedo
     x, y = (point[0] - place[0]) / place[2], (point[1] - place[1]) / place[2]
     i = min(max(int(x), 0), normals.shape[1] - 2)
     j = min(max(int(y), 0), normals.shape[0] - 2)
@@ -444,7 +389,7 @@ def _rock_normal(point, rock, normal):  # type: ignore[no-untyped-def]
 @compiled(nogil=True)
 def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
     """The first rock that a ray meets before `limit`, -1 for none, and how far it is."""
-    best, found = limit, -1
+    best, number = limit, -1
     for n in range(len(rocks)):
         rock = rocks[n]
         x, y, z = origin[0] - rock[0], origin[1] - rock[1], origin[2] - rock[2]
@@ -461,13 +406,14 @@ def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
         if left > 0.0:
             distance = (-b - math.sqrt(left)) / a
             if 1e-9 < distance < best:
-                best, found = distance, n
-    return found, best
+                best, number = distance, n
+    return number, best
 
 
 @compiled(nogil=True)
-def _to_ground(origin, way, place, heights, peaks, levels, limit):  # type: ignore[no-untyped-def]
+def _to_ground(origin, way, world, limit):  # type: ignore[no-untyped-def]
     """Distance at which a ray meets the ground's triangles, inf where it does not before `limit`."""
+    place, peaks, levels = world.place, world.peaks, world.levels
     ny, nx = levels[0, 1], levels[0, 2]
     x, y = (origin[0] - place[0]) / place[2], (origin[1] - place[1]) / place[2]
     dx, dy = way[0] / place[2], way[1] / place[2]
@@ -492,7 +438,7 @@ def _to_ground(origin, way, place, heights, peaks, levels, limit):  # type: igno
                 i = min(max(math.floor((x + dx * t) / half), 2 * i), min(2 * i + 1, levels[level, 2] - 1))
                 j = min(max(math.floor((y + dy * t) / half), 2 * j), min(2 * j + 1, levels[level, 1] - 1))
                 continue
-            hit = _in_cell(origin[2], way[2], x - i, y - j, dx, dy, t, leave, heights, i, j)
+            hit = _in_cell(origin[2], way[2], x - i, y - j, dx, dy, t, leave, world.heights, i, j)
             if hit < np.inf:
                 return hit
         if leave >= end:
@@ -620,29 +566,21 @@ def render(
                 f"a camera at {np.round(side.center_m, 3).tolist()} m is below the ground of {low:.3f} m"
             )
     world = World.of(landscape)
-    count = 2 * (math.ceil(rig.left.height_px / ROWS) + 1)
-    told = _Counted(progress, count)
+    total, done = 2 * (math.ceil(rig.left.height_px / ROWS) + 1), itertools.count(1)
+
+    def report(*_: int) -> None:
+        if progress is not None:
+            progress(min(next(done), total), total)
+
     cameras = true.left, true.right
     lights = [
-        _light(world, c, p, rig.sensor.lens_sigma_px, samples, law, random, told)
+        _light(world, c, p, rig.sensor.lens_sigma_px, samples, law, random, report)
         for c, p in zip(cameras, poses, strict=True)
     ]
     gain = EXPOSURE * rig.sensor.full_well_e / max(float(np.percentile(lights[0], 99.5)), 1e-12)
     left, right = (_numbers(light, c, rig, gain, random, noise) for light, c in zip(lights, cameras, strict=True))
     truth = _truth(world, landscape, true, poses)
     return RenderedPair(left=left, right=right, rig=true, left_pose=poses[0], right_pose=poses[1], truth=truth)
-
-
-class _Counted:
-    """Calls `progress` once for every part that is done, in whatever thread."""
-
-    def __init__(self, progress: Progress | None, count: int) -> None:
-        self._progress, self._count, self._done = progress, count, 0
-
-    def __call__(self, *_: int) -> None:
-        self._done += 1
-        if self._progress is not None:
-            self._progress(min(self._done, self._count), self._count)
 
 
 def _light(
@@ -653,7 +591,7 @@ def _light(
     samples: int,
     law: Law,
     random: np.random.Generator,
-    told: Callable[[int, int], None],
+    report: Callable[[int, int], None],
 ) -> FloatArray:
     """Radiance factor of each pixel through lens and pixel. (h, w)"""
     from scipy.ndimage import gaussian_filter
@@ -665,18 +603,19 @@ def _light(
     seeds = random.integers(2**62, size=len(blocks))
 
     def look(number: int) -> None:
-        block, own = blocks[number], np.random.default_rng(int(seeds[number]))
+        block, noise = blocks[number], np.random.default_rng(int(seeds[number]))
         rows = (np.arange(block.start, block.stop) + 0.5) / samples - 0.5
         rays = camera.rays(np.stack(np.meshgrid(across, rows), axis=-1).reshape(-1, 2))
         ways = rays @ pose.rotation.T
         ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
-        suns = _disk(world.sun, own.random((2, len(ways))))
+        suns = _disk(world.sun, noise.random((2, len(ways))))
         near = _rocks_in(world, camera, pose, rows[0] - 2, rows[-1] + 2)
         seen = seen_by(world, pose.center_m, ways, suns, law == "hapke", near)
         fine[block] = seen.light.reshape(len(rows), -1)
 
-    each_in_threads(look, len(blocks), told)
-    return fine_to_pixels(gaussian_filter(fine, blur_px * samples, mode="nearest"), samples)
+    each_in_threads(look, len(blocks), report)
+    blurred = gaussian_filter(fine, blur_px * samples, mode="nearest")
+    return np.asarray(blurred.reshape(height, samples, width, samples).mean(axis=(1, 3)))
 
 
 def _rocks_in(world: World, camera: Camera, pose: Pose, first: float, last: float) -> npt.NDArray[np.int64]:
@@ -688,12 +627,6 @@ def _rocks_in(world: World, camera: Camera, pose: Pose, first: float, last: floa
     spread = 2 * camera.fy_px * reach / np.maximum(depth - reach, 1e-3)
     apart = (depth > 3 * reach) & ((row + spread < first) | (row - spread > last))
     return np.flatnonzero(~apart & (middle[:, 2] > -reach))
-
-
-def fine_to_pixels(fine: FloatArray, samples: int) -> FloatArray:
-    """Means over the rays of each pixel. (h samples, w samples) to (h, w)"""
-    height, width = (count // samples for count in fine.shape)
-    return np.asarray(fine.reshape(height, samples, width, samples).mean(axis=(1, 3)))
 
 
 def _disk(sun: FloatArray, uniform: FloatArray) -> FloatArray:

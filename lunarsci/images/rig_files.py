@@ -10,6 +10,7 @@ from its centre. Also VINS, ORB-SLAM 3 and instant-ngp.
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -79,8 +80,8 @@ def _plainer(tree: Mapping[str, Any]) -> Mapping[str, Any]:
         tree = {key: one for key, one in tree.items() if not isinstance(one, Mapping)}
         if {"mu", "mv", "u0", "v0"} <= {*projection}:
             place = [projection[name] for name in ("mu", "mv", "u0", "v0")]
-            own = {"d": [projection.get(f"k{k}", 0.0) for k in range(2, 6)], "distortion_model": "equidistant"}
-            return {**tree, "intrinsics": place, **own}
+            lens = {"d": [projection.get(f"k{k}", 0.0) for k in range(2, 6)], "distortion_model": "equidistant"}
+            return {**tree, "intrinsics": place, **lens}
         return {**tree, **projection, **(lens if isinstance(lens, Mapping) else {})}
     sides = {str(key): match for key in tree if (match := _SIDE.match(str(key)))}
     if not sides:
@@ -99,15 +100,15 @@ def _plainer(tree: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"left": cameras["1"], "right": cameras["2"]}
 
 
-def _of_colmap(found: re.Match[str]) -> dict[str, Any]:
-    given = dict(zip(COLMAP[found[2]], map(float, found[5].split()), strict=False))
+def _of_colmap(line: re.Match[str]) -> dict[str, Any]:
+    given = dict(zip(COLMAP[line[2]], map(float, line[5].split()), strict=False))
     size = given.get("f", 0.0)
     fx, fy = given.get("fx", size), given.get("fy", size)
-    fisheye = found[2] == "OPENCV_FISHEYE"
+    fisheye = line[2] == "OPENCV_FISHEYE"
     terms = ("k1", "k2", "k3", "k4") if fisheye else (*_TERMS, "k4", "k5", "k6")
     return {
-        "image_width": int(found[3]),
-        "image_height": int(found[4]),
+        "image_width": int(line[3]),
+        "image_height": int(line[4]),
         "intrinsics": [fx, fy, given.get("cx", 0.0) - CORNER_PX, given.get("cy", 0.0) - CORNER_PX],
         "distortion": [given.get(term, 0.0) for term in terms],
         "distortion_model": "equidistant" if fisheye else "",
@@ -119,11 +120,11 @@ def _of_ini(content: str) -> dict[str, Any]:
     size = dict(_SIZE.findall(parts[parts.index("image") + 1]))
     cameras = dict[str, dict[str, Any]]()
     for name, body in zip(parts[1::2], parts[2::2], strict=True):
-        own = {match[1]: [float(one) for one in match[2].split()] for match in _BLOCK.finditer(body)}
-        if "camera matrix" in own:
+        blocks = {match[1]: [float(one) for one in match[2].split()] for match in _BLOCK.finditer(body)}
+        if "camera matrix" in blocks:
             words = {"camera matrix": "camera_matrix", "distortion": "distortion_coefficients"}
             cameras[name] = {
-                **{words.get(key, f"{key}_matrix"): values for key, values in own.items()},
+                **{words.get(key, f"{key}_matrix"): values for key, values in blocks.items()},
                 "image_width": int(size["width"]),
                 "image_height": int(size["height"]),
             }
@@ -184,7 +185,6 @@ SIDES = (("1", "left", "l"), ("2", "right", "r"))
 ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
 """Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
 FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
-NO_LENS = ("none", "")
 KEYS = re.compile(
     r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
     r"[ \t]*:",
@@ -216,7 +216,7 @@ class WrittenCamera:
     remarks: tuple[str, ...] = ()
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """How it was read, and what P says of its partner."""
         apart = float(np.linalg.norm(self.from_partner_m))
         partner = (f"P: {apart:.4g} m from its partner, whose file makes a rig with this one",) if apart else ()
@@ -252,10 +252,9 @@ class _LensModel(CahvModel):
     fisheye: bool
 
     def project(self, points: FloatArray) -> FloatArray:
-
         cv2, matrix = open_cv(), np.stack([self.vectors[name] for name in "HVA"])
-        own = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
-        return np.asarray(own(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, self.lens)[0])[:, 0]
+        lens = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
+        return np.asarray(lens(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, self.lens)[0])[:, 0]
 
 
 def tree_of(file: InputFile) -> Mapping[str, Any] | None:
@@ -269,9 +268,9 @@ def tree_of(file: InputFile) -> Mapping[str, Any] | None:
             tree = _of_element(xml_root(file.name, file.data))
         else:
             tree = _of_yaml(file, start) if KEYS.search(start) else None
-    except DataError:
-        raise
     except (ValueError, KeyError, TypeError, OverflowError) as error:
+        if isinstance(error, DataError):
+            raise
         raise DataError(f"{file.name}: a camera that lacks something ({str(error)[:80]}); export it again") from error
     return tree if isinstance(tree, Mapping) and (_cameras_in(tree) or _way_in(tree)) else None
 
@@ -295,26 +294,21 @@ def _of_element(node: Element) -> Any:
 
 def _flattened(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Keys in small letters without what is between them; intrinsics that have a key each as a matrix and its lens."""
-    found = {re.sub(r"[^a-z0-9]", "", str(key).lower()): value for key, value in tree.items()}
-    found = {
-        key.removeprefix("camera") if key[6:] not in ("matrix", "name") else key: one for key, one in found.items()
-    }
-    cells = [next((found[name] for name in names if name in found), None) for names in ONE_BY_ONE]
+    keys = {re.sub(r"[^a-z0-9]", "", str(key).lower()): value for key, value in tree.items()}
+    keys = {re.sub("^camera(?!(matrix|name)$)", "", key): value for key, value in keys.items()}
+    cells = [next((keys[name] for name in names if name in keys), None) for names in ONE_BY_ONE]
     if None not in cells:
-        found |= {"intrinsics": cells}
-        found |= {"d": [found.get(term, 0.0) for term in BROWN]} if "k1" in found else {}
-    return found
+        keys |= {"intrinsics": cells}
+        keys |= {"d": [keys.get(term, 0.0) for term in BROWN]} if "k1" in keys else {}
+    return keys
 
 
 def _part(tree: Mapping[str, Any], side: Sequence[str]) -> dict[str, Any]:
     """Keys of one camera of two, without what tells the camera, and those that both share."""
-    found = dict(tree)
-    for key, value in tree.items():
-        for mark in side:
-            for name in (key.removeprefix(mark), key.removesuffix(mark)):
-                if name != key and any(name in names for names in NAMES.values()):
-                    found[name] = value
-    return found
+    names = {name for group in NAMES.values() for name in group}
+    bare = {cut(mark): value for mark in side for key, value in tree.items()
+            for cut in (key.removeprefix, key.removesuffix) if cut(mark) != key and cut(mark) in names}  # fmt: skip
+    return {**tree, **bare}
 
 
 def _has_camera(tree: Mapping[str, Any]) -> bool:
@@ -327,21 +321,21 @@ def _cameras_in(tree: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     chain = [(str(key), _flattened(value)) for key, value in tree.items() if isinstance(value, Mapping)]
     if nested := [(key, value) for key, value in chain if _has_camera(value)]:
         return nested
-    own = _flattened(tree)
-    if _has_camera(own):
-        return [(str(own.get("cameraname", "")), own)]
-    parts = [(side[1], _part(own, side)) for side in SIDES]
+    flat = _flattened(tree)
+    if _has_camera(flat):
+        return [(str(flat.get("cameraname", "")), flat)]
+    parts = [(side[1], _part(flat, side)) for side in SIDES]
     return [(name, part) for name, part in parts if _has_camera(part)]
 
 
 def _way_in(tree: Mapping[str, Any]) -> "_Way | None":
     """The way from the first camera's frame to the second one's, if a file has one."""
-    own = _flattened(tree)
+    flat = _flattened(tree)
     for value in tree.values():
         chain = _floats(_flattened(value).get("tcncnm1", ())) if isinstance(value, Mapping) else np.empty(0)
         if chain.size == 16:
             return _Way.of(chain.reshape(4, 4))
-    shift, turn = (next((_floats(own[name]) for name in names if name in own), np.empty(0)) for names in (SHIFT, TURN))
+    shift, turn = (next((_floats(flat[n]) for n in names if n in flat), np.empty(0)) for names in (SHIFT, TURN))
     if shift.size != 3 or turn.size not in (3, 9):
         return None
     return _Way(rotation_of(turn) if turn.size == 3 else turn.reshape(3, 3), shift, None)
@@ -352,35 +346,27 @@ def _floats(value: Any) -> FloatArray:
     if isinstance(value, Mapping):
         value = value.get("data", ())
     try:
-        return np.array([float(one) for one in _flat(value)])
+        return np.array(value, dtype=float).ravel()
     except (TypeError, ValueError):
         return np.empty(0)
 
 
-def _flat(value: Any) -> Iterator[Any]:
-    if isinstance(value, list | tuple):
-        for one in value:
-            yield from one if isinstance(one, list | tuple) else (one,)
-    else:
-        yield value
-
-
 def _camera_of(file: str, name: str, tree: Mapping[str, Any]) -> WrittenCamera:
     """Raises DataError for one that lacks something."""
-    found = {what: next((tree[key] for key in names if key in tree), None) for what, names in NAMES.items()}
-    matrix, lens = _floats(found["matrix"]), _floats([] if found["lens"] is None else found["lens"])
-    fx, fy, cx, cy = matrix if matrix.size == 4 else matrix[[0, 4, 2, 5]]
-    size = [found["width"], found["height"]]
-    if None in size:
-        size = list(_floats(found["size"])) if found["size"] is not None else []
+    given = {what: next((tree[key] for key in names if key in tree), ()) for what, names in NAMES.items()}
+    matrix, lens = _floats(given["matrix"]), _floats(given["lens"])
+    fx, fy, cx, cy = map(float, matrix if matrix.size == 4 else matrix[[0, 4, 2, 5]])
+    size: list[Any] = [given["width"], given["height"]]
+    if () in size:
+        size = list(_floats(given["size"]))
     if len(size) != 2:
         raise DataError(f"{file}: the size of the picture is missing; add image_width: … and image_height: …")
     width, height = (count_of(file, one, what) for one, what in zip(size, ("samples", "lines"), strict=True))
-    own = {"fx_px": float(fx), "fy_px": float(fy), "cx_px": float(cx), "cy_px": float(cy)}
-    plain = Camera(name=str(found["name"] or name or file), width_px=width, height_px=height, **own)
-    model = str(found["model"] or "").lower().replace("_", "").replace(" ", "")
+    title = str(given["name"] or name or file)
+    plain = Camera(name=title, width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy)
+    model = str(given["model"] or "").lower().replace("_", "").replace(" ", "")
     camera, remarks = _bent(plain, lens, model)
-    turn, onto, body = (_floats(found[key]) for key in ("rectification", "projection", "body"))
+    turn, onto, body = (_floats(given[key]) for key in ("rectification", "projection", "body"))
     return WrittenCamera(
         camera=camera,
         rectification=orthonormal(turn.reshape(3, 3)) if turn.size == 9 and turn.any() else None,
@@ -426,7 +412,7 @@ def rig_or_camera(files: Sequence[InputFile], unit: LengthUnit | None = None) ->
     trees = [tree for file in files if (tree := tree_of(file)) is not None]
     if not trees or len(trees) < len(files):
         return None
-    told = ", ".join(file.name for file in files)
+    names = ", ".join(file.name for file in files)
     try:
         named = [(file.name, *one) for file, tree in zip(files, trees, strict=True) for one in _cameras_in(tree)]
         cameras = [_camera_of(*one) for one in named]
@@ -434,36 +420,34 @@ def rig_or_camera(files: Sequence[InputFile], unit: LengthUnit | None = None) ->
             return cameras[0]
         if len(cameras) != 2:
             raise ParameterError(f"{len(cameras)} cameras; a rig has two, {CAMERA_FORM}")
-        way = next((way for tree in trees if (way := _way_in(tree)) is not None), None) or _way_by_body(cameras)
-        rig = _rig_of_written(told, cameras, way, unit)
+        way = next((way for tree in trees if (way := _way_in(tree)) is not None), None)
+        bodies = [one.body for one in cameras if one.body is not None]
+        if way is None and len(bodies) == 2:
+            way = _Way.of(np.linalg.inv(bodies[1]) @ bodies[0])
+        rig = _rig_of_written(names, cameras, way, unit)
         if not is_swapped(rig.translation_m):
             return rig
         if named[0][0] != named[1][0]:
             raise ParameterError("left and right are swapped; give the left one first")
         return _exchanged(rig)
     except (ParameterError, TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{told}: {error}") from error
-
-
-def _way_by_body(cameras: list[WrittenCamera]) -> _Way | None:
-    first, second = cameras
-    return None if first.body is None or second.body is None else _Way.of(np.linalg.inv(second.body) @ first.body)
+        raise DataError(f"{names}: {error}") from error
 
 
 def _exchanged(rig: StereoRig) -> StereoRig:
     """A rig with its first camera as the right one."""
-    said = "the second camera stands left of the first one, and is taken as the left one"
+    note = "the second camera stands left of the first one, and is taken as the left one"
     return replace(
         rig,
         left=rig.right,
         right=rig.left,
         rotation=rig.rotation.T,
         translation_m=-rig.rotation.T @ rig.translation_m,
-        read_as=(*rig.read_as, said),
+        read_as=(*rig.read_as, note),
     )
 
 
-def _rig_of_written(told: str, cameras: list[WrittenCamera], way: _Way | None, unit: LengthUnit | None) -> StereoRig:
+def _rig_of_written(names: str, cameras: list[WrittenCamera], way: _Way | None, unit: LengthUnit | None) -> StereoRig:
     """A rig whose cameras stand as P of both says, else as the way between them does."""
     first, second = cameras
     remarks = [*first.remarks, *(one for one in second.remarks if one not in first.remarks)]
@@ -473,23 +457,23 @@ def _rig_of_written(told: str, cameras: list[WrittenCamera], way: _Way | None, u
         rotation, translation = turns[1].T @ turns[0], turns[1].T @ by_projection
         remarks.append("baseline from the projection matrices P; intrinsics are those of pictures before rectification")
     elif way is not None:
-        scale, said = _scale_of(float(np.linalg.norm(way.translation)), way.unit or unit)
+        scale, notes = _scale_of(float(np.linalg.norm(way.translation)), way.unit or unit)
         rotation, translation = orthonormal(way.rotation), scale * way.translation
-        remarks += said
+        remarks += notes
     else:
         raise ParameterError(
             "nothing tells how the two cameras stand to each other; give P of both (ROS), T_cn_cnm1 (Kalibr), or R and "
             "T (OpenCV), in the file or in one beside it"
         )
     return StereoRig(
-        name=told,
+        name=names,
         left=first.camera,
         right=second.camera,
         rotation=rotation,
         translation_m=translation,
         covariance=covariance_of({}),
         assumed=(STATED,),
-        source=f"calibration {told}",
+        source=f"calibration {names}",
         read_as=tuple(remarks),
     )
 
@@ -506,7 +490,6 @@ def _scale_of(length: float, unit: LengthUnit | None) -> tuple[float, list[str]]
     ]
 
 
-OWN = "rigs.toml"
 ONE_CAMERA = "is one camera; a rig needs two"
 SENSOR = ("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist")
 SIGMA_GROUPS = {"rotation_rad": RELATIVE[:3], "translation_m": RELATIVE[3:]}
@@ -514,6 +497,19 @@ FORM = (
     "give [left] and [right] (width_px, height_px, fx_px, fy_px, cx_px, cy_px, k1, k2, k3, p1, p2) and [relative] "
     "(rotation_rad, translation_m), or width_px, height_px, focal_px and baseline_m of two equal cameras side by side"
 )
+
+
+@contextmanager
+def _read_from(name: str, form: str) -> Iterator[None]:
+    """What a file lacks, or has wrong, as a DataError with its name and the form that it should have."""
+    try:
+        yield
+    except DataError:
+        raise
+    except KeyError as error:
+        raise DataError(f"{name}: no {error.args[0]}; {form}") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise DataError(f"{name}: {error}") from error
 
 
 class SingleCamera(NamedTuple):
@@ -526,7 +522,7 @@ class SingleCamera(NamedTuple):
 
 def read_camera(file: InputFile) -> SingleCamera | None:
     """The camera of a file that `camera_text` made; None for any other TOML. Raises DataError."""
-    try:
+    with _read_from(file.name, "a camera has a name, a covariance and [camera]"):
         plain = toml_document(text(file))
         if "camera" not in plain:
             return None
@@ -534,20 +530,16 @@ def read_camera(file: InputFile) -> SingleCamera | None:
         if covariance.shape != (len(INTRINSICS),) * 2 or not np.isfinite(covariance).all():
             raise DataError(f"{file.name}: its covariance has shape {covariance.shape}; give 9 x 9 numbers")
         return SingleCamera(_camera(plain["camera"], str(plain["name"])), covariance, str(plain.get("source", "")))
-    except KeyError as error:
-        raise DataError(f"{file.name}: no {error.args[0]}; a camera has a name, a covariance and [camera]") from error
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DataError(f"{file.name}: {error}") from error
 
 
-def known_rigs() -> tuple[str, ...]:
-    """Names of the rigs that come with lunarsci."""
-    return tuple(tomllib.loads(own_text()))
-
-
-def own_text() -> str:
+def rigs_text() -> str:
     """The file of the rigs that come with lunarsci."""
-    return files("lunarsci.images").joinpath(OWN).read_text("utf-8")
+    return files("lunarsci.images").joinpath("rigs.toml").read_text("utf-8")
+
+
+def rig_names() -> tuple[str, ...]:
+    """Names of the rigs that come with lunarsci."""
+    return tuple(tomllib.loads(rigs_text()))
 
 
 def read_rig(*sources: str | InputFile) -> StereoRig:
@@ -556,50 +548,35 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
     Labels are PDS4 XML of Chang'E cameras, or text with a CAHV, CAHVOR or CAHVORE model: PDS3 labels and VICAR files.
     Raises DataError for anything else.
     """
-    if 1 <= len(sources) <= 2 and sources[0] not in known_rigs():
-        given = [read_input(source) for source in sources] if _are_files(sources) else []
-        if isinstance(found := rig_or_camera(given), StereoRig):
-            return found
-        if found is not None:
-            raise DataError(f"{given[0].name}: {ONE_CAMERA}")
-    if len(sources) == 2:
-        return rig_of_labels(read_input(sources[0]), read_input(sources[1]))
-    if len(sources) != 1:
+    if len(sources) not in (1, 2):
         raise DataError("a rig is a name, a TOML file, or two labels, left and right; give one of these")
-    if sources[0] in known_rigs():
-        return _read(tomllib.loads(own_text())[sources[0]], str(sources[0]))
+    given = tomllib.loads(rigs_text())
+    if len(sources) == 1 and (name := str(sources[0])) in given:
+        return _read(given[name], name)
+    if len(sources) == 1 and isinstance(sources[0], str) and not (sources[0] == "-" or Path(sources[0]).exists()):
+        raise DataError(f"{sources[0]}: no rig of that name ({', '.join(given)}) and no such file")
+    inputs = [read_input(source) for source in sources]
+    written = rig_or_camera(inputs)
+    if isinstance(written, StereoRig):
+        return written
+    if written is not None:
+        raise DataError(f"{inputs[0].name}: {ONE_CAMERA}")
+    if len(inputs) == 2:
+        return rig_of_labels(*inputs)
+    content = text(inputs[0])
     try:
-        file = read_input(sources[0])
-        return _read(toml_document(text(file)), file.name)
+        return _read(toml_document(content), inputs[0].name)
     except tomllib.TOMLDecodeError as error:
-        hint = "; of labels give two, left and right" if text(file).lstrip().startswith("<") else ""
-        raise DataError(f"{file.name}: not valid TOML: {error}{hint}") from error
-    except DataError as error:
-        if "no such file" in str(error):
-            raise DataError(
-                f"{sources[0]}: no rig of that name ({', '.join(known_rigs())}) and no such file"
-            ) from error
-        raise
-
-
-def _are_files(sources: Sequence[str | InputFile]) -> bool:
-    return all(isinstance(source, InputFile) or Path(source).is_file() for source in sources)
+        hint = "; of labels give two, left and right" if content.lstrip().startswith("<") else ""
+        raise DataError(f"{inputs[0].name}: not valid TOML: {error}{hint}") from error
 
 
 def _read(document: Mapping[str, Any], origin: str) -> StereoRig:
+    """Raises DataError for a rig whose right camera is left of the left one."""
     if "camera" in document:
         raise DataError(f"{origin}: {ONE_CAMERA}: calibrate the right one's pictures with it")
-    try:
-        assumed = (*document.get("assumed", ()), *_assumed(document))
-        return _checked(_rig(_plain(document), assumed), origin)
-    except KeyError as error:
-        raise DataError(f"{origin}: no {error.args[0]}; {FORM}") from error
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DataError(f"{origin}: {error}") from error
-
-
-def _checked(rig: StereoRig, origin: str) -> StereoRig:
-    """Raises DataError for a rig whose right camera is left of the left one."""
+    with _read_from(origin, FORM):
+        rig = _rig(_plain(document), (*document.get("assumed", ()), *_assumed(document)))
     if not is_swapped(rig.translation_m):
         return rig
     turn, way = vector_of(rig.rotation.T), -rig.rotation.T @ rig.translation_m
@@ -651,11 +628,11 @@ def _camera(table: Mapping[str, Any], name: str) -> Camera:
 def _covariance(plain: Mapping[str, Any]) -> Any:
     if "covariance" in plain:
         return np.array(plain["covariance"], dtype=float)
-    found: dict[str, float] = {}
+    sigmas: dict[str, float] = {}
     for name, value in plain.get("sigma", {}).items():
         both = (f"left_{name}", f"right_{name}") if name in INTRINSICS else (name,)
-        found |= dict.fromkeys(SIGMA_GROUPS.get(name, both), float(value))
-    return covariance_of(found)
+        sigmas |= dict.fromkeys(SIGMA_GROUPS.get(name, both), float(value))
+    return covariance_of(sigmas)
 
 
 def _plain(value: Any) -> Any:
@@ -673,28 +650,31 @@ def _assumed(document: Mapping[str, Any]) -> list[str]:
 def rig_text(rig: StereoRig) -> str:
     """The TOML file of a rig, which `read_rig` reads back to the last digit."""
     lines = [f"name = {_quoted(rig.name)}", f"source = {_quoted(rig.source)}"]
-    lines.append(f"assumed = [{', '.join(map(_quoted, rig.assumed))}]")
+    lines += [f"assumed = [{', '.join(map(_quoted, rig.assumed))}]"]
     lines += [f"{name} = {getattr(rig.sensor, name)!r}" for name in SENSOR]
     lines += [f"nearest_m = {rig.nearest_m!r}"]
     lines += [] if rig.mast_height_m is None else [f"mast_height_m = {rig.mast_height_m!r}"]
-    lines += [f"# rows and columns: {', '.join(PARAMETERS)}", "covariance = ["]
-    lines += [f"  [{_numbers(row)}]," for row in rig.covariance]
-    lines += ["]", ""]
+    lines += [*_covariance_lines(PARAMETERS, rig.covariance), ""]
     for side, camera in (("left", rig.left), ("right", rig.right)):
-        lines += [f"[{side}]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}"]
-        lines += [f"{name} = {float(getattr(camera, name))!r}" for name in INTRINSICS] + [""]
+        lines += [*_camera_lines(side, camera), ""]
     lines += ["[relative]", f"rotation_rad = [{_numbers(vector_of(rig.rotation))}]"]
-    lines += [f"translation_m = [{_numbers(rig.translation_m)}]", ""]
-    return "\n".join(lines)
+    return "\n".join([*lines, f"translation_m = [{_numbers(rig.translation_m)}]", ""])
 
 
 def camera_text(camera: Camera, covariance: FloatArray, *, name: str, source: str) -> str:
     """The TOML file of one camera with the covariance of its intrinsics (9, 9), which `read_camera` reads."""
-    lines = [f"name = {_quoted(name)}", f"source = {_quoted(source)}"]
-    lines += [f"# rows and columns: {', '.join(INTRINSICS)}", "covariance = ["]
-    lines += [f"  [{_numbers(row)}]," for row in covariance]
-    lines += ["]", "", "[camera]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}"]
-    return "\n".join([*lines, *(f"{key} = {float(getattr(camera, key))!r}" for key in INTRINSICS), ""])
+    lines = [f"name = {_quoted(name)}", f"source = {_quoted(source)}", *_covariance_lines(INTRINSICS, covariance), ""]
+    return "\n".join([*lines, *_camera_lines("camera", camera), ""])
+
+
+def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]:
+    rows = [f"  [{_numbers(row)}]," for row in covariance]
+    return [f"# rows and columns: {', '.join(names)}", "covariance = [", *rows, "]"]
+
+
+def _camera_lines(table: str, camera: Camera) -> list[str]:
+    numbers = [f"{key} = {float(getattr(camera, key))!r}" for key in INTRINSICS]
+    return [f"[{table}]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}", *numbers]
 
 
 def _numbers(values: Sequence[float] | Any) -> str:
@@ -709,9 +689,9 @@ def check_rig_of(rig: StereoRig, width_px: int, height_px: int, name: str) -> No
     """Raise DataError where a picture cannot be of a rig's camera."""
     if (width_px, height_px) == rig.left.size == rig.right.size:
         return
-    own = " x ".join(map(str, rig.left.size))
+    size = " x ".join(map(str, rig.left.size))
     turned = "; it seems to be turned" if (height_px, width_px) == rig.left.size else "; is it another rig's?"
-    raise DataError(f"{name}: {width_px} x {height_px} px, and {rig.name} takes pictures of {own}{turned}")
+    raise DataError(f"{name}: {width_px} x {height_px} px, and {rig.name} takes pictures of {size}{turned}")
 
 
 def read_pose(source: str | InputFile) -> Pose:
@@ -720,18 +700,12 @@ def read_pose(source: str | InputFile) -> Pose:
     Raises DataError.
     """
     file = read_input(source)
-    try:
+    with _read_from(file.name, "a pose has position_m, heading_deg and down_deg"):
         table = toml_document(text(file))
-        heading, down = float(table["heading_deg"]), float(table["down_deg"])
-        return Pose.looking(table["position_m"], heading, down, float(table.get("roll_deg", 0.0)))
-    except KeyError as error:
-        raise DataError(f"{file.name}: no {error.args[0]}; a pose has position_m, heading_deg and down_deg") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise DataError(f"{file.name}: {error}; a pose has position_m, heading_deg and down_deg") from error
+        roll = float(table.get("roll_deg", 0.0))
+        return Pose.looking(table["position_m"], float(table["heading_deg"]), float(table["down_deg"]), roll)
 
 
 def pose_text(pose: Pose) -> str:
     """The TOML file of a pose."""
-    heading, down, roll = pose.angles_deg()
-    lines = [f"position_m = [{_numbers(pose.center_m)}]", f"heading_deg = {heading!r}", f"down_deg = {down!r}"]
-    return "\n".join([*lines, f"roll_deg = {roll!r}", ""])
+    return "".join(f"{key} = {value!r}\n" for key, value in pose.to_dict().items())

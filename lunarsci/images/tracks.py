@@ -15,14 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, robust_scatter
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.io.inputs import read_input, read_json
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Unrolled:
+class Unrolled(NamedTuple):
     """Nodes about a line, by their way along it and their distance to the left of it, in the order of the way. (n,)"""
 
     along: FloatArray
@@ -34,41 +33,41 @@ class Unrolled:
         """Nodes from one place along the line to another."""
         return self.only(slice(*np.searchsorted(self.along, (low_m, high_m))))
 
-    def only(self, part: slice | BoolArray) -> "Unrolled":
+    def only(self, part: slice | BoolArray | IndexArray) -> "Unrolled":
         """Some of the nodes."""
-        return Unrolled(
-            along=self.along[part], across=self.across[part], height=self.height[part], sigma=self.sigma[part]
-        )
+        return Unrolled(*(values[part] for values in self))
 
     def with_sigma(self) -> "Unrolled":
         """Unknown errors as the median of the known ones, 0 where none is known."""
-        known = np.isfinite(self.sigma)
-        middle = float(np.median(self.sigma[known])) if known.any() else 0.0
-        return Unrolled(
-            along=self.along, across=self.across, height=self.height, sigma=np.where(known, self.sigma, middle)
-        )
+        valid = np.isfinite(self.sigma)
+        middle = float(np.median(self.sigma[valid])) if valid.any() else 0.0
+        return self._replace(sigma=np.where(valid, self.sigma, middle))
 
 
 def read_line(given: str) -> FloatArray:
     """Corners of a line: x1,y1,x2,y2,... as text, or a GeoJSON file with a LineString. (n, 2) [m]
 
-    Raises ParameterError for text that is no line, DataError for a file without one.
+    Raises ParameterError for what is no line, DataError for a file without one.
     """
-
-    if not given.lower().endswith((".json", ".geojson")):
-        try:
-            numbers = np.array([float(part) for part in given.split(",")])
-        except ValueError as error:
-            raise ParameterError(f"'{given}' is no line; give x1,y1,x2,y2,... in m, or a GeoJSON file") from error
-        return _checked_line(given, numbers.reshape(-1, 2) if numbers.size % 2 == 0 else numbers[:, None])
-    content: Any = read_json(read_input(given), "a GeoJSON line", lambda found: found)
-    line = next(_line_strings(content), None)
-    if line is None:
-        raise DataError(f"{given}: no LineString in it; draw the track as one line")
     try:
-        return _checked_line(given, np.array([point[:2] for point in line], dtype=float))
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{given}: its LineString is no list of x, y in m ({error})") from error
+        if given.lower().endswith((".json", ".geojson")):
+            line = next(_line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)), None)
+            if line is None:
+                raise DataError(f"{given}: no LineString in it; draw the track as one line")
+            points = np.array([point[:2] for point in line], dtype=float)
+        else:
+            points = np.array([float(part) for part in given.split(",")]).reshape(-1, 2)
+    except DataError:
+        raise
+    except (TypeError, ValueError):
+        points = np.empty((0, 2))
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    if points.shape[1:] != (2,) or len(points) < 2 or not (np.isfinite(points).all() and (steps > 0).all()):
+        raise ParameterError(
+            f"'{given}' is no line; give x1,y1,x2,y2,... in m, or a GeoJSON file with a LineString: two corners or "
+            "more, each in another place than the one before"
+        )
+    return points
 
 
 def _line_strings(content: Any) -> Iterator[Any]:
@@ -80,15 +79,6 @@ def _line_strings(content: Any) -> Iterator[Any]:
     elif isinstance(content, list):
         for part in content:
             yield from _line_strings(part)
-
-
-def _checked_line(name: str, points: FloatArray) -> FloatArray:
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        raise ParameterError(f"'{name}' is no line; give two or more pairs x,y of finite numbers in m")
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if not (steps > 0).all():
-        raise ParameterError(f"'{name}': two corners of the line are one place; leave one out")
-    return points
 
 
 def places_on(line: FloatArray, along: FloatArray, left: FloatArray) -> FloatArray:
@@ -119,14 +109,9 @@ def unrolled(model: ElevationModel, line: FloatArray, reach_m: float) -> Unrolle
         nearer = distance < best
         best[nearer], along[nearer], across[nearer] = distance[nearer], way + forward[nearer], left[nearer]
         way += length
-    kept = np.flatnonzero(np.abs(across) <= reach_m)
-    kept = kept[np.argsort(along[kept], kind="stable")]
-    sigma = model.layer("height_m_sigma")[near]
-    return Unrolled(along=along[kept], across=across[kept], height=model.height_m[near][kept], sigma=sigma[kept])
-
-
-BIWEIGHT = 4.685
-"""Tukey's biweight, 95 % efficient for normal errors (Holland & Welsch 1977, 10.1080/03610927708827533)."""
+    inside = np.flatnonzero(np.abs(across) <= reach_m)
+    nodes = Unrolled(along, across, model.height_m[near], model.layer("height_m_sigma")[near])
+    return nodes.only(inside[np.argsort(along[inside], kind="stable")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,19 +132,18 @@ class GroundShape:
     def of(cls, nodes: Unrolled, cell_m: float, resolution_m: float) -> "GroundShape":
         """From medians of differences at lags from the resolution to 0.4 m along and across, without the noise's."""
         table, noise = _raster(nodes, cell_m)
-        lags, found = [], []
+        lags, halves = [], []
         for k in range(max(1, math.ceil(1.2 * resolution_m / cell_m)), max(2, round(0.4 / cell_m)) + 1):
             differences = np.concatenate([(table[k:] - table[:-k]).ravel(), (table[:, k:] - table[:, :-k]).ravel()])
             differences = differences[np.isfinite(differences)]
             if len(differences) > 20:
-                half = 0.5 * robust_scatter(differences, 0.0) ** 2 - noise
-                lags.append(k * cell_m)
-                found.append(max(half, 1e-10))
-        if not found:
+                lags.append(math.log(k * cell_m))
+                halves.append(math.log(max(0.5 * robust_scatter(differences, 0.0) ** 2 - noise, 1e-10)))
+        if not lags:
             return cls(1e-6, 0.75)
-        slope = np.polyfit(np.log(lags), np.log(found), 1)[0] if len(found) > 2 else 1.5
+        slope = np.polyfit(lags, halves, 1)[0] if len(lags) > 2 else 1.5
         exponent = float(np.clip(0.5 * slope, 0.4, 0.95))
-        return cls(float(np.exp(np.mean(np.log(found) - 2 * exponent * np.log(lags)))), exponent)
+        return cls(math.exp(np.mean(halves) - 2 * exponent * np.mean(lags)), exponent)
 
 
 def _raster(nodes: Unrolled, cell_m: float) -> tuple[FloatArray, float]:
@@ -174,18 +158,6 @@ def _raster(nodes: Unrolled, cell_m: float) -> tuple[FloatArray, float]:
         table = (np.bincount(key, rest, minlength=len(count)) / np.where(count > 0, count, np.nan)).reshape(shape)
     noise = float(np.nanmedian(nodes.sigma**2)) if np.isfinite(nodes.sigma).any() else 0.0
     return table, noise
-
-
-def robust_fit(design: FloatArray, height: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coefficients and weights from 0 to 1, by iterated weights of Tukey's biweight."""
-    weight = np.ones(len(height))
-    for _ in range(6):
-        root = np.sqrt(weight) / sigma
-        coefficients = np.linalg.lstsq(design * root[:, None], height * root, rcond=None)[0]
-        residual = (height - design @ coefficients) / sigma
-        scale = max(robust_scatter(residual), 1e-12)
-        weight = np.clip(1.0 - (residual / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
-    return np.asarray(coefficients), np.asarray(weight)
 
 
 class Cells(NamedTuple):
@@ -255,8 +227,6 @@ CELL_SHARE = 0.3
 """Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
 PRIOR_SHAMS = 4.0
 """Weight of the stated error beside shams, as so many of them; assumed."""
-NEXT_DISPARITY_PX = 0.05
-"""Relative bias of the disparity of neighbouring ground of other shape and texture; assumed. [px]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -277,13 +247,6 @@ class TrackProfile:
     strip_m: float
     floor_share: float = FLOOR_SHARE
     order: int = 1
-
-    def __post_init__(self) -> None:
-        for name in ("width_m", "strip_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"{name} is {getattr(self, name)}; give a number above 0")
-        if not 0 <= self.gap_m < math.inf:
-            raise ParameterError(f"gap_m is {self.gap_m}; give 0 or more")
 
     @classmethod
     def of_wheel(cls, width_m: float, resolution_m: float) -> "TrackProfile":
@@ -367,9 +330,8 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
     cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
     origin = cells.place.mean(axis=0)
     design = np.column_stack([np.ones(len(cells.height)), cells.place - origin])
-    plane, weight = robust_fit(design, cells.height, np.ones(len(cells.height)))
-    kept = weight > 0
-    flat = Cells(cells.place[kept], (cells.height - design @ plane)[kept], cells.sigma[kept], cells.nodes[kept])
+    plane, weight = robust_fit(design, cells.height)
+    flat = Cells(*(values[weight > 0] for values in cells._replace(height=cells.height - design @ plane)))
     # The wheel is as wide as it is, and rigid: its floor lies below the mean of all the ground that was there.
     ahead = np.linspace(-0.5, 0.5, 9) * survey.window_m * 8 / 9 + 0.5 * (nodes.along[0] + nodes.along[-1])
     under = np.meshgrid(ahead, middle + np.linspace(-0.4, 0.4, 5) * profile.width_m)
@@ -383,10 +345,10 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
     places = np.column_stack([np.ones(int(floor.sum())), nodes.along[floor], nodes.across[floor]])
     places[:, 1:] -= origin
     rest = nodes.height[floor] - places @ plane
-    bottom, share = robust_fit(np.ones((len(rest), 1)), rest, np.ones(len(rest)))
+    bottom, share = robust_fit(np.ones((len(rest), 1)), rest)
     noise = nodes.sigma[floor] ** 2
-    own = float((share**2 * noise).sum() / share.sum() ** 2) * min(alike, len(rest))
-    return ground - float(bottom[0]), math.sqrt(variance + own), ""
+    variance += float((share**2 * noise).sum() / share.sum() ** 2) * min(alike, len(rest))
+    return ground - float(bottom[0]), math.sqrt(variance), ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -401,13 +363,21 @@ class _Survey:
     cell_m: float
     shape: GroundShape
 
+    @property
+    def step_m(self) -> float:
+        """Distance of the windows' middles; a window where there is one. [m]"""
+        return float(self.centers[1] - self.centers[0]) if len(self.centers) > 1 else self.window_m
+
     def depths(self, middles: FloatArray, profile: TrackProfile) -> tuple[FloatArray, FloatArray, list[str]]:
         """Depths, their errors, and reasons, with the track's middle at these distances from the line."""
-        found = []
-        for center, middle in zip(self.centers, middles, strict=True):
-            part = self.nodes.between(center - 0.5 * self.window_m, center + 0.5 * self.window_m)
-            found.append(_one_depth(self, part, middle, profile))
-        depth, error, reason = zip(*found, strict=True)
+        half = 0.5 * self.window_m
+        depth, error, reason = zip(
+            *(
+                _one_depth(self, self.nodes.between(center - half, center + half), middle, profile)
+                for center, middle in zip(self.centers, middles, strict=True)
+            ),
+            strict=True,
+        )
         return np.array(depth), np.array(error), list(reason)
 
 
@@ -417,43 +387,35 @@ def track_middles(survey: _Survey, profile: TrackProfile, search_m: float, lengt
     In each stretch it is where a floor between walls fits the mean profile across best. Zero where the track does not
     stand out.
     """
-    edges = np.linspace(0.0, length_m, max(1, round(length_m)) + 1)
-    steps = np.arange(-search_m, search_m + 1e-9, 0.5 * survey.model.spacing_m)
-    found = []
-    for low, high in itertools.pairwise(edges):
-        part = survey.nodes.between(low, high)
-        offset = _stretch_middle(part, profile, steps)
-        if offset is not None:
-            found.append((0.5 * (low + high), offset))
-    if not found:
-        return np.zeros_like(survey.centers)
-    where, offset = np.array(found).T
-    if len(found) < 3:
-        return np.full_like(survey.centers, np.median(offset))
     from scipy.stats import theilslopes
 
-    line = theilslopes(offset, where)
+    edges = np.linspace(0.0, length_m, max(1, round(length_m)) + 1)
+    steps = np.arange(-search_m, search_m + 1e-9, 0.5 * survey.model.spacing_m)
+    offsets = [_stretch_middle(survey.nodes.between(*ends), profile, steps) for ends in itertools.pairwise(edges)]
+    middles, clear = 0.5 * (edges[:-1] + edges[1:]), np.isfinite(offsets)
+    offset = np.array(offsets)[clear]
+    if len(offset) < 3:
+        return np.full_like(survey.centers, np.median(offset) if len(offset) else 0.0)
+    line = theilslopes(offset, middles[clear])
     return np.asarray(np.clip(line.intercept + line.slope * survey.centers, -search_m, search_m))
 
 
-def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float | None:
-    """Where a box of the wheel's width explains most of the profile, None where it does not stand out."""
-    reach = profile.ground_m[1] + float(np.abs(steps).max())
-    part_of = np.abs(part.across) <= reach
-    if part_of.sum() < 20:
-        return None
-    along, across, height = part.along[part_of], part.across[part_of], part.height[part_of]
+def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float:
+    """Where a box of the wheel's width explains most of the profile, NaN where it does not stand out."""
+    searched = float(np.abs(steps).max())
+    part = part.only(np.abs(part.across) <= profile.ground_m[1] + searched)
+    outside = np.abs(part.across) > 0.5 * profile.width_m + searched
+    if len(part.along) < 20 or outside.sum() < 10:
+        return math.nan
+    along, across, height = part.along, part.across, part.height
     trend = np.column_stack([np.ones_like(along), along - along.mean(), across, across**2])
-    outside = np.abs(across) > 0.5 * profile.width_m + float(np.abs(steps).max())
-    if outside.sum() < 10:
-        return None
-    plane, _ = robust_fit(trend[outside], height[outside], np.ones(int(outside.sum())))
+    plane, _ = robust_fit(trend[outside], height[outside])
     rest = height - trend @ plane
     costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
     best = int(np.argmin(costs))
     scatter = robust_scatter(rest[outside])
     if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
-        return None
+        return math.nan
     before, here, after = costs[best - 1 : best + 2]
     bend = before - 2 * here + after
     return float(steps[best] + (0.5 * (before - after) / bend if bend > 0 else 0.0) * (steps[1] - steps[0]))
@@ -481,13 +443,14 @@ def track_depths(
     window_m: float = 0.5,
     step_m: float = 0.1,
     search_m: float = 0.05,
-    disparity_bias_px: float = NEXT_DISPARITY_PX,
+    disparity_bias_px: float = 0.05,
     progress: Callable[[int, int], None] | None = None,
 ) -> TrackDepths:
     """Depth of the track of a wheel along a line (n, 2), every `step_m`, each from a window of `window_m` along it.
 
     `search_m` is how far to either side of the line its middle may lie; `disparity_bias_px` the relative bias of the
-    disparity between floor and ground. Raises ParameterError for a line off the model.
+    disparity between floor and ground, which are of other shape and texture; assumed. Raises ParameterError for a line
+    off the model.
     """
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     about = model.at("resolution_m", *places_on(line, np.linspace(0.0, length, 50), np.zeros(50)).T)
@@ -535,22 +498,22 @@ def _measured(
     progress(2, 3)
     places = places_on(line, survey.centers, middles)
     by_disparity = np.abs(survey.model.at("height_by_disparity_m_px", *places.T)) * disparity_bias_px
-    known = np.isfinite(by_disparity)
-    by_disparity[~known] = np.median(by_disparity[known]) if known.any() else np.nan
+    valid = np.isfinite(by_disparity)
+    by_disparity[~valid] = np.median(by_disparity[valid]) if valid.any() else np.nan
     causes = _systematic(survey, profile, middles, depth) if np.isfinite(depth).any() else {}
     progress(3, 3)
-    found = np.isfinite(depth)
+    determined = np.isfinite(depth)
     return TrackDepths(
         distance_m=survey.centers,
         x_m=places[:, 0],
         y_m=places[:, 1],
         rut_m=depth,
         rut_m_random=random,
-        systematic_m={**causes, "disparity": by_disparity if np.isfinite(by_disparity[found]).any() else None},
+        systematic_m={**causes, "disparity": by_disparity if np.isfinite(by_disparity[determined]).any() else None},
         reason=tuple(reason),
         offset_m=middles,
-        mean_m=float(np.nanmean(depth)) if found.any() else np.nan,
-        mean_random_m=_mean_error(survey, random[found], shams),
+        mean_m=float(np.nanmean(depth)) if determined.any() else np.nan,
+        mean_random_m=_mean_error(survey, random[determined], shams),
         ground_scatter_m=scatter,
         shams=int(np.isfinite(shams).sum()),
     )
@@ -567,14 +530,13 @@ def _shams(survey: _Survey, profile: TrackProfile, middles: FloatArray) -> tuple
 
 def _as_shams(survey: _Survey, shams: FloatArray, errors: FloatArray) -> tuple[float | None, float]:
     """Robust scatter of shams about zero, and by what the stated errors are multiplied to be what shams show."""
-    known = np.isfinite(shams)
-    if known.sum() < FEWEST_SHAMS:
+    valid = np.isfinite(shams)
+    if valid.sum() < FEWEST_SHAMS:
         return None, 1.0
-    step = survey.centers[1] - survey.centers[0] if len(survey.centers) > 1 else survey.window_m
-    independent = known.sum() * min(1.0, step / survey.window_m)
-    squared = float(np.median((shams[known] / errors[known]) ** 2)) / 0.4549
+    independent = valid.sum() * min(1.0, survey.step_m / survey.window_m)
+    squared = float(np.median((shams[valid] / errors[valid]) ** 2)) / 0.4549
     factor = (independent * squared + PRIOR_SHAMS) / (independent + PRIOR_SHAMS)
-    return robust_scatter(shams[known], 0.0), math.sqrt(factor)
+    return robust_scatter(shams[valid], 0.0), math.sqrt(factor)
 
 
 def _mean_error(survey: _Survey, random: FloatArray, shams: FloatArray) -> float:
@@ -582,9 +544,8 @@ def _mean_error(survey: _Survey, random: FloatArray, shams: FloatArray) -> float
     count = len(random)
     if not count or not np.isfinite(random).any():
         return math.nan
-    step = survey.centers[1] - survey.centers[0] if len(survey.centers) > 1 else survey.window_m
     lags = np.arange(1, count)
-    alike = np.maximum(0.0, 1.0 - lags * step / survey.window_m)
+    alike = np.maximum(0.0, 1.0 - lags * survey.step_m / survey.window_m)
     if np.isfinite(shams).sum() >= FEWEST_SHAMS:
         variance = np.nanmean(shams**2)
         with np.errstate(invalid="ignore"):
@@ -606,7 +567,7 @@ def _systematic(
         ],
         "floor": [replace(profile, floor_share=share * profile.floor_share) for share in (0.6, 1.3)],
     }
-    found: dict[str, FloatArray | None] = {}
+    shared: dict[str, FloatArray | None] = {}
     for cause, others in choices.items():
         off = []
         for other in others:
@@ -614,7 +575,7 @@ def _systematic(
             both = np.isfinite(there) & np.isfinite(depth)
             if both.any():
                 off.append(float(np.mean(there[both] - depth[both])))
-        found[cause] = np.full_like(depth, np.sqrt(np.mean(np.square(off)))) if off else None
+        shared[cause] = np.full_like(depth, np.sqrt(np.mean(np.square(off)))) if off else None
     gains = [profile.gain((1.0 + sign * RESOLUTION_OFF) * survey.resolution_m) for sign in (-1.0, 1.0)]
-    found["resolution"] = np.abs(depth) * (gains[0] - gains[1]) / (2.0 * profile.gain(survey.resolution_m))
-    return found
+    shared["resolution"] = np.abs(depth) * (gains[0] - gains[1]) / (2.0 * profile.gain(survey.resolution_m))
+    return shared

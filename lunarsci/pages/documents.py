@@ -200,8 +200,8 @@ def _document(name: str, path: str | Path, folder: Path | None, drawn: bool) -> 
 
 def _belief(name: str, file: InputFile) -> Document:
     """What a belief says of the soil, as `twin history` tells it, with its picture. Raises DataError."""
-    from lunarsci.twin.jobs.history import history
     from lunarsci.figure import picture_bytes, styled
+    from lunarsci.twin.jobs.history import history
 
     told = history(file)
     with styled():

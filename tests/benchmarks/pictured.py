@@ -164,8 +164,7 @@ def merged(count: int = 2) -> "Figure":
 def ties(count: int = 2, name: str = "stop") -> "Figure":
     """Points that two stations share, as if they had been found: on a grid, with residuals of 0.3 px."""
     from lunarsci.images.figures import ties_figure
-    from lunarsci.images.localisation import Adjusted, Localised, PairTies
-    from lunarsci.images.ties import Station, TiePoints
+    from lunarsci.images.localisation import Adjusted, Localised, PairTies, Station, TiePoints
 
     matches, random = heights().matches, np.random.default_rng(4)
     u, v = (grid.ravel().astype(float) for grid in np.meshgrid(np.arange(30, 300, 30), np.arange(120, 290, 30)))
@@ -197,7 +196,7 @@ def boards() -> Any:
     cv2 = pytest.importorskip("cv2", reason="needs the extra images")
     import boards as seen_boards
 
-    from lunarsci.images.calibration import BoardTarget, BoardView, Sighting, calibrate
+    from lunarsci.images.calibration import BoardTarget, Sighting, calibrate
 
     lenses = [seen_boards.lens(520, 243, 196, (-0.12, 0.05, 5e-4, -8e-4, 0.01)),
               seen_boards.lens(518, 236, 203, (-0.11, 0.04, -5e-4, 4e-4, 0.0))]  # fmt: skip
@@ -209,7 +208,7 @@ def boards() -> Any:
         sides = zip(lenses, (there, there @ turn.T + way), strict=True)
         pixels = [cv2.projectPoints(p, np.zeros(3), np.zeros(3), of.matrix, of.terms)[0][:, 0] for of, p in sides]
         seen = (Sighting(numbers, p + random.normal(0, 0.05, p.shape)) for p in pixels)
-        views.append(BoardView(tuple(seen)))
+        views.append(tuple(seen))
     return calibrate(views, target, [(480, 400)] * 2)
 
 
@@ -258,7 +257,7 @@ def learned() -> Any:
 
 @cache
 def history() -> Any:
-    from lunarsci.cli.twin.history import history as told
+    from lunarsci.twin.jobs.history import history as told
 
     return told(written("SYNTHETIC belief.json", learned().belief.to_json()))
 

@@ -1,39 +1,33 @@
 """Calibration against SYNTHETIC boards seen through OpenCV's lens, and against itself on pictures of a real board."""
 
 import json
-import os
 import re
-import subprocess
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
-import pytest
-
-pytest.importorskip("cv2", reason="needs the extra images")
-
 import boards
 import cv2
+import numpy as np
+import pytest
 from lunarsci.cli import main
 from lunarsci.cli.images.calibrate import EXAMPLES
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.images.calibration import (
     BoardTarget,
-    BoardView,
     CameraCalibration,
     Sighting,
     calibrate,
-    check_board,
     find_target,
     of_moments,
 )
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import SIDES, CalibratedCameras, _seen_share, calibrate_cameras
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
-from lunarsci.images.pictures import Picture, read_picture
+from lunarsci.images.pictures import Picture
 from lunarsci.images.rig_files import read_rig
 from lunarsci.io.inputs import InputFile
 
@@ -56,7 +50,7 @@ def away(found: CameraCalibration) -> np.ndarray:
     return np.concatenate([*own, vector_of(found.rotation @ TURN.T), found.translation_m]) - truth()
 
 
-def simulated(count: int, random: np.random.Generator, noise: float = 0.05) -> list[BoardView]:
+def simulated(count: int, random: np.random.Generator, noise: float = 0.05) -> list[Any]:
     """Corners straight from OpenCV's projection, with white noise. [px]"""
     points, views = BoardTarget().points_m, []
     for turn, place in boards.poses(count, (0.1, 0.0625), 0.45, random):
@@ -68,7 +62,7 @@ def simulated(count: int, random: np.random.Generator, noise: float = 0.05) -> l
         noisy = [p + noise * random.standard_normal(p.shape) for p in pixels]
         inside = [((p > 0) & (p < of.size)).all(axis=1) for p, of in zip(noisy, (LEFT, RIGHT), strict=True)]
         both = zip(noisy, inside, strict=True)
-        views.append(BoardView(tuple(Sighting(np.flatnonzero(k), p[k]) if k.sum() > 10 else None for p, k in both)))
+        views.append(tuple(Sighting(np.flatnonzero(k), p[k]) if k.sum() > 10 else None for p, k in both))
     return views
 
 
@@ -99,12 +93,14 @@ def test_errors_of_a_rig_are_those_that_it_has() -> None:
     assert np.mean(squares) == pytest.approx(24, abs=7.4)  # three standard errors of 2.45
 
 
-def test_leaving_pictures_out_is_what_refitting_without_them_does() -> None:
-    """The linear jackknife beside one that fits anew; pictures of different noise raise it."""
+@pytest.mark.parametrize(("bent", "between"), [(0.0, (0.4, 1.6)), (0.5, (2.0, 8.0))])
+def test_leaving_pictures_out_is_what_refitting_without_them_does(bent: float, between: tuple[float, float]) -> None:
+    """The linear jackknife beside one that fits anew; pictures that are bent, each in its way, raise it."""
     random, sizes = np.random.default_rng(4), [LEFT.size]
-    views = [BoardView(view.sightings[:1]) for view in simulated(10, random)]
-    bad = [BoardView((Sighting(s.numbers, s.pixels + 0.4 * random.standard_normal(2)),))
-           for view in views if (s := view.sightings[0]) is not None]  # fmt: skip
+    views = [view[:1] for view in simulated(10, random)]
+    bend = lambda pixels: 1.0 + bent * ((pixels[:, :1] - 240.0) / 240.0) ** 2  # noqa: E731
+    bad = [(Sighting(s.numbers, s.pixels + 0.4 * random.standard_normal(2) * bend(s.pixels)),)
+           for view in views if (s := view[0]) is not None]  # fmt: skip
     found = calibrate(bad, BoardTarget(), sizes, distortion=2)
     fits = [
         calibrate(bad[:k] + bad[k + 1 :], BoardTarget(), sizes, distortion=2).cameras[0].vector()
@@ -114,7 +110,7 @@ def test_leaving_pictures_out_is_what_refitting_without_them_does() -> None:
     stated = np.sqrt(np.diag(found.covariance))
     shown = stated > 0
     # A shift of the whole board is taken up by its pose: the errors must not grow.
-    assert found.between_pictures == pytest.approx(1.0, abs=0.6)
+    assert between[0] < found.between_pictures < between[1]
     assert np.median(spread[shown] / stated[shown]) == pytest.approx(1.0, abs=0.6)
 
 
@@ -188,11 +184,11 @@ def test_swapped_sides_are_told_and_the_advice_gives_the_rig(
     shown: tuple[list[str], list[str]], found: CalibratedCameras
 ) -> None:
     left, right = (str(Path(side[0]).parent / f"{name}*.png") for name, side in zip(SIDES, shown, strict=True))
-    swapped = calibrate_cameras(right, left, distortion=4)
+    swapped = calibrate_cameras(right, left, distortion=4, square_error=0.0)
     assert "left and right are swapped" in swapped.untrusted
     assert "give its pictures first" in swapped.untrusted
     assert not found.untrusted
-    assert calibrate_cameras(left, right, distortion=4).found.baseline_m == pytest.approx(found.found.baseline_m)
+    assert swapped.found.baseline_m == pytest.approx(found.found.baseline_m, rel=1e-6)
     with pytest.raises(RequestError, match="put a pattern in quotes"):
         calibrate_cameras(str(Path(shown[0][0]).parent / "middle*.png"))
 
@@ -211,13 +207,18 @@ def refused(*pictures: object, **options: object) -> str:
     return str(caught.value)
 
 
-def test_examples_of_the_help_run(shown: tuple[list[str], list[str]], tmp_path: Path, program: Path) -> None:
+def test_examples_of_the_help_run(
+    shown: tuple[list[str], list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a shell reads them: what is not in quotes is a pattern of files."""
     for picture in (*shown[0], *shown[1]):
         (tmp_path / Path(picture).name).symlink_to(picture)
-    environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}"}
+    monkeypatch.chdir(tmp_path)
     for line in EXAMPLES:
-        done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        words = line.replace("\\\n", "").split()[1:]
+        plain = [[word.strip("'")] if "*" not in word or "'" in word else sorted(map(str, Path().glob(word)))
+                 for word in words]  # fmt: skip
+        assert main([*chain(*plain)]) == 0
     assert read_rig(str(tmp_path / "rig.toml")).baseline_m == pytest.approx(0.12 * 0.03 / SQUARE, rel=0.02)
 
 
@@ -225,12 +226,7 @@ def test_pictures_that_calibrate_nothing_are_refused(shown: tuple[list[str], lis
     left, right = shown
     assert "better 12" in refused(left[:3])
     assert "9 x 6" in refused(left[:1], board="9x7")
-    seen = Sighting(
-        np.arange(48),
-        np.array(find_target(read_picture(left[0]), BoardTarget()).pixels).reshape(6, 9, 2)[:, :8].reshape(-1, 2),
-    )  # type: ignore[union-attr]
-    with pytest.raises(DataError, match="goes on right of it beyond 8 x 6"):
-        check_board([read_picture(left[0])], [seen], BoardTarget(columns=8))
+    assert "shows a chessboard of 9 x 6, not 8 x 6" in refused(left[:1], board="8x6")
     named_otherwise = [tmp_path / f"{chr(ord('a') + k)}.png" for k in range(len(right) - 1)]
     assert "one of each moment" in refused(left, named_otherwise)
     assert "given twice" in refused([*left[:3], left[0]])
@@ -246,7 +242,7 @@ def test_a_board_that_is_not_tilted_is_refused() -> None:
     for k in range(8):
         there = points + np.array([0.02 * k - 0.15, -0.06, 0.5 + 0.02 * k])
         pixels = cv2.projectPoints(there, np.zeros(3), np.zeros(3), LEFT.matrix, LEFT.terms)[0].reshape(-1, 2)
-        views.append(BoardView((Sighting(np.arange(54), pixels + 0.03 * random.standard_normal(pixels.shape)),)))
+        views.append((Sighting(np.arange(54), pixels + 0.03 * random.standard_normal(pixels.shape)),))
     with pytest.raises(DataError, match="from one side"):
         calibrate(views, BoardTarget(), [LEFT.size])
 
@@ -267,7 +263,7 @@ def test_middles_of_circles_are_corrected(kind: str) -> None:
             np.array([m["m10"] / m["m00"], m["m01"] / m["m00"]]) + o.mean(axis=(0, 1))
             for m, o in zip(moments, outlines, strict=True)
         ]
-        views.append(BoardView((Sighting(np.arange(35), np.array(middles)),)))
+        views.append((Sighting(np.arange(35), np.array(middles)),))
     plain = calibrate(views, BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03), [LEFT.size])  # type: ignore[arg-type]
     corrected = calibrate(views, target, [LEFT.size])
     assert plain.residual_px < 0.01  # which residuals do not tell

@@ -12,15 +12,14 @@ import numpy as np
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.calibration import (
     BoardTarget,
-    BoardView,
     CameraCalibration,
     Sighting,
     alike_turned,
     calibrate,
     check_board,
-    files_of,
     find_target,
     of_moments,
+    pictures_matching,
 )
 from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
@@ -109,28 +108,28 @@ class CalibratedCameras(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        found = self.found
+        fit = self.found
         cameras = [
             {"width_px": camera.width_px, "height_px": camera.height_px}
             | self._numbers(k)
-            | {"residual_rms_px": _rms(found.residuals[k]), "seen_share": _seen_share(found, k)}
+            | {"residual_rms_px": _rms(fit.residuals[k]), "seen_share": _seen_share(fit, k)}
             | {"corner_uncertainty_px": self._corner(k)}
-            for k, camera in enumerate(found.cameras)
+            for k, camera in enumerate(fit.cameras)
         ]
         result: dict[str, Any] = {
             "cameras": dict(zip(SIDES, cameras, strict=False)) if len(cameras) > 1 else {"camera": cameras[0]},
-            "residual_px": found.residual_px,
-            "errors_between_pictures": found.between_pictures,
-            "tilt_deg": found.tilt_deg,
-            "left_out_points": found.left_out,
+            "residual_px": fit.residual_px,
+            "errors_between_pictures": fit.between_pictures,
+            "tilt_deg": fit.tilt_deg,
+            "left_out_points": fit.left_out,
             "pictures": self.rows(),
             "not_determined": self.not_determined(),
             "notes": self.notes(),
         }
         if len(cameras) > 1:
-            result |= {"baseline_m": found.baseline_m, "baseline_m_sigma": self._baseline_sigma()}
-            result |= {"rotation_rad": [float(v) for v in vector_of(found.rotation)]}
-            result |= {"translation_m": [float(v) for v in found.translation_m]}
+            result |= {"baseline_m": fit.baseline_m, "baseline_m_sigma": self._baseline_sigma()}
+            result |= {"rotation_rad": [float(v) for v in vector_of(fit.rotation)]}
+            result |= {"translation_m": [float(v) for v in fit.translation_m]}
         return result
 
     def _numbers(self, index: int) -> dict[str, float]:
@@ -156,7 +155,7 @@ class CalibratedCameras(Result):
 
     def not_determined(self) -> list[str]:
         """What these pictures leave open, with its value and error."""
-        said = []
+        lines = []
         for k, camera in enumerate(self.found.cameras):
             side = f" of the {camera.name}" if len(self.found.cameras) > 1 else ""
             cells = self._numbers(k)
@@ -169,31 +168,31 @@ class CalibratedCameras(Result):
             ):
                 if cells[f"{name}_sigma"] > largest:
                     word = "focal length" if name[0] == "f" else "principal point" if name[0] == "c" else "distortion"
-                    said.append(f"{word} {name}{side}: {cells[name]:.4g} ± {cells[f'{name}_sigma']:.2g}")
+                    lines.append(f"{word} {name}{side}: {cells[name]:.4g} ± {cells[f'{name}_sigma']:.2g}")
         if self.found.baseline_m and self._baseline_sigma() > BASELINE_SHARE * self.found.baseline_m:
-            said.append(f"baseline: {self.found.baseline_m:.4g} ± {self._baseline_sigma():.2g} m")
-        return said
+            lines.append(f"baseline: {self.found.baseline_m:.4g} ± {self._baseline_sigma():.2g} m")
+        return lines
 
     def notes(self) -> list[str]:
         """What the numbers rest on, and what would make them better."""
-        found = self.found
-        notes = [f"errors are those of the residuals, {max(found.between_pictures, 1):.2g} times, as pictures differ"]
-        for k, camera in enumerate(found.cameras):
-            if (share := _seen_share(found, k)) < SEEN_SHARE:
+        fit = self.found
+        notes = [f"errors are those of the residuals, {max(fit.between_pictures, 1):.2g} times, as pictures differ"]
+        for k, camera in enumerate(fit.cameras):
+            if (share := _seen_share(fit, k)) < SEEN_SHARE:
                 notes.append(
                     f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
                 )
             if (edge := self._corner(k)) > EDGE_PX:
                 hint = "see the board there, or find fewer terms (--distortion)"
                 notes.append(f"directions at the {camera.name}'s edge are uncertain by up to {edge:.1f} px: {hint}")
-        if found.tilt_deg < 30:
-            notes.append(f"normals of the board lie within {found.tilt_deg:.0f} deg; more tilt gives the focal length")
+        if fit.tilt_deg < 30:
+            notes.append(f"normals of the board lie within {fit.tilt_deg:.0f} deg; more tilt gives the focal length")
         held = {0: "k1 k2 k3 p1 p2", 1: "k2 k3 p1 p2", 2: "k3 p1 p2", 4: "k3", 5: ""}[self.request.distortion]
         if held:
             notes.append(f"held at 0: {held}")
         if "circles" in self.request.target and not self.request.circle:
             notes.append("middles of the circles' pictures are not quite those of circles: give --circle")
-        if len(found.cameras) > 1:
+        if len(fit.cameras) > 1:
             notes.append(f"the board's size is taken as right to {self.request.square_error:.2%} (--square-error)")
         return notes
 
@@ -243,20 +242,20 @@ class CalibratedCameras(Result):
 
         if len(self.found.cameras) > 1:
             return rig_text(self.rig()).encode()
-        own = self.found.cameras[0], self.found.covariance
-        return camera_text(*own, name=self.request.name, source=self._source("pictures")).encode()
+        camera, covariance = self.found.cameras[0], self.found.covariance
+        return camera_text(camera, covariance, name=self.request.name, source=self._source("pictures")).encode()
 
     def _source(self, what: str) -> str:
         return f"calibrated with a {self.request.target}, {len(self.used)} {what}, {self.found.residual_px:.2f} px"
 
 
-def _with_scale(found: CameraCalibration, square_error: float) -> CameraCalibration:
+def _with_scale(fit: CameraCalibration, square_error: float) -> CameraCalibration:
     """The calibration with the error of the target's size in its translation."""
 
-    covariance = found.covariance.copy()
-    if len(found.cameras) > 1:
-        covariance[-3:, -3:] += square_error**2 * np.outer(found.translation_m, found.translation_m)
-    return dataclasses.replace(found, covariance=covariance)
+    covariance = fit.covariance.copy()
+    if len(fit.cameras) > 1:
+        covariance[-3:, -3:] += square_error**2 * np.outer(fit.translation_m, fit.translation_m)
+    return dataclasses.replace(fit, covariance=covariance)
 
 
 def _rms(rows: Any) -> float:
@@ -264,11 +263,11 @@ def _rms(rows: Any) -> float:
     return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
 
 
-def _seen_share(found: CameraCalibration, index: int) -> float:
+def _seen_share(fit: CameraCalibration, index: int) -> float:
     """Share of the cells of a picture, 8 x 8, in which a point of the board was seen."""
 
-    size = np.array(found.cameras[index].size, dtype=float)
-    cells = np.clip((found.residuals[index][:, 1:3] / size * CELLS).astype(int), 0, CELLS - 1)
+    size = np.array(fit.cameras[index].size, dtype=float)
+    cells = np.clip((fit.residuals[index][:, 1:3] / size * CELLS).astype(int), 0, CELLS - 1)
     return len(np.unique(cells, axis=0)) / CELLS**2
 
 
@@ -290,7 +289,8 @@ def calibrate_cameras(
 
     asked = request_of(CalibrateCamerasRequest, request, options)
     target, steps = board_target(asked), progress or (lambda *_: None)
-    first, second = files_of(pictures), files_of(right, "right")
+    first = pictures_matching([pictures]) if isinstance(pictures, str) else pictures
+    second = pictures_matching([right], "right") if isinstance(right, str) else right
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
     shown = [[read_picture(one) for one in side] for side in sides]
     _check_sizes(shown)
@@ -304,15 +304,15 @@ def calibrate_cameras(
     names = [[picture.source.name for picture in side] for side in shown]
     _check_names(names)
     moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
-    used = [(BoardView(view), own) for view, own in moments if any(s is not None for s in view)]
-    found = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
+    used = [(view, files) for view, files in moments if any(s is not None for s in view)]
+    fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
     steps(count, count)
     return CalibratedCameras(
-        found=_with_scale(found, asked.square_error),
-        used=tuple(own for _, own in used),
+        found=_with_scale(fit, asked.square_error),
+        used=tuple(files for _, files in used),
         points={
             name: None if s is None else len(s.numbers)
-            for own, sightings in zip(names, seen, strict=True) for name, s in zip(own, sightings, strict=True)
+            for side, sightings in zip(names, seen, strict=True) for name, s in zip(side, sightings, strict=True)
         },
         request=asked,
         inputs={p.source.name: p.source.sha256 for side in shown for p in side},

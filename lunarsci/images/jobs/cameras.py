@@ -17,9 +17,9 @@ from lunarsci.images.rig_files import (
     SingleCamera,
     WrittenCamera,
     is_rig,
-    known_rigs,
     read_camera,
     read_rig,
+    rig_names,
     rig_or_camera,
     rig_text,
 )
@@ -56,8 +56,8 @@ class CameraSheet(Result):
     def to_dict(self) -> dict[str, Any]:
         return {
             "rigs": [self._rig(rig) for rig in self.rigs],
-            "cameras": [_alone(name, found) for name, found in self.alone.items()],
-            "read_as": [f"{rig.name}: {said}" for rig in self.rigs for said in rig.read_as],
+            "cameras": [_alone(name, one) for name, one in self.alone.items()],
+            "read_as": [f"{rig.name}: {note}" for rig in self.rigs for note in rig.read_as],
         }
 
     def _rig(self, rig: StereoRig) -> dict[str, Any]:
@@ -72,10 +72,8 @@ class CameraSheet(Result):
         }
         way = rig.translation_m / rig.baseline_m
         return {
-            "name": rig.name,
+            **rig.summary(),
             "source": rig.source,
-            "assumed": list(rig.assumed),
-            "baseline_m": rig.baseline_m,
             "baseline_m_sigma": float(way @ rig.covariance[-3:, -3:] @ way) ** 0.5 or None,
             "read_as": list(rig.read_as),
             "relative": relative,
@@ -86,7 +84,7 @@ class CameraSheet(Result):
     def ranges(self, rig: StereoRig, ranges_m: Sequence[float] = RANGES_M) -> list[dict[str, float]]:
         """Of a point in the middle of the view: disparity, size of a pixel, and errors of its range, by range."""
 
-        focal, found = rig.left.fx_px, []
+        focal, rows = rig.left.fx_px, []
         way = rig.left.rays([0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)])
         way = way / np.linalg.norm(way)
         for away in ranges_m:
@@ -96,7 +94,7 @@ class CameraSheet(Result):
                 by = way @ rig.by_parameters(left, right)
                 common = math.sqrt(max(float(by @ rig.covariance @ by), 0.0))
             depth = away * float(way[2])
-            found.append({
+            rows.append({
                 "range_m": away,
                 "disparity_px": focal * rig.baseline_m / depth,
                 "pixel_m": depth / focal,
@@ -104,7 +102,7 @@ class CameraSheet(Result):
                 "range_common_m_sigma": common,
                 "seen_by_both": bool(rig.right.sees(right)) and away >= rig.nearest_m,
             })  # fmt: skip
-        return found
+        return rows
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a rig and range."""
@@ -119,7 +117,8 @@ class CameraSheet(Result):
         away = np.geomspace(RANGES_M[0], RANGES_M[-1], 40)
         rows = [self.ranges(rig, [float(a) for a in away]) for rig in self.rigs]
         errors = [
-            [np.array([row[f"range_{kind}_m_sigma"] for row in own]) for own in rows] for kind in ("random", "common")
+            [np.array([row[f"range_{kind}_m_sigma"] for row in one_rig]) for one_rig in rows]
+            for kind in ("random", "common")
         ]
         yield range_page([rig.name for rig in self.rigs], away, *errors)
 
@@ -141,23 +140,19 @@ def _numbers(camera: Camera, sigmas: Mapping[str, float], before: str = "") -> d
     return cells | {"view_across_deg": across, "view_down_deg": down}
 
 
-def _alone(name: str, found: LabelCamera | SingleCamera) -> dict[str, Any]:
+def _alone(name: str, one: LabelCamera | SingleCamera) -> dict[str, Any]:
 
-    if isinstance(found, SingleCamera):
-        sigmas = dict(zip(INTRINSICS, map(float, found.covariance.diagonal() ** 0.5), strict=True))
-        return {"name": name, **_numbers(found.camera, sigmas), "remarks": [f"source: {found.source}"]}
-    heading, down, roll = found.pose.angles_deg()
+    if isinstance(one, SingleCamera):
+        sigmas = dict(zip(INTRINSICS, map(float, one.covariance.diagonal() ** 0.5), strict=True))
+        return {"name": name, **_numbers(one.camera, sigmas), "remarks": [f"source: {one.source}"]}
     return {
         "name": name,
-        **_numbers(found.camera, {}),
-        "position_m": [float(v) for v in found.pose.center_m],
-        "heading_deg": heading,
-        "down_deg": down,
-        "roll_deg": roll,
-        "residual_rms_px": found.residual_rms_px,
-        "residual_largest_px": found.residual_max_px,
-        "pinhole_residual_largest_px": found.pinhole_max_px,
-        "remarks": list(found.remarks),
+        **_numbers(one.camera, {}),
+        **one.pose.to_dict(),
+        "residual_rms_px": one.residual_rms_px,
+        "residual_largest_px": one.residual_max_px,
+        "pinhole_residual_largest_px": one.pinhole_max_px,
+        "remarks": list(one.remarks),
     }
 
 
@@ -171,11 +166,11 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
 
     asked = request_of(CamerasRequest, request, options)
     given = [sources] if isinstance(sources, str) else list(sources)
-    files: list[Any] = [None if one in known_rigs() else read_input(one) for one in given]
+    files: list[Any] = [None if one in rig_names() else read_input(one) for one in given]
     rigs: list[StereoRig] = []
     alone: dict[str, LabelCamera | SingleCamera] = {}
     pair: list[InputFile] = []
-    for one, file in zip(given or known_rigs(), files or [None] * len(known_rigs()), strict=True):
+    for one, file in zip(given or rig_names(), files or [None] * len(rig_names()), strict=True):
         if file is None:
             rigs.append(read_rig(one))  # type: ignore[arg-type]
         elif is_rig(file):
@@ -199,12 +194,12 @@ def _of_pair(
 
     if len(files) > 2:
         raise RequestError(f"{len(files)} labels; give one, or those of the left and the right picture")
-    found = rig_or_camera(files, unit)
-    if isinstance(found, WrittenCamera):
+    written = rig_or_camera(files, unit)
+    if isinstance(written, WrittenCamera):
         name = files[0].name
-        return [], {name: SingleCamera(found.camera, np.full((9, 9), np.nan), f"{name}; {'; '.join(found.said)}")}
-    if found is not None:
-        return [found], {}
+        return [], {name: SingleCamera(written.camera, np.full((9, 9), np.nan), f"{name}; {'; '.join(written.notes)}")}
+    if written is not None:
+        return [written], {}
     labels: dict[str, LabelCamera | SingleCamera] = {file.name: read_label(file) for file in files}
     return [rig_of_labels(*files)] if len(files) == 2 else [], labels
 

@@ -57,17 +57,10 @@ class StereoTerrain(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     def to_dict(self) -> dict[str, Any]:
-        heading, down, roll = self.pose.angles_deg()
         return {
             "terrain": self.model.summary(),
-            "rig": {"name": self.rig.name, "baseline_m": self.rig.baseline_m, "assumed": list(self.rig.assumed)},
-            "pose": {
-                "position_m": [float(v) for v in self.pose.center_m],
-                "heading_deg": heading,
-                "down_deg": down,
-                "roll_deg": roll,
-                "levelled": self.levelled,
-            },
+            "rig": self.rig.summary(),
+            "pose": self.pose.to_dict() | {"levelled": self.levelled},
             "pixels": self.matches.shares(),
             "row_offset_px": self.matches.row_offset_px,
             "ranges": self.rows(),
@@ -80,7 +73,7 @@ class StereoTerrain(Result):
         model = self.model
         x, y = np.meshgrid(model.x_m - self.pose.center_m[0], model.y_m - self.pose.center_m[1])
         away = np.sqrt(x**2 + y**2 + (model.height_m - self.pose.center_m[2]) ** 2)
-        found: list[dict[str, Any]] = []
+        rings: list[dict[str, Any]] = []
         for low, high in pairwise(RANGES_M):
             inside = (away >= low) & (away < high)
             if inside.any():
@@ -89,8 +82,8 @@ class StereoTerrain(Result):
                     for key in ("height_m_sigma", "height_m_common_sigma", "count", "resolution_m")
                 }
                 top = float(away[inside].max()) if math.isinf(high) else high
-                found.append({"range_from_m": low, "range_to_m": top, "nodes": int(inside.sum())} | medians)
-        return found
+                rings.append({"range_from_m": low, "range_to_m": top, "nodes": int(inside.sum())} | medians)
+        return rings
 
     def figures(self) -> "Iterator[Figure]":
 
@@ -134,10 +127,10 @@ def dem(
     pose = None if asked.pose is None else read_pose(asked.pose)
     nearest = asked.nearest or nearest_ground_m(rig, pose, rig.height_m)
     farthest = asked.farthest or farthest_ground_m(rig, asked.spacing)
-    found = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
-    place = pose or levelled(found, rig.height_m)
+    matches = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
+    place = pose or levelled(matches, rig.height_m)
     model = grid_of(
-        found,
+        matches,
         rig,
         place,
         name=files[0].stem,
@@ -147,7 +140,7 @@ def dem(
     )
     inputs = {file.name: file.sha256 for file in files}
     inputs |= {} if asked.pose is None else {asked.pose: read_input(asked.pose).sha256}
-    return StereoTerrain(model=model, matches=found, rig=rig, pose=place, levelled=pose is None, inputs=inputs)
+    return StereoTerrain(model=model, matches=matches, rig=rig, pose=place, levelled=pose is None, inputs=inputs)
 
 
 def nearest_ground_m(rig: StereoRig, pose: Pose | None, mast_m: float) -> float:

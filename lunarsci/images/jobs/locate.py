@@ -13,11 +13,10 @@ from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
 from lunarsci.images.jobs.requests import LocateRequest
-from lunarsci.images.localisation import ODD_SIGMAS, Localised, localise
+from lunarsci.images.localisation import ODD_SIGMAS, Localised, Station, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import check_rig_of, pose_text, read_pose, read_rig
-from lunarsci.images.ties import Station
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 SOURCES = [
     "Lowe (2004), Int. J. Comput. Vis. 60, 91, 10.1023/B:VISI.0000029664.99615.94: features",
-    "Torr and Zisserman (2000), Comput. Vis. Image Underst. 78, 138, 10.1006/cviu.1999.0832: MSAC",
+    "Barath et al. (2020), Proc. IEEE/CVF Conf. CVPR, 1301, 10.1109/CVPR42600.2020.00138: MAGSAC++",
     "Triggs et al. (2000), 10.1007/3-540-44480-7_21: bundle adjustment",
     "Huber (1964), Ann. Math. Stat. 35, 73, 10.1214/aoms/1177703732: robust weights",
 ]
@@ -83,7 +82,7 @@ class LocatedStations(Result):
                 for station in self.found.stations[1:]
                 for name in (*(f"rotation_{a}_rad" for a in AXES), *(f"{a}_m" for a in AXES))
             ],
-            "rig": {"name": self.rig.name, "baseline_m": self.rig.baseline_m, "assumed": list(self.rig.assumed)},
+            "rig": self.rig.summary(),
             "notes": self.notes(),
         }
 
@@ -107,15 +106,15 @@ class LocatedStations(Result):
 
         station, pose = self.found.stations[k], self.found.poses[k]
         place, before = self.found.place(k), self.found.shared(k, max(k - 1, 0))
-        own = self.found.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
+        errors = self.found.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
         heading, down, roll = pose.angles_deg()
-        turned = math.degrees(math.sqrt(own[2, 2]))
+        turned = math.degrees(math.sqrt(errors[2, 2]))
         yaw = None if station.rover is None else math.degrees(math.atan2(*place.rotation[[1, 0], 0]))
         return {
             "station": station.name,
             "time_s": station.time_s,
             **dict(zip(("x_m", "y_m", "z_m"), map(float, place.center_m), strict=True)),
-            **{f"{n}_m2": float(own[i, j]) for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))},
+            **{f"{n}_m2": float(errors[i, j]) for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))},
             **{f"{'xyz'[i]}{'xyz'[j]}_before_m2": float(before[3 + i, 3 + j]) for i in range(2) for j in range(2)},
             "yaw_deg": yaw,
             "yaw_deg_sigma": None if yaw is None else turned,
@@ -130,9 +129,9 @@ class LocatedStations(Result):
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
 
-        found = self.found
+        result = self.found
         made: dict[str, Callable[[], bytes]] = {"positions.csv": lambda: csv_bytes(self.to_table().to_pandas())}
-        for station, pose in zip(found.stations, found.poses, strict=True):
+        for station, pose in zip(result.stations, result.poses, strict=True):
             made[f"{station.name}.toml"] = lambda pose=pose: pose_text(pose).encode()  # type: ignore[misc]
         made["shifts.csv"] = lambda: csv_bytes(self._shifts())
         return made
@@ -160,8 +159,8 @@ class LocatedStations(Result):
 
     @property
     def _whose(self) -> str:
-        known = self.found.stations[0].rover is not None
-        return "the rover's origin" if known else "the left camera; with `mast` they are the rover's"
+        given = self.found.stations[0].rover is not None
+        return "the rover's origin" if given else "the left camera; with `mast` they are the rover's"
 
     def notes(self) -> list[str]:
         """What there is to say about the positions."""
@@ -204,14 +203,14 @@ def locate(
     names = _names([Path(folder) for folder in stations])
     read = [_read(Path(folder), rig, asked, inputs) for folder in stations]
     count = len(stations)
-    told = progress or (lambda done, total: None)
-    known: list[Station] = []
-    for number, (name, own) in enumerate(zip(names, read, strict=True)):
-        told(number, 2 * count)
-        known.append(_station(name, own, rig, asked, known[-1] if known else None))
-    found = localise(known, rig, progress=lambda done, total: told(count + done, 2 * count))
-    made_up = "SYNTHETIC" in rig.name or any(own.synthetic for own in read)
-    return LocatedStations(found=found, rig=rig, inputs=inputs, synthetic=made_up)
+    report = progress or (lambda done, total: None)
+    matched: list[Station] = []
+    for number, (name, content) in enumerate(zip(names, read, strict=True)):
+        report(number, 2 * count)
+        matched.append(_station(name, content, rig, asked, matched[-1] if matched else None))
+    result = localise(matched, rig, progress=lambda done, total: report(count + done, 2 * count))
+    made_up = "SYNTHETIC" in rig.name or any(content.synthetic for content in read)
+    return LocatedStations(found=result, rig=rig, inputs=inputs, synthetic=made_up)
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
@@ -261,17 +260,17 @@ def _read(folder: Path, rig: StereoRig, asked: LocateRequest, inputs: dict[str, 
     return _Read(pictures[0], pictures[1], pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
 
 
-def _station(name: str, own: _Read, rig: StereoRig, asked: LocateRequest, before: Station | None) -> Station:
+def _station(name: str, content: _Read, rig: StereoRig, asked: LocateRequest, before: Station | None) -> Station:
     """A station with its pair matched. Raises DataError where it does not match."""
 
-    nearest = nearest_ground_m(rig, own.pose, rig.height_m)
+    nearest = nearest_ground_m(rig, content.pose, rig.height_m)
     return Station(
         name=name,
-        matches=match(own.left, own.right, rig, nearest_m=nearest),
-        pose=own.pose,
-        covariance=_covariance(own.pose, before, asked),
-        time_s=own.time_s,
-        rover=own.rover,
+        matches=match(content.left, content.right, rig, nearest_m=nearest),
+        pose=content.pose,
+        covariance=_covariance(content.pose, before, asked),
+        time_s=content.time_s,
+        rover=content.rover,
     )
 
 
@@ -279,12 +278,12 @@ def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | No
     """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
 
     table = toml_document(text(file))
-    known = [name for name in ("time_s", *ATTITUDE) if name in table]
-    for name in known:
+    given = [name for name in ("time_s", *ATTITUDE) if name in table]
+    for name in given:
         if isinstance(table[name], bool) or not isinstance(table[name], int | float) or not math.isfinite(table[name]):
             raise DataError(f"{file.name}: {name} is {table[name]!r}; give a number")
     time_s = float(table["time_s"]) if "time_s" in table else None
-    return time_s, tuple(float(table[name]) for name in ATTITUDE) if set(ATTITUDE) <= set(known) else None
+    return time_s, tuple(float(table[name]) for name in ATTITUDE) if set(ATTITUDE) <= set(given) else None
 
 
 def _rover(rig: StereoRig, pose: Pose, attitude: Sequence[float], mast_m: Sequence[float]) -> Pose:

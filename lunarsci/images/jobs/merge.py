@@ -130,18 +130,20 @@ def read_positions(source: InputFile, count: int) -> list[StationPosition]:
             raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
     if len(table) != count:
         raise DataError(f"{source.name}: {len(table)} rows for {count} elevation models; give one for each, in order")
-    own = {name: numbers_of(source.name, name, table[name]) for name in (*NEEDED, *ERRORS, "sigma_m") if name in table}
-    if "sigma_m" not in own and not all(name in own for name in ERRORS[:3]):
+    columns = {
+        name: numbers_of(source.name, name, table[name]) for name in (*NEEDED, *ERRORS, "sigma_m") if name in table
+    }
+    if "sigma_m" not in columns and not all(name in columns for name in ERRORS[:3]):
         raise DataError(f"{source.name}: no errors of the positions; add sigma_m, or xx_m2, xy_m2, yy_m2 and zz_m2")
     flat = np.zeros(count)
-    square = own["sigma_m"] ** 2 if "sigma_m" in own else flat
-    xx, yy = own.get("xx_m2", square), own.get("yy_m2", square)
-    xy, zz = own.get("xy_m2", flat), own.get("zz_m2", square)
-    found = []
+    square = columns["sigma_m"] ** 2 if "sigma_m" in columns else flat
+    xx, yy = columns.get("xx_m2", square), columns.get("yy_m2", square)
+    xy, zz = columns.get("xy_m2", flat), columns.get("zz_m2", square)
+    positions = []
     for k in range(count):
         covariance = np.array([[xx[k], xy[k], 0.0], [xy[k], yy[k], 0.0], [0.0, 0.0, zz[k]]])
-        place = [float(own.get(name, flat)[k]) for name in NEEDED]
+        place = [float(columns.get(name, flat)[k]) for name in NEEDED]
         if not np.isfinite([*place, *covariance.ravel()]).all() or np.linalg.eigvalsh(covariance).min() < 0:
             raise DataError(f"{source.name}, row {k + 1}: a position or its errors are missing or no covariance")
-        found.append(StationPosition(x_m=place[0], y_m=place[1], z_m=place[2], covariance_m2=covariance))
-    return found
+        positions.append(StationPosition(x_m=place[0], y_m=place[1], z_m=place[2], covariance_m2=covariance))
+    return positions

@@ -56,17 +56,11 @@ class SyntheticPair(Result):
 
     def to_dict(self) -> dict[str, Any]:
         truth, rig = self.pair.truth, self.told
-        heading, down, roll = self.pair.left_pose.angles_deg()
         ground = truth.kind > 0
         return {
             "synthetic": True,
-            "rig": {"name": rig.name, "baseline_m": rig.baseline_m, "assumed": list(rig.assumed)},
-            "pose": {
-                "position_m": [float(v) for v in self.pair.left_pose.center_m],
-                "heading_deg": heading,
-                "down_deg": down,
-                "roll_deg": roll,
-            },
+            "rig": rig.summary(),
+            "pose": self.pair.left_pose.to_dict(),
             "pixels": {
                 "sky": float((~ground).mean()),
                 "rock": float((truth.kind == 2).mean()),
@@ -184,5 +178,5 @@ def render(
 def _heights(terrain: str) -> tuple[float, float, float, FloatArray]:
     """x0, y0, spacing and heights (ny, nx) of a terrain file. [m]"""
 
-    found = read_elevation(terrain)
-    return found.x0_m, found.y0_m, found.spacing_m, found.height_m
+    model = read_elevation(terrain)
+    return model.x0_m, model.y0_m, model.spacing_m, model.height_m

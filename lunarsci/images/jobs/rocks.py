@@ -40,13 +40,13 @@ class RockList(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES, seed=self.request.seed)
 
     def to_dict(self) -> dict[str, Any]:
-        found = self.survey
+        survey = self.survey
         return {
             "terrain": self.model.summary(),
-            "threshold": found.threshold,
-            "expected_false_share": found.false_share,
+            "threshold": survey.threshold,
+            "expected_false_share": survey.false_share,
             "rocks": self.rows(),
-            "completeness": [asdict(entry) for entry in found.completeness],
+            "completeness": [asdict(entry) for entry in survey.completeness],
             "notes": self.notes(),
         }
 

@@ -52,39 +52,39 @@ class TrackSinkage(Result):
     @property
     def untrusted(self) -> str:
 
-        found = self.depths
-        if not found.determined.any():
-            return f"no depth is determined: {found.reason[0]}"
-        if not np.isfinite(found.rut_m_random[found.determined]).all() or not self._errors_known:
+        depths = self.depths
+        if not depths.determined.any():
+            return f"no depth is determined: {depths.reason[0]}"
+        if not np.isfinite(depths.rut_m_random[depths.determined]).all() or not self._errors_stated:
             return (
                 "the random errors are lower bounds: the elevation model states none and there is no ground to try on"
             )
         return ""
 
     @property
-    def _errors_known(self) -> bool:
+    def _errors_stated(self) -> bool:
         return self.model.height_m_sigma is not None or self.depths.ground_scatter_m is not None
 
     def to_dict(self) -> dict[str, Any]:
 
-        found = self.depths
-        systematic = found.rut_m_systematic[found.determined]
+        depths = self.depths
+        systematic = depths.rut_m_systematic[depths.determined]
         shared = float(np.sqrt(np.mean(systematic**2))) if len(systematic) else None
         whole = 1.0 - self.rebound
-        mean = found.mean_m if found.determined.any() else None
-        total = None if mean is None or shared is None else float(np.hypot(found.mean_random_m, shared))
+        mean = depths.mean_m if depths.determined.any() else None
+        total = None if mean is None or shared is None else float(np.hypot(depths.mean_random_m, shared))
         return {
             "terrain": self.model.summary(),
             "wheel_width_m": self.width_m,
-            "places": len(found.distance_m),
-            "determined": int(found.determined.sum()),
-            "rut_m": {"mean": mean, "random": found.mean_random_m, "systematic": shared, "sigma": total},
+            "places": len(depths.distance_m),
+            "determined": int(depths.determined.sum()),
+            "rut_m": {"mean": mean, "random": depths.mean_random_m, "systematic": shared, "sigma": total},
             "sinkage_m": {"mean": mean and mean / whole, "sigma": total and total / whole, "rebound": self.rebound},
             "systematic_m": {
                 name: None if values is None else float(np.nanmean(values))
-                for name, values in found.systematic_m.items()
+                for name, values in depths.systematic_m.items()
             },
-            "ground_scatter_m": found.ground_scatter_m,
+            "ground_scatter_m": depths.ground_scatter_m,
             "track": self.rows(),
             "notes": self.notes(),
         }
@@ -92,22 +92,22 @@ class TrackSinkage(Result):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a place; `x_m`, `y_m`, `rut_m` and `rut_m_sigma` are what `twin states --track` reads."""
 
-        found, whole = self.depths, 1.0 - self.rebound
-        blank = np.where(found.determined, 1.0, np.nan)
-        sigma = np.hypot(found.rut_m_random, found.rut_m_systematic) * blank
+        depths, whole = self.depths, 1.0 - self.rebound
+        blank = np.where(depths.determined, 1.0, np.nan)
+        sigma = np.hypot(depths.rut_m_random, depths.rut_m_systematic) * blank
         columns = {
-            "distance_m": found.distance_m,
-            "x_m": found.x_m,
-            "y_m": found.y_m,
-            "rut_m": found.rut_m,
+            "distance_m": depths.distance_m,
+            "x_m": depths.x_m,
+            "y_m": depths.y_m,
+            "rut_m": depths.rut_m,
             "rut_m_sigma": sigma,
-            "rut_m_random": found.rut_m_random * blank,
-            "rut_m_systematic": found.rut_m_systematic * blank,
-            "sinkage_m": found.rut_m / whole,
+            "rut_m_random": depths.rut_m_random * blank,
+            "rut_m_systematic": depths.rut_m_systematic * blank,
+            "sinkage_m": depths.rut_m / whole,
             "sinkage_m_sigma": sigma / whole,
         }
         rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
-        return [row | {"status": reason or "ok"} for row, reason in zip(rows, found.reason, strict=True)]
+        return [row | {"status": reason or "ok"} for row, reason in zip(rows, depths.reason, strict=True)]
 
     def figures(self) -> "Iterator[Figure]":
 
@@ -117,13 +117,13 @@ class TrackSinkage(Result):
 
     def notes(self) -> list[str]:
         """What the depths mean, and what is assumed or missing."""
-        found, notes = self.depths, list(STATEMENTS)
+        depths, notes = self.depths, list(STATEMENTS)
         rebound = f"the ground rose again by {self.rebound:.0%} of the sinkage" if self.rebound else "no rebound"
         notes.append(f"{rebound} (assumed)")
         notes += [f"{name} is assumed" for name in self.assumed]
-        if found.ground_scatter_m is None:
+        if depths.ground_scatter_m is None:
             notes.append("too little ground without a track beside it to try the errors on")
-        if found.systematic_m.get("disparity") is None:
+        if depths.systematic_m.get("disparity") is None:
             notes.append("the bias of disparities is not in the errors: the model has no height_by_disparity_m_px")
         if self.model.synthetic:
             notes.append("the terrain is synthetic")

@@ -1,14 +1,24 @@
 """Merged maps against the ground that models were made of, with offsets and shifts that are not told."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from stamped_ground import FINE, fractal
+from stamped_ground import FINE, NAVCAM, fractal, with_track
 
 from lunarsci.errors import ParameterError
-from lunarsci.images.elevation import ElevationModel, StationPosition, merge
+from lunarsci.images.elevation import (
+    ElevationModel,
+    StationPosition,
+    elevation_bytes,
+    elevation_geotiff,
+    merge,
+    read_elevation,
+)
 from lunarsci.images.jobs.merge import MergedStations
+from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.ground.terrain_files import read_terrain
 
 SPACING = 0.02
 
@@ -99,6 +109,28 @@ def test_refusals() -> None:
         merge(models[:1])
     with pytest.raises(ParameterError, match="nothing to compare"):
         far = StationPosition(x_m=50.0, covariance_m2=np.zeros((3, 3)))
-        merge(models, [StationPosition.known(), far])
+        merge(models, [StationPosition(), far])
     with pytest.raises(ParameterError, match="height_m_sigma"):
         merge([models[0], ElevationModel(name="b", x0_m=0, y0_m=0, spacing_m=1, height_m=np.zeros((3, 3)))])
+
+
+def test_files_come_back_and_are_terrain_too(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    model = with_track(rng, 0.005).seen(rng, NAVCAM, (-1.8, 1.2, 1.5))
+    for name, content in (("a.npz", elevation_bytes(model)), ("a.tif", elevation_geotiff(model))):
+        (tmp_path / name).write_bytes(content)
+        back = read_elevation(tmp_path / name)
+        assert back.synthetic
+        for key in ("height_m", "height_m_sigma", "height_by_disparity_m_px", "resolution_m"):
+            np.testing.assert_allclose(back.layer(key), model.layer(key), rtol=1e-6, atol=1e-7)
+        terrain = read_terrain(tmp_path / name, read_soil("longji"))
+        np.testing.assert_allclose(terrain.height_m, model.height_m, rtol=1e-6, atol=1e-7)
+        assert (terrain.x0_m, terrain.y0_m, terrain.spacing_m) == pytest.approx((0.0, 0.0, 0.01), abs=1e-9)
+
+
+def test_heights_between_nodes() -> None:
+    height = np.add.outer(2.0 * np.arange(4), 3.0 * np.arange(5))
+    model = ElevationModel(name="plane", x0_m=1.0, y0_m=-1.0, spacing_m=0.5, height_m=height)
+    assert model.at("height_m", [1.0, 1.25, 3.0], [-1.0, -0.75, 0.5]) == pytest.approx([0.0, 2.5, 18.0])
+    assert np.isnan(model.at("height_m", [0.9], [0.0])).all()
+    assert FINE < 0.01

@@ -2,10 +2,12 @@
 
 The truth is that of the formats' own descriptions. ROS: sensor_msgs/CameraInfo, whose P has -fx baseline in its fourth
 column. OpenCV: `stereoCalibrate`, X_2 = R X_1 + T. Kalibr: T_cn_cnm1, from the frame of the camera before to that of
-this one. EuRoC: T_BS, from the sensor's frame to the body's. Labels: Maki et al. (2003), 10.1029/2003JE002077.
+this one. EuRoC: T_BS, from the sensor's frame to the body's.
 """
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,13 +17,20 @@ from lunarsci.cli import main
 
 from lunarsci.errors import DataError
 from lunarsci.guide.info import info
-from lunarsci.images.camera import StereoRig
+from lunarsci.images.camera import INTRINSICS, PARAMETERS, Camera, Sensor, StereoRig, covariance_of, rotation_of
 from lunarsci.images.jobs.cameras import CameraSheet, cameras
-from lunarsci.images.rig_files import read_rig, rig_text
+from lunarsci.images.rig_files import check_rig_of, read_rig, rig_names, rig_text
+from lunarsci.io.inputs import InputFile
 
 MATRIX = np.array([[700.0, 0.0, 410.0], [0.0, 702.0, 305.0], [0.0, 0.0, 1.0]])
+
+
 LENS = [-0.2, 0.05, 0.001, -0.002, 0.01]
+
+
 TURN = cv2.Rodrigues(np.array([0.01, -0.02, 0.005]))[0]
+
+
 WAY = np.array([-0.15, 0.002, 0.001])
 
 
@@ -125,6 +134,14 @@ def test_files_of_opencv_are_a_rig_in_metres(tmp_path: Path, end: str) -> None:
         cameras([inner])
 
 
+def test_cameras_whose_names_begin_with_their_side_are_a_rig(tmp_path: Path) -> None:
+    tables = {f"{side}_{name}": values for side in ("left", "right")
+              for name, values in (("camera_matrix", MATRIX.tolist()), ("distortion", LENS))}  # fmt: skip
+    whole = {"image_size": [800, 600], "R": TURN.tolist(), "T": WAY.tolist(), **tables}
+    (tmp_path / "a.yaml").write_text("\n".join(f"{key}: {value}" for key, value in whole.items()))
+    check(the_rig(cameras([str(tmp_path / "a.yaml")])))
+
+
 def test_one_camera_of_opencv_needs_its_size_and_the_advice_is_right(tmp_path: Path) -> None:
     path = tmp_path / "camera.yml"
     writer = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -202,34 +219,6 @@ def test_settings_with_a_key_for_each_number_are_a_camera(tmp_path: Path) -> Non
     assert (found.camera.fx_px, found.camera.p2, found.camera.k3) == (700.0, -0.002, 0.0)
 
 
-def cahvor(place: np.ndarray, *, down: float, frame: str, unit: str = "") -> str:
-    """A camera that looks along x, down by an angle in degrees, in a frame whose z points down; its O is its A."""
-    axis = np.array([np.cos(np.radians(down)), 0.0, np.sin(np.radians(down))])
-    low = np.array([-axis[2], 0.0, axis[0]])
-    across, line = 1200.0 * np.array([0.0, 1.0, 0.0]) + 500.0 * axis, 1200.0 * low + 520.0 * axis
-    parts = [place, axis, across, line, axis, np.array([0.0, 0.02, 0.0])]
-    lines = ["PDS_VERSION_ID = PDS3", "  LINES = 1024", "  LINE_SAMPLES = 1024", "  MODEL_TYPE = CAHVOR"]
-    lines += ['  MODEL_COMPONENT_ID = ("C", "A", "H",', '     "V", "O", "R")']
-    for k, part in enumerate(parts, start=1):
-        lines += [f"  MODEL_COMPONENT_{k} = ( {part[0]:.9f}{unit},", f"   {part[1]:.9f}{unit}, {part[2]:.9f}{unit} )"]
-    return "\n".join([*lines, f'  REFERENCE_COORD_SYSTEM_NAME = "{frame}"', "END", ""])
-
-
-@pytest.mark.parametrize(("frame", "unit"), [("ROVER_NAV_FRAME", ""), ("SITE_FRAME", " <METER>"), ("MINE", "")])
-def test_labels_with_z_down_look_down(tmp_path: Path, frame: str, unit: str) -> None:
-    paths = tmp_path / "L.LBL", tmp_path / "R.LBL"
-    for path, y in zip(paths, (-0.21, 0.21), strict=True):
-        path.write_text(cahvor(np.array([0.9, y, -1.9]), down=15.0, frame=frame, unit=unit))
-    told = cameras([*map(str, paths)]).to_dict()
-    assert told["rigs"][0]["baseline_m"] == pytest.approx(0.42, abs=1e-6)
-    for camera, side in zip(told["cameras"], (0.21, -0.21), strict=True):
-        assert camera["down_deg"] == pytest.approx(15.0, abs=1e-4)
-        assert camera["position_m"] == pytest.approx([0.9, side, 1.9], abs=1e-6)
-        assert "points down" in camera["remarks"][-1]
-    assert info(paths[0]).kind == "camera"
-    assert info(paths[0]).contents["looks"] == "heading 0.00, down 15.00 deg"
-
-
 def test_a_rig_file_with_swapped_cameras_is_refused_and_both_advices_work(tmp_path: Path) -> None:
     left, right = pair(tmp_path)
     good = read_rig(left, right)
@@ -261,7 +250,7 @@ def test_a_rig_file_with_swapped_cameras_is_refused_and_both_advices_work(tmp_pa
         ("image_width: 8\nimage_height: x\nK: [1, 0, 1, 0, 1, 1, 0, 0, 1]\n", "lines is 'x', no number"),
         (
             "image_width: 80\nimage_height: 60\nK: [0, 0, 1, 0, 1, 1, 0, 0, 1]\n",
-            "focal length above 0 and finite numbers are needed, not fx_px 0.0",
+            "a focal length above 0 and finite numbers are needed, not .* fx_px 0.0",
         ),
         ("image_width: 8\nK: " + "[" * 3000, "broken YAML"),
         ('{"fl_x": 900, "cx": 4, "cy": 3, "h": 6}', "lacks something .'w'.; export it again"),
@@ -285,3 +274,69 @@ def test_info_tells_cameras_and_rigs(tmp_path: Path) -> None:
     (tmp_path / "chain.yaml").write_text(kalibr("cam0", "cam1", np.eye(4) + 0.1 * np.eye(4, k=3)))
     assert info(tmp_path / "chain.yaml").kind == "rig"
     assert "taken as the left one" in str(info(tmp_path / "chain.yaml").contents["read as"])
+
+
+@pytest.mark.parametrize("name", rig_names())
+def test_own_rigs_have_their_published_views_and_say_what_is_assumed(name: str) -> None:
+    known = read_rig(name)
+    views = {"yutu2-pancam": (19.7, 14.5), "yutu2-navcam": (46.6, 46.6), "yutu2-hazcam": (120.0, 120.0)}
+    assert known.left.field_of_view_deg() == pytest.approx(views[name], abs=0.1)
+    assert {"baseline_m", "sigma", "distortion"} <= set(known.assumed)
+    assert known.sensor == Sensor(bits=10, full_well_e=25000.0, read_noise_e=15.0, mtf_at_nyquist=0.33)
+
+
+def test_the_navcam_is_as_uncertain_as_its_published_check_point() -> None:
+    """Zhang et al. (2020): a check point at 2.7 m is wrong by about 4 mm."""
+    navcam = read_rig("yutu2-navcam")
+    by = navcam.by_parameters(*navcam.project([0.0, 0.0, 2.7]))
+    assert math.sqrt(np.trace(by @ navcam.covariance @ by.T)) == pytest.approx(4e-3, rel=0.1)
+
+
+def test_a_rig_file_keeps_every_digit() -> None:
+    lens = Camera(
+        name="l", width_px=1024, height_px=1000, fx_px=1189.0, fy_px=1187.0, cx_px=510.0, cy_px=513.0,
+        k1=-0.2, k2=0.05, k3=0.01, p1=1e-3, p2=-2e-3,
+    )  # fmt: skip
+    sigmas = {name: 0.1 if name.endswith("px") else 1e-4 for name in PARAMETERS}
+    there = StereoRig(
+        name="r", left=lens, right=replace(lens, cx_px=505.0, k1=-0.21), rotation=rotation_of([0.002, -0.01, 0.004]),
+        translation_m=np.array([-0.27, 0.002, 0.001]), covariance=covariance_of(sigmas), assumed=("a",),
+        source='from "there"', mast_height_m=1.4,
+    )  # fmt: skip
+    back = read_rig(InputFile("rig.toml", rig_text(there).encode()))
+    for name in ("name", "assumed", "source", "sensor", "mast_height_m"):
+        assert getattr(back, name) == getattr(there, name), name
+    np.testing.assert_array_equal(back.covariance, there.covariance)
+    np.testing.assert_allclose(back.rotation, there.rotation, atol=1e-15)
+    np.testing.assert_array_equal(back.translation_m, there.translation_m)
+    assert [getattr(back.left, n) for n in INTRINSICS] == [getattr(there.left, n) for n in INTRINSICS]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('name = "x"\nwidth_px = 10', "no left; give"),
+        ("name = ", "not valid TOML"),
+        ('name = "x"\nbaseline_m = 0.0\nwidth_px = 9\nheight_px = 9\nfocal_px = 5', "needs a baseline"),
+        ('name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = -5', "focal length"),
+        (
+            'name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = 5\nsigma = {a = 1}',
+            "'a' is no parameter",
+        ),
+        ("<?xml version='1.0'?>", "of labels give two"),
+    ],
+)
+def test_bad_rig_files_are_refused(content: str, said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        read_rig(InputFile("rig.toml", content.encode()))
+
+
+def test_unknown_rigs_and_pictures_of_others_are_refused() -> None:
+    with pytest.raises(DataError, match="no rig of that name"):
+        read_rig("yutu3")
+    navcam, pancam = read_rig("yutu2-navcam"), read_rig("yutu2-pancam")
+    check_rig_of(navcam, 1024, 1024, "a.png")
+    with pytest.raises(DataError, match="another rig's"):
+        check_rig_of(navcam, 1176, 864, "a.png")
+    with pytest.raises(DataError, match="turned"):
+        check_rig_of(pancam, 864, 1176, "a.png")

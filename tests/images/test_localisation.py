@@ -10,23 +10,34 @@ import pytest
 from lunarsci.cli import main
 from stations import judged
 
-pytest.importorskip("cv2", reason="needs the extra images")
-
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
 from lunarsci.images.jobs.locate import _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
 from lunarsci.images.jobs.requests import LocateRequest
-from lunarsci.images.localisation import DEFINED_PX, SMALLEST_PX, PairTies, adjust, triangulated
+from lunarsci.images.localisation import (
+    DEFINED_PX,
+    OVERLAPPING,
+    SMALLEST_PX,
+    PairTies,
+    TiePoints,
+    _eight,
+    _peak,
+    adjust,
+    triangulated,
+)
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
-from lunarsci.images.ties import OVERLAPPING, TiePoints, _eight, _peak
 from lunarsci.io.inputs import InputFile
 from lunarsci.twin.telemetry.reading import read_positions
 
 SIGMA = {"left_cx_px": 0.1, "right_cx_px": 0.1, "left_fx_px": 0.25, "rotation_y_rad": 8e-5, "translation_x_m": 1e-4}
+
+
 TIES = 80
+
+
 TEMPLATE = SMALLEST_PX * math.sqrt(OVERLAPPING / 4)
 """Error of four templates that share it, as much as `OVERLAPPING` of them would tell. [px]"""
 
@@ -264,9 +275,13 @@ def stations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 TRUE = Pose.looking([0, 0, 1.5], 0.0, 28.0), Pose.looking([2.0, 0.1, 1.5], 2.0, 27.0)
+
+
 RECKONED = Pose(
     rotation=Pose.looking([0, 0, 0], 2.4, 27.0).rotation, center_m=np.add(TRUE[1].center_m, [0.04, -0.03, 0.01])
 )
+
+
 LEANING = "rover_yaw_deg = 1.0\nrover_pitch_deg = 2.0\nrover_roll_deg = -1.0\n"
 
 
@@ -302,11 +317,12 @@ def test_what_cannot_be_tied_is_said(
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 3
     told = capsys.readouterr()
     assert "far is where dead reckoning puts it: they share no ground" in told.out + told.err
-    apart = answered(locate([first, far], rig=rig))
+    alone = locate([first, far], rig=rig)
+    apart = answered(alone)
     assert "Pictures tie 1 of 2 stations together" in apart
     assert "Far is where dead reckoning puts it: they share no ground" in apart
     with pytest.raises(ParameterError, match=r"no ties to draw: far .* they share no ground"):
-        locate([first, far], rig=rig).plot()
+        alone.plot()
     shutil.copy(stations / "stop0" / "left.png", far / "left.png")
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 1
     assert "the same picture as" in capsys.readouterr().err
