@@ -23,13 +23,13 @@ from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.filter import ErrorChain, Nodes
-from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.positions import with_positions
 from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
 from lunarsci.twin.telemetry.smoother import SlipProcess, smooth
 from lunarsci.twin.telemetry.states import DriveStates, motion_table, position_table, states_of, wheel_table
+from lunarsci.twin.telemetry.wheel_motion import body_twist
 
 PLAN = Plan(name="test", legs=(Leg(3.0, 0.15), Leg(2.0, -0.13)), speed_m_s=0.05)
 HALTING = Plan(

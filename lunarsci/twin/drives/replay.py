@@ -28,8 +28,8 @@ from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.drives import drive_all, drive_finer
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, for_people
 from lunarsci.twin.simulation.members import SLOW, DriveSetup
-from lunarsci.twin.telemetry.odometry import fitted_twist, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.wheel_motion import fitted_twist, wheel_rows
 
 STEP_S, STEP_M = 0.1, 0.01
 """Longest step, in time and in way of the fastest rim; assumed, as the embedded plan has 0.1 s and 5 mm. [s, m]"""

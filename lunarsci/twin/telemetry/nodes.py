@@ -14,10 +14,17 @@ from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, ReferenceMotion, at_nodes
-from lunarsci.twin.telemetry.odometry import ground_velocities, mean_speed, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Priors, Smoothed, believed_change, probable
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
+from lunarsci.twin.telemetry.wheel_motion import (
+    STILL_SHARE,
+    WheelMotion,
+    ground_velocities,
+    mean_speed,
+    shape_effect,
+    slope_effect,
+    wheel_rows,
+)
 
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""

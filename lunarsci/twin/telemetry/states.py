@@ -25,8 +25,11 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import (
     FAST,
+    HALT,
     MOST_FAST,
     WheelPace,
+    by_the_plan,
+    check_ends,
     check_pace,
     check_slips,
     check_stands,
@@ -47,8 +50,6 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.odometry import body_twist, mean_speed, of_one_motion
-from lunarsci.twin.telemetry.plan_checks import HALT, by_the_plan, check_ends
 from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.readings import as_meant, in_units
@@ -62,7 +63,14 @@ from lunarsci.twin.telemetry.smoother import (
     Smoothed,
     smooth,
 )
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
+from lunarsci.twin.telemetry.wheel_motion import (
+    STILL_SHARE,
+    WheelMotion,
+    body_twist,
+    mean_speed,
+    of_one_motion,
+    wheel_motion,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
