@@ -7,7 +7,7 @@ import typer
 from lunarsci.twin.jobs import forces as job
 from lunarsci.twin.jobs.forces import DriveForces
 from lunarsci.twin.jobs.predict import DriveRequest
-from lunarsci.twin.judgement.load_check import Spread, WheelLoads
+from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output

@@ -8,12 +8,12 @@ import numpy as np
 import typer
 
 from lunarsci.heights.projections import lonlat_of
-from lunarsci.twin.choice.choice import DriveCandidate
 from lunarsci.twin.jobs import plan as job
 from lunarsci.twin.jobs.chosen_drive import ChosenDrive
 from lunarsci.twin.jobs.plan_request import PlanRequest
 from lunarsci.twin.jobs.planned_mission import PlannedMission
 from lunarsci.twin.jobs.terrain import TerrainSurvey
+from lunarsci.twin.judgement.choice import DriveCandidate
 from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.routes.planner import PlannedPath
 

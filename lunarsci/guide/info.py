@@ -280,8 +280,7 @@ def _states(file: InputFile) -> Mapping[str, Any]:
 
 def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.telemetry.columns import own_names
-    from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+    from lunarsci.twin.telemetry.reading import Findings, own_names, read_telemetry
 
     names = file.data if isinstance(file, InputFile) else _ends(file)
     ros = own_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))

@@ -74,7 +74,7 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
 
 def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of telemetry and positions that are there by names of ROS, or in other units."""
-    from lunarsci.twin.telemetry.columns import named_columns, own_names
+    from lunarsci.twin.telemetry.reading import named_columns, own_names
 
     ros = own_names(list(columns))
     if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks

@@ -29,8 +29,7 @@ from errands import TOLERANCE_M, Errand, errand, kept, other_truths, truths
 from result_lines import computed, rows_of
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.choice.choice import choose
-from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.judgement.choice import Conditions, choose
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.routes.candidates import candidate_plans

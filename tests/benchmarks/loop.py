@@ -43,7 +43,7 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.belief_history import ground_moments
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.keeping import extremes

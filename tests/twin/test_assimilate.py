@@ -8,7 +8,7 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain

@@ -12,7 +12,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.comparison.forecast import Forecast, MatchedObservations, forecast_of, match_observations
 from lunarsci.twin.comparison.scores import ALL, check_end, check_path
 from lunarsci.twin.comparison.verdict import DriveComparison, _shares, compare

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import read_input
-from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
+from lunarsci.twin.assimilation.residuals import DriveRecord, read_record
 from lunarsci.twin.rover import Rover
 
 STATES = "time_s,wheel,sinkage_m,sinkage_m_sigma,slip_ratio,valid\n2,FL,0.009,0.001,0.05,true\n3,FR,0.008,,,true\n"

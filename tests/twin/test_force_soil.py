@@ -14,13 +14,20 @@ from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.loads.load_ensemble import AlternatingEstimate, Round, alternate, verdict_of
-from lunarsci.twin.loads.prescribed_motion import FORCE_COLUMNS, PoseStates, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
+from lunarsci.twin.simulation.prescribed_motion import (
+    FORCE_COLUMNS,
+    AlternatingEstimate,
+    PoseStates,
+    Round,
+    alternate,
+    prescribed_loads,
+    verdict_of,
+)
 
 OFF = np.array([-0.9, 0.4, 0.6, -0.5, -0.7, 0.7, 0.8, -0.6])
 """The hidden soil, in standard deviations of the priors."""

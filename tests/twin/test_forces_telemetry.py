@@ -14,20 +14,21 @@ from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.judgement.load_check import force_table
-from lunarsci.twin.loads.load_ensemble import LoadEnsemble, draw_loads
-from lunarsci.twin.loads.prescribed_motion import (
-    FORCE_COLUMNS,
-    contact_jacobian,
-    prescribed_loads,
-    read_pose_states,
-    residual_wrench,
-)
+from lunarsci.twin.judgement.tables import force_table
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.simulation.prescribed_motion import (
+    FORCE_COLUMNS,
+    LoadEnsemble,
+    contact_jacobian,
+    draw_loads,
+    prescribed_loads,
+    read_pose_states,
+    residual_wrench,
+)
 
 PLAN = Plan(name="test", legs=(Leg(2.5, 0.15), Leg(2.5, -0.1)), speed_m_s=0.05)
 SIGMAS = (0.005, 0.005, 0.3)

@@ -9,7 +9,6 @@ from scipy.optimize import minimize
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
-from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.assimilation.posterior import (
     PosteriorMode,
     SoilCoordinates,
@@ -19,7 +18,7 @@ from lunarsci.twin.assimilation.posterior import (
     inflation_of,
     wheel_errors,
 )
-from lunarsci.twin.assimilation.residuals import DriveBias
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveBias
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.safety import judge, validity
+from lunarsci.twin.judgement.tables import check_loads, load_notes
 from lunarsci.twin.lanes import HOLE, LEFT
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction

@@ -9,11 +9,11 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
-from lunarsci.twin.choice.chances import verdicts
-from lunarsci.twin.designs.trade import mission_outcome
 from lunarsci.twin.electrics import Motors, PowerSupply
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import build_terrain
+from lunarsci.twin.judgement.choice import verdicts
+from lunarsci.twin.judgement.designs import mission_outcome
 from lunarsci.twin.judgement.energy import energy_use, power_record, power_use
 from lunarsci.twin.judgement.keeping import extremes, kept, limited, limits_judged
 from lunarsci.twin.judgement.safety import judge

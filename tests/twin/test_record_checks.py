@@ -10,7 +10,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import first_belief
-from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
+from lunarsci.twin.assimilation.residuals import DriveRecord, read_record
 from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan

@@ -15,7 +15,7 @@ from lunarsci.regolith.belief_history import contact_rows, parameter_rows, past_
 from lunarsci.regolith.prior import PARAMETERS, ROLLING
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import terrain_bytes

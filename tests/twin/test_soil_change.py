@@ -12,18 +12,20 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.assimilation.change_point import (
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.segments import (
     FEWEST_BINS,
+    LEAST_SLIPS,
     TrackBins,
     Traverse,
     binned,
+    drive_segments,
+    find_change,
     find_change_point,
+    record_within,
     traverse_of,
     wheel_places,
 )
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
-from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
-from lunarsci.twin.assimilation.segments import LEAST_SLIPS, drive_segments, find_change, record_within
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.figures.maps import residual_page
 from lunarsci.twin.ground.soil_map import SoilMap

@@ -9,9 +9,9 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, read_state_table, read_states
-from lunarsci.twin.assimilation.drive_record import read_record
-from lunarsci.twin.loads.prescribed_motion import read_pose_states
+from lunarsci.twin.assimilation.residuals import read_record
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.prescribed_motion import read_pose_states
 
 HEAD = "time_s,wheel,sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"
 ROWS = ("10,FL,0.010,0.05,38,2", "10,FR,0.011,0.04,36,2", "20,FL,0.012,0.05,37,2")

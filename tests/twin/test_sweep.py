@@ -12,7 +12,8 @@ import pytest
 import lunarsci
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.rovers import read_rover
-from lunarsci.twin.designs.trade import (
+from lunarsci.twin.jobs.sweep import DesignTrade, sweep
+from lunarsci.twin.judgement.designs import (
     Design,
     MissionOutcome,
     check_design,
@@ -22,7 +23,6 @@ from lunarsci.twin.designs.trade import (
     unchanged,
     varied_description,
 )
-from lunarsci.twin.jobs.sweep import DesignTrade, sweep
 from lunarsci.twin.rover import build_rover
 
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 2.0\n"

@@ -14,7 +14,7 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile, InputStream
 from lunarsci.io.tables import parquet_tables
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.assimilation.drive_record import read_record
+from lunarsci.twin.assimilation.residuals import read_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import read_motion
@@ -23,8 +23,8 @@ from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.filter import ErrorChain, Nodes
-from lunarsci.twin.telemetry.positions import with_positions
 from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_telemetry
+from lunarsci.twin.telemetry.readings import with_positions
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
 from lunarsci.twin.telemetry.smoother import SlipProcess, smooth

@@ -16,9 +16,9 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
-from lunarsci.twin.telemetry import nodes, rests
-from lunarsci.twin.telemetry.positions import sway_m
+from lunarsci.twin.telemetry import nodes, reading
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
+from lunarsci.twin.telemetry.readings import sway_m
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, motion_table, states_of, wheel_table
 
@@ -75,7 +75,7 @@ def stood(drive: pd.DataFrame, rows: int, fixes: int = 0) -> pd.DataFrame:
 @pytest.fixture
 def in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is left out."""
-    monkeypatch.setattr(rests.RowsKept, "_leave_out", lambda self, before, rows, after: self._keep(rows))
+    monkeypatch.setattr(reading.RowsKept, "_leave_out", lambda self, before, rows, after: self._keep(rows))
 
 
 @pytest.mark.parametrize("fixes", [0, 3])
@@ -107,16 +107,16 @@ def test_a_wheel_that_turns_to_either_side_is_no_rest(
     The first has none before it, and a block is left out between two that rest: of an even rest 2 and the last stay,
     of one that is broken the block that breaks it and its neighbours, too.
     """
-    count = 9 * rests.BLOCK
-    inside = np.clip((np.arange(count) - 4 * rests.BLOCK) / rests.BLOCK, 0.0, 1.0)
+    count = 9 * reading.BLOCK
+    inside = np.clip((np.arange(count) - 4 * reading.BLOCK) / reading.BLOCK, 0.0, 1.0)
     rate = 0.05 * np.degrees(yutu2.max_speed_m_s / yutu2.wheel.shearing_radius_m)
     turning = sign * share * {"angle": 3.0 * inside, "rate": rate * (inside % 1 > 0), "speed": inside % 1}[column]
     form = {"angle": "angle_{}_deg", "rate": "rate_{}_deg_s", "speed": "speed_{}_m_s"}[column]
     rows = {form.format(wheel): np.zeros(count) for wheel in yutu2.wheels}
     rows[form.format("ML")] = turning
-    kept = rests.RowsKept("sent.csv", yutu2)
+    kept = reading.RowsKept("sent.csv", yutu2)
     kept.add({"time_s": 0.1 * np.arange(count), **rows})
-    blocks = np.unique(np.rint(10.0 * kept.joined()["time_s"]).astype(int) // rests.BLOCK)
+    blocks = np.unique(np.rint(10.0 * kept.joined()["time_s"]).astype(int) // reading.BLOCK)
     assert blocks.tolist() == ([0, 1, 8] if stands else [0, 1, 3, 4, 5, 8])
 
 
@@ -223,7 +223,7 @@ def test_rows_of_a_rover_that_does_not_rest_are_limited(
     drive: pd.DataFrame, yutu2: Rover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Half a million by default; here 1,200, of which the rests of a long file are none, and its drives are."""
-    monkeypatch.setattr(rests, "MOST_ROWS", 1200)
+    monkeypatch.setattr(reading, "MOST_ROWS", 1200)
     assert read(csv(stood(drive, STOOD)), yutu2).rows > 1.5 * 1200
     creeping = stood(drive, STOOD)
     creeping["angle_FL_deg"] += 0.05 * np.arange(len(creeping))
@@ -259,7 +259,7 @@ def test_memory_does_not_grow_with_the_rows(
     """Of a rest three times as long, read piece by piece."""
     pieces, peaks = InputStream.pieces, []
     monkeypatch.setattr(InputStream, "pieces", lambda self: pieces(self, 1 << 17))
-    for rows in (1_500, 1_500 + 12 * rests.BLOCK):
+    for rows in (1_500, 1_500 + 12 * reading.BLOCK):
         path = tmp_path / "sent.csv"
         path.write_bytes(csv(stood(drive, rows)))
         tracemalloc.start()

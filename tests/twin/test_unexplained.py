@@ -7,8 +7,7 @@ import pytest
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.assimilation.residuals import DriveResiduals
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord, DriveResiduals
 from lunarsci.twin.assimilation.update import _refusal, _taught, unexplained_share
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 

@@ -28,8 +28,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
-from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.residuals import HUBER, POSITION, DriveResiduals, cost_of, robust_cost
+from lunarsci.twin.assimilation.residuals import HUBER, OBSERVED, POSITION, DriveResiduals, cost_of, robust_cost
 
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""

@@ -22,7 +22,6 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, strange
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.posterior import (
     DrivePosterior,
     PosteriorMode,
@@ -36,11 +35,14 @@ from lunarsci.twin.assimilation.residuals import (
     FIX_ERROR_M,
     HUBER,
     MODEL_SHARES,
+    OBSERVED,
     POSITION,
     SAMPLE_M,
     STEP_S,
     DriveBias,
+    DriveRecord,
     DriveResiduals,
+    states_at,
 )
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan

@@ -16,14 +16,15 @@ from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
-from lunarsci.twin.assimilation.drive_record import (
+from lunarsci.twin.assimilation.residuals import (
+    FIX_ERROR_M,
+    MODEL_ERRORS,
     OBSERVED,
     DriveRecord,
     check_clock,
     check_wheels,
     states_at,
 )
-from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, MODEL_ERRORS
 from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text

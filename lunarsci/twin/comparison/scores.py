@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
 from lunarsci.twin.comparison.forecast import MatchedObservations
 from lunarsci.twin.judgement.endpoint import ErrorEllipse
 

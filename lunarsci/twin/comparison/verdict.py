@@ -21,8 +21,7 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
 from lunarsci.twin.comparison.forecast import Forecast, MatchedObservations
 from lunarsci.twin.comparison.scores import (
     ALL,

@@ -14,7 +14,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.comparison.forecast import MatchedObservations, forecast_of, match_observations
 from lunarsci.twin.comparison.scores import ALL, check_bands, check_end, region_ellipse
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides

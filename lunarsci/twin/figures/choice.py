@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, name_points, page, wrapped
-from lunarsci.twin.choice.chances import Weakest
-from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
 from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, draw_relief
 from lunarsci.twin.figures.panels import GOLD, LABELS
 from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.judgement.choice import DriveCandidate, DriveChoice, Weakest
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Plan
 

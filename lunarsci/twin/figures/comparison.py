@@ -7,7 +7,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.figure import COLORS, INK, as_label, headline, legend_below, page
-from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.assimilation.residuals import OBSERVED
 from lunarsci.twin.comparison.forecast import MatchedObservations
 from lunarsci.twin.comparison.scores import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.verdict import DriveComparison

@@ -10,9 +10,7 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom
-from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.choice import DriveChoice, choose
-from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
@@ -24,6 +22,7 @@ from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
 from lunarsci.twin.jobs.plan_request import PlanRequest, check_start, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose
 from lunarsci.twin.judgement.keeping import least_drives
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Plan, read_plan

@@ -19,7 +19,7 @@ from lunarsci.regolith.states import StateTable
 from lunarsci.regolith.written_names import GROUND, ground_name, short_name, written_in
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.rovers import DEFAULT_ROVER, known_rovers, read_rover
-from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
+from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
 from lunarsci.twin.comparison.forecast import (
     Forecast,

@@ -18,28 +18,25 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inp
 from lunarsci.twin.jobs.forces import load_record
 from lunarsci.twin.jobs.given_soil import doubt_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
-from lunarsci.twin.judgement.load_check import WheelLoads, force_table, wheel_loads
-from lunarsci.twin.judgement.tables import held_table
+from lunarsci.twin.judgement.tables import WheelLoads, force_table, held_table, wheel_loads
 from lunarsci.twin.lanes import FINISHED
-from lunarsci.twin.loads.load_ensemble import (
+from lunarsci.twin.plans.motion import Motion, read_motion
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.prescribed_motion import (
     BALANCE_ERROR,
     DRAWS,
+    FORCES,
     TOTALS,
     AlternatingEstimate,
     LoadEnsemble,
-    alternate,
-    draw_loads,
-)
-from lunarsci.twin.loads.prescribed_motion import (
-    FORCES,
     PoseStates,
     PrescribedLoads,
+    alternate,
     correlation_length,
+    draw_loads,
     prescribed_loads,
     read_pose_states,
 )
-from lunarsci.twin.plans.motion import Motion, read_motion
-from lunarsci.twin.plans.plan import Plan
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,7 +8,10 @@ from lunarsci.constants import PAPER
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.twin.designs.trade import (
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
+from lunarsci.twin.jobs.predict import PoweredRequest
+from lunarsci.twin.jobs.soils import Soils
+from lunarsci.twin.judgement.designs import (
     Design,
     Variation,
     check_names,
@@ -18,9 +21,6 @@ from lunarsci.twin.designs.trade import (
     try_design,
     unchanged,
 )
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
-from lunarsci.twin.jobs.predict import PoweredRequest
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict

@@ -14,9 +14,8 @@ from lunarsci.regolith.belief_history import contact_rows, parameter_rows, with_
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.regolith.questions import asked_in
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
-from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
+from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
+from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change, planned_places
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_layers import soil_layers

@@ -20,8 +20,7 @@ from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, comman
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.rests import GAP, held
+from lunarsci.twin.telemetry.reading import GAP, Findings, Telemetry, held
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, mean_speed
 
 LEAST_ROWS = 5

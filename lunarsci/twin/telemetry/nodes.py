@@ -9,10 +9,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, ReferenceMotion, at_nodes
 from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Priors, Smoothed, believed_change, probable

@@ -1,5 +1,17 @@
-"""Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
+"""Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong.
 
+Tables of ROS are read as well: `rostopic echo -p` (%time, field.pose.pose.position.x), bagpy (header.stamp.secs), ros2
+bags (header.stamp.nanosec) and PlotJuggler (__time, /joint_states/wheel_FL/position). Units and axes are those of REP
+103: s, m, rad, x ahead, z up; covariances those of geometry_msgs/PoseWithCovariance: 6 x 6 of x, y, z and turns about
+them, row by row.
+
+A week at 10 Hz is 6 million rows, of which a rover drives through some ten thousand. Rows are taken in blocks. A block
+rests where no wheel is told to turn, reads a rate or gets any further, and time goes on evenly; of a block that rests
+between two others that rest only rows with a new position are kept. What is left out says nothing of the motion: the
+wheels stand, and headings are used at positions and beside drives alone.
+"""
+
+import difflib
 import io
 import math
 import re
@@ -25,19 +37,400 @@ from lunarsci.io.tables import (
     without_repeats,
 )
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.columns import (
-    ERRORS,
-    NEEDED,
-    UNIT,
-    UNITS,
-    check_telemetry_columns,
-    in_own_words,
-    named_columns,
-)
-from lunarsci.twin.telemetry.rests import RowsKept
 
 if TYPE_CHECKING:
     import pandas as pd
+
+NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
+ERRORS = ("xx_m2", "xy_m2", "yy_m2")
+WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
+DEG = math.degrees(1.0)
+UNITS = {
+    "m": {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3},
+    "m2": {"mm2": 1e-6, "cm2": 1e-4},
+    "s": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "deg": {"rad": DEG, "mrad": 1e-3 * DEG, "turns": 360.0},
+    "deg_s": {"rad_s": DEG, "rpm": 6.0},
+    "m_s": {"cm_s": 1e-2, "mm_s": 1e-3, "km_h": 1.0 / 3.6},
+}
+"""What names may end in: the unit that is meant, and those that are read as well with their size in it."""
+UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() for unit in others)])})(?=$|_sigma$)")
+
+
+def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
+    """Columns by the names that telemetry has for them, in which column each is, and what it is multiplied by.
+
+    `yaw_rad` is `yaw_deg` in another unit, where there is none in this one.
+    """
+    found = {name: (name, 1.0) for name in names}
+    for name in names:
+        if match := UNIT.search(name):
+            for own, others in UNITS.items():
+                if match[1] in others:
+                    meant = f"{name[: match.start()]}_{own}{name[match.end() :]}"
+                    found.setdefault(meant, (name, others[match[1]]))
+    return found
+
+
+def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
+    """Raises DataError for wheels of another rover, and for columns that are missing, with what may be meant.
+
+    Positions are needed where they do not come from elsewhere (`placed`).
+    """
+    _check_strange(file, names, rover)
+    _check_all_there(file, names, rover, placed=placed)
+    _check_wheels(file, names, rover)
+    _check_needed(file, names, placed=placed)
+
+
+def _check_all_there(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
+    """Raises DataError, with all of them, where more than one quantity is missing, and not only some wheels."""
+    missing = [name for name in NEEDED if name not in names and (placed or name not in ("x_m", "y_m"))]
+    told = [f"{name}{_guess(name, names)}" for name in missing]
+    for forms in (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg")):
+        without = [wheel for wheel in rover.wheels if not any(form.format(wheel) in names for form in forms)]
+        if without:
+            which = "each wheel W" if len(without) == len(rover.wheels) else f"W = {', '.join(without)}"
+            guess = _guess(forms[0].format(without[0]), names) if len(without) == len(rover.wheels) else ""
+            told.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
+    if len(told) > 1 and (missing or not _wheels_in(names)):
+        raise DataError(
+            f"{file}: columns are missing: {', '.join(told)}; steered_W_deg is 0 for wheels that stay straight; "
+            "`lunarsci template telemetry` has all"
+        )
+
+
+def _guess(needed: str, names: list[str]) -> str:
+    bare = UNIT.sub("", needed)
+    other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
+    return f" ({other[0]}?)" if other else ""
+
+
+def _check_needed(file: str, names: list[str], *, placed: bool) -> None:
+    for needed in NEEDED:
+        if needed not in names and (placed or needed not in ("x_m", "y_m")):
+            told = f"{_hint(needed, names)}; `lunarsci template telemetry` has all columns"
+            raise DataError(f"{file}: no column {needed}{told}")
+
+
+def _hint(needed: str, names: list[str]) -> str:
+    """The column that may be meant: one with a name like it."""
+    near = difflib.get_close_matches(needed, names, n=1, cutoff=0.7)
+    return f"; is it '{near[0]}'? rename it" if near else f"; there are: {', '.join(names[:12])}"
+
+
+def _check_strange(file: str, names: list[str], rover: Rover) -> None:
+    strange = [wheel for wheel in _wheels_in(names) if wheel not in rover.wheels]
+    if strange:
+        own = ", ".join(rover.wheels)
+        raise DataError(
+            f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right one as `rover`"
+        )
+
+
+def _wheels_in(names: list[str]) -> list[str]:
+    return sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
+
+
+def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
+    found = _wheels_in(names)
+    for wheel in rover.wheels:
+        for what, forms in (("turned", ("angle", "rate", "speed")), ("was steered", ("steered", "steering"))):
+            units = {"rate": "deg_s", "speed": "m_s"}
+            columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
+            if not any(column in names for column in columns):
+                hint = f"; the file has the wheels {', '.join(found)}" if found else ""
+                raise DataError(
+                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
+                    "turn and a steering (0 if it stays straight), as in `lunarsci template telemetry`; or give the "
+                    "`rover` that has these wheels"
+                )
+
+
+_ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
+_ENDS |= {"r": "R", "rear": "R", "b": "R", "back": "R"}
+_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
+_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
+_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
+_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
+STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
+
+
+def meaning_of(name: str) -> str:
+    """What a column of ROS is: `stamp`, `x_m`, `qw`, `angle_FL_deg`, ...; '' for any other.
+
+    >>> meaning_of("field.pose.pose.position.x"), meaning_of("/joint_states/front_left_wheel/velocity")
+    ('x_m', 'rate_FL_deg_s')
+    """
+    words = [word.lower() for word in re.split(r"[./]+", name.strip().lstrip("%/")) if word]
+    if not words:
+        return ""
+    if words[-1] in _STAMPS and (len(words) == 1 or "header" in words):
+        return "stamp"
+    if "stamp" in words[:-1] and words[-1] in ("secs", "sec", "nsecs", "nsec", "nanosec"):
+        return "nsecs" if words[-1].startswith("n") else "secs"
+    if words[-2:-1] == ["position"] and words[-1] in ("x", "y"):
+        return f"{words[-1]}_m"
+    if words[-2:-1] == ["orientation"] and words[-1] in ("x", "y", "z", "w"):
+        return f"q{words[-1]}"
+    place = re.fullmatch(r".*pose[\W_]?covariance[\W_]?(\d+)\W?", ".".join(words))
+    if place:
+        return _COVARIANCES.get(place[1], "")
+    if len(words) > 1 and words[-1] in ("position", "velocity") and (wheel := _wheel_in(words[-2])):
+        if _STEERS.search(words[-2]):
+            return f"steered_{wheel}_deg" if words[-1] == "position" else ""
+        return f"angle_{wheel}_deg" if words[-1] == "position" else f"rate_{wheel}_deg_s"
+    return ""
+
+
+def _wheel_in(joint: str) -> str:
+    words = re.split(r"[_\W]+", joint)
+    for word in words:
+        for first, other in ((word[:1], word[1:]), (word[1:], word[:1])):
+            if len(word) == 2 and first in _ENDS and other in _SIDES:
+                return _ENDS[first] + _SIDES[other]
+    ends = [_ENDS[word] for word in words if len(word) > 2 and word in _ENDS]
+    sides = [_SIDES[word] for word in words if len(word) > 2 and word in _SIDES]
+    return ends[0] + sides[0] if ends and sides else ""
+
+
+def own_names(names: list[str]) -> list[str]:
+    """Columns that a table of ROS has in lunarsci's words; none for any other table."""
+    found = {meaning_of(name) for name in names} - {""}
+    if not found & {"x_m", "qw"} or not found & {"stamp", "secs"}:
+        return []
+    turned = {"time_s", *(("yaw_deg",) if "qw" in found else ())}
+    return sorted(found - {"stamp", "secs", "nsecs", "qx", "qy", "qz", "qw", "yaw_variance"} | turned)
+
+
+def in_own_words(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+    """A table of ROS with lunarsci's columns; any other as it is. Raises DataError for two places of one rover."""
+    names = [str(name) for name in table.columns]
+    if not own_names(names) or "time_s" in names:
+        return table
+    found: dict[str, str] = {}
+    for name in sorted(names, key=lambda one: "odom" in one.lower()):
+        meaning = meaning_of(name)
+        other = found.get(meaning, "")
+        if meaning in ("x_m", "qw") and other and ("odom" in other.lower()) == ("odom" in name.lower()):
+            raise DataError(f"{file}: '{other}' and '{name}' are both the rover's; keep the localised ones")
+        found.setdefault(meaning, name)
+
+    def numbers(meaning: str) -> FloatArray:
+        return numbers_of(file, found[meaning], table[found[meaning]])
+
+    made = {"time_s": _seconds(found, numbers("stamp") if "secs" not in found else numbers("secs"))}
+    if "secs" in found and "nsecs" in found:
+        made["time_s"] = made["time_s"] + 1e-9 * numbers("nsecs")
+    for meaning in found:
+        if meaning.endswith("_m"):
+            made[meaning] = numbers(meaning)
+        elif meaning.endswith(("_deg", "_deg_s")):
+            made[meaning] = np.degrees(numbers(meaning))
+    if all(f"q{axis}" in found for axis in "xyzw"):
+        made |= _attitude(np.column_stack([numbers(f"q{axis}") for axis in "xyzw"]))
+    errors = {name: numbers(name) for name in ("xx_m2", "xy_m2", "yy_m2", "yaw_variance") if name in found}
+    if {"xx_m2", "xy_m2", "yy_m2"} <= {*errors} and (errors["xx_m2"] > 0).any():
+        made |= {name: errors[name] for name in ("xx_m2", "xy_m2", "yy_m2")}
+    if "yaw_variance" in errors and (errors["yaw_variance"] > 0).any():
+        made["yaw_deg_sigma"] = np.degrees(np.sqrt(np.maximum(errors["yaw_variance"], 0.0)))
+    return table.drop(columns=[*found.values()]).assign(
+        **{name: ["" if np.isnan(one) else repr(float(one)) for one in values] for name, values in made.items()}
+    )
+
+
+def _seconds(found: dict[str, str], stamps: FloatArray) -> FloatArray:
+    """Stamps in s: `rostopic echo -p` has ns whatever they are, others by their size."""
+    name = found.get("stamp", "")
+    if "secs" not in found and (name.startswith("%") or name.startswith("field.")):
+        return 1e-9 * stamps
+    most = float(np.nanmax(stamps, initial=0.0))
+    return next((size for least, size in STAMP_UNITS if most >= least), 1.0) * stamps
+
+
+def _attitude(quaternion: FloatArray) -> dict[str, FloatArray]:
+    """Yaw, roll, pitch of quaternions x, y, z, w, pitch positive nose down; NaN where they are none. (n, 4) [deg]"""
+    from scipy.spatial.transform import Rotation
+
+    turns = np.full((len(quaternion), 3), np.nan)
+    norm = np.linalg.norm(quaternion, axis=1)
+    known = np.isfinite(norm) & (norm > 0)
+    if known.any():
+        turns[known] = Rotation.from_quat(quaternion[known]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
+    return dict(zip(("yaw_deg", "roll_deg", "pitch_deg"), turns.T, strict=True))
+
+
+LEAST_HELD, SURELY = 1e-4, 3.0
+"""Least odds beforehand that a run is held; they are the share of repeats beyond so many times that by chance;
+assumed."""
+FOLLOWS = 0.2
+"""Share by which a change may differ from the one that is expected; assumed."""
+
+
+def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
+    """Which readings only repeat the one before. (n,)
+
+    Parameters
+    ----------
+    values : readings, of one or more numbers each. (n,) or (n, m)
+    chance : probability that a sound reading repeats the one before while nothing changes.
+    expected : what the reading should have changed by since the start. (n,)
+    sigma : standard error of that change beside the share `FOLLOWS`, in its unit.
+    """
+    flat = values.reshape(len(values), -1)
+    begins = np.flatnonzero(np.append(True, (np.diff(flat, axis=0) != 0).any(axis=1)))
+    repeats = np.diff(np.append(begins, len(values))) - 1
+    change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
+    # A channel that is sent more often than it is read repeats throughout.
+    ln_held = math.log(max(LEAST_HELD, repeats.sum() / len(values) - SURELY * chance))
+    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (FOLLOWS * change) ** 2)
+    result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
+    result[begins] = False
+    return np.asarray(result)
+
+
+def digit_of(values: FloatArray) -> float:
+    """The last digit: the finest change of which all changes are multiples; a thousandth of it where they are none.
+
+    Infinite where nothing changes.
+    """
+    changes = np.abs(np.diff(values, axis=0))
+    known = changes[np.isfinite(changes)]
+    known = known[known > 1e-6 * np.max(known, initial=0.0)]
+    finest = float(np.min(known, initial=np.inf))
+    return finest if (np.abs(known / finest - np.rint(known / finest)) < 0.01).all() else 1e-3 * finest
+
+
+def chance_by_noise(values: FloatArray, sigma: float) -> float:
+    """Probability that a reading with an error of `sigma` repeats the one before, by its last digit.
+
+    The difference of two is normal, of standard deviation sqrt 2 sigma, and rounded to the finest change there is.
+    """
+    return min(1.0, digit_of(values) / (2.0 * math.sqrt(math.pi) * sigma))
+
+
+BLOCK = 256
+"""Rows of a block: half a minute at 10 Hz; assumed."""
+STILL = 0.05
+"""Share of the rover's highest speed up to which a rate is that of a wheel that stands; assumed."""
+TURNED_DEG = 3.0
+"""Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
+GAP = 5.0
+"""Times the median step between rows from which on a step is a gap; assumed, as of a motion."""
+MOST_ROWS = 500_000
+"""That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
+PLACES = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2", "sigma_m")
+
+
+Columns = dict[str, FloatArray]
+
+
+class RowsKept:
+    """Rows of telemetry by column, without most of those of a rover that rests, put together from pieces.
+
+    Attributes
+    ----------
+    read : rows that were added.
+    rests_s : begin and end of the rests within which rows are left out. [s]
+    """
+
+    def __init__(self, file: str, rover: Rover) -> None:
+        self.file, self.read = file, 0
+        self.rests_s: list[tuple[float, float]] = []
+        self._rover, self._count = rover, 0
+        self._kept: list[Columns] = []
+        self._left: Columns = {}
+        self._before: tuple[Columns, bool] | None = None
+        self._held: tuple[Columns, bool] | None = None
+        self._anchor = np.full((0, 0), np.nan)
+        self._place = np.full(len(PLACES), np.nan)
+
+    def add(self, columns: Columns) -> None:
+        """The next rows, of the same columns each time. Raises DataError for more than there is to be memory for."""
+        self.read += len(columns["time_s"])
+        rows = {name: np.append(self._left.get(name, ()), column) for name, column in columns.items()}
+        whole = len(rows["time_s"]) // BLOCK * BLOCK
+        for first in range(0, whole, BLOCK):
+            self._take({name: column[first : first + BLOCK] for name, column in rows.items()})
+        self._left = {name: column[whole:] for name, column in rows.items()}
+
+    def joined(self) -> Columns:
+        """The columns of the rows that are kept, in their order, when all have been added."""
+        if self._held is not None:
+            self._keep(self._held[0])
+        self._keep(self._left)
+        return {name: np.concatenate([part[name] for part in self._kept]) for name in self._left}
+
+    def _take(self, block: Columns) -> None:
+        """Keep the block before this one, or leave it out, now that both its neighbours are known."""
+        rests = self._rests(block)
+        if self._held is not None:
+            before, (middle, still) = self._before, self._held
+            if still and rests and before is not None and before[1]:
+                self._leave_out(before[0], middle, block)
+            else:
+                self._keep(middle)
+        self._before, self._held = self._held, (block, rests)
+
+    def _keep(self, rows: Columns) -> None:
+        self._kept.append(rows)
+        self._count += len(rows["time_s"])
+        if self._count > MOST_ROWS:
+            raise DataError(
+                f"{self.file}: more than {MOST_ROWS:,} rows of a rover that does not stand for long, to "
+                f"time_s {rows['time_s'][-1]:.6g}; take a part of it with `since` and `until`, or fewer rows a second"
+            )
+        if len(placed := np.flatnonzero(_placed(rows))):
+            self._place = _places(rows)[placed[-1]]
+
+    def _leave_out(self, before: Columns, rows: Columns, after: Columns) -> None:
+        """Keep only positions that do not repeat the one before to the last digit."""
+        begin, end = float(before["time_s"][0]), float(after["time_s"][-1])
+        if self.rests_s and self.rests_s[-1][1] == rows["time_s"][-1]:
+            begin = self.rests_s.pop()[0]
+        self.rests_s.append((begin, end))
+        placed = np.flatnonzero(_placed(rows))
+        if len(placed):
+            places = np.vstack([self._place, _places(rows)[placed]])
+            new = placed[(np.nan_to_num(places[1:], nan=np.inf) != np.nan_to_num(places[:-1], nan=np.inf)).any(axis=1)]
+            self._keep({name: column[new] for name, column in rows.items()})
+
+    def _rests(self, rows: Columns) -> bool:
+        """Whether no wheel turns, and time goes on evenly, also from the block before."""
+        first = self._held is None
+        times = rows["time_s"] if self._held is None else np.append(self._held[0]["time_s"][-1], rows["time_s"])
+        steps = np.diff(times)
+        even = bool((steps > 0).all()) and bool(steps.max() <= GAP * np.median(steps))
+        angles = _of_wheels(rows, self._rover, "angle_{}_deg")
+        still = even and not first and self._stand(rows, angles)
+        if not still:
+            self._anchor = angles
+        return still
+
+    def _stand(self, rows: Columns, angles: FloatArray) -> bool:
+        told = np.abs(_of_wheels(rows, self._rover, "speed_{}_m_s"))
+        rim = np.radians(np.abs(_of_wheels(rows, self._rover, "rate_{}_deg_s"))) * self._rover.wheel.shearing_radius_m
+        both = np.concatenate([self._anchor[-1:], angles])
+        off = np.abs(both[1:] - np.where(np.isfinite(both[0]), both[0], angles[0]))
+        turns = (told > 0).any() or (rim > STILL * self._rover.max_speed_m_s).any() or (off > TURNED_DEG).any()
+        known = np.isfinite(told) | np.isfinite(rim) | np.isfinite(angles)
+        return bool(known.any(axis=0).all()) and not turns
+
+
+def _of_wheels(rows: Columns, rover: Rover, form: str) -> FloatArray:
+    """A column of each wheel, NaN where there is none. (n, wheels)"""
+    blank = np.full(len(rows["time_s"]), np.nan)
+    return np.column_stack([rows.get(form.format(wheel), blank) for wheel in rover.wheels])
+
+
+def _placed(rows: Columns) -> BoolArray:
+    return np.isfinite(rows["x_m"]) | np.isfinite(rows["y_m"]) if "x_m" in rows else np.zeros(len(rows["time_s"]), bool)
+
+
+def _places(rows: Columns) -> FloatArray:
+    blank = np.full(len(rows["time_s"]), np.nan)
+    return np.column_stack([rows.get(name, blank) for name in PLACES])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

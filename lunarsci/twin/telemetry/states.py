@@ -17,12 +17,12 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import CLIFF, HOLE, LEFT, OVERTURNED
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.telemetry.checks import (
     FAST,
     HALT,
@@ -50,9 +50,15 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
 from lunarsci.twin.telemetry.reading import SHARED, Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.readings import as_meant, in_units
+from lunarsci.twin.telemetry.readings import (
+    as_meant,
+    check_attitude,
+    in_units,
+    sway_m,
+    usable_headings,
+    usable_positions,
+)
 from lunarsci.twin.telemetry.smoother import (
     LATE_S,
     MEDIAN_OF_TWO,

@@ -21,12 +21,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.readings import between
-from lunarsci.twin.telemetry.rests import TURNED_DEG, digit_of, held
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
+from lunarsci.twin.telemetry.reading import TURNED_DEG, Findings, Telemetry, digit_of, held
 
 SIGMA_DEG, RATE_SHARE, TOLD_SHARE = 1.0, 0.1, 0.2
 """Standard errors of turns between rows: of all [deg], of rates and of commands as shares; assumed."""
@@ -109,6 +107,13 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
         usual_m_s=usual,
         told_share=_obedience(measured, told / steps),
     )
+
+
+def between(values: FloatArray) -> FloatArray:
+    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
+    before, after = values[:-1], values[1:]
+    both = 0.5 * (before + after)
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
 
 
 def resting_steps(telemetry: Telemetry) -> BoolArray:

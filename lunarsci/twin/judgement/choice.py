@@ -1,20 +1,324 @@
-"""The choice among drives: all are driven on the same soils, hopeless ones stop early, the best are driven again."""
+"""What all candidates meet alike: the same soils, grounds and errors for each of them.
 
+The chance that a drive keeps all its limits, counted over soils, and where it comes nearest to breaking one.
+
+The choice among drives: all are driven on the same soils, hopeless ones stop early, the best are driven again.
+"""
+
+import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.choice.chances import Verdicts, Weakest, verdicts
-from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
+from lunarsci.parallel.blocks import run_blocks, shared_out
+from lunarsci.parallel.checkpoint import spans
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.energy import expected_energy_j
-from lunarsci.twin.judgement.keeping import Chance, extremes, least_drives, least_of_95
+from lunarsci.twin.judgement.keeping import (
+    CONFIDENCE,
+    Chance,
+    broken,
+    extremes,
+    least_drives,
+    least_of_95,
+    limited,
+    limits_judged,
+)
+from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
-from lunarsci.twin.simulation.ensemble import Prediction
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.discrepancy import with_discrepancy
+from lunarsci.twin.simulation.ensemble import DrawnDiscrepancy, PowerState, Prediction, predict
+from lunarsci.twin.simulation.members import Grounds
 
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SomeGrounds:
+    """Some members of other grounds."""
+
+    whole: Grounds
+    first: int
+    parameters: Mapping[str, FloatArray]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.parameters.values())))
+
+    def terrain(self, member: int) -> Terrain:
+        return self.whole.terrain(self.first + member)
+
+    def only(self, member: int) -> "_SomeGrounds":
+        own = slice(member, member + 1)
+        return _SomeGrounds(self.whole, self.first + member, {n: v[own] for n, v in self.parameters.items()})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Conditions:
+    """What the drives of an ensemble meet, whichever plan they follow.
+
+    Attributes
+    ----------
+    rover, terrain : what drives where.
+    samples : soil of each member, by parameter; that of `grounds` where each has a ground of its own. (members,)
+    grounds : a terrain for each member; None where samples lie everywhere.
+    draws : what the ground of each member is drawn by, where heights have errors.
+    discrepancy : what the twin's physics is off by; None leaves it out.
+    ruts, before, time_step_s, sample_m : as for `predict`.
+    power : battery and light, where these count.
+    seed : of errors of position fixes and of the discrepancy.
+    """
+
+    rover: Rover
+    terrain: Terrain
+    samples: Mapping[str, FloatArray]
+    grounds: Grounds | None = None
+    draws: FloatArray | None = None
+    discrepancy: PhysicsDiscrepancy | None = None
+    ruts: bool = False
+    before: Plan | None = None
+    seed: int = 0
+    time_step_s: float = 0.1
+    sample_m: float = 0.1
+    power: PowerState | None = None
+
+    @property
+    def members(self) -> int:
+        """How many soils there are."""
+        return len(next(iter(self.samples.values())))
+
+    def drive(self, plan: Plan, members: range) -> Prediction:
+        """Some members along a plan. Each such part draws its own errors of fixes and discrepancy."""
+        own = slice(members.start, members.stop)
+        samples = {name: values[own] for name, values in self.samples.items()}
+        seed = int(np.random.SeedSequence([self.seed, members.start]).generate_state(1)[0])
+        soils: dict[str, Any] = {"samples": samples}
+        if self.grounds is not None:
+            soils = {"grounds": _SomeGrounds(self.grounds, members.start, samples)}
+        driven = predict(
+            self.rover,
+            self.terrain,
+            plan,
+            **soils,
+            seed=seed,
+            time_step_s=self.time_step_s,
+            sample_m=self.sample_m,
+            ruts=self.ruts,
+            before=self.before,
+            draws=None if self.draws is None else self.draws[own],
+        )
+        driven = driven if self.discrepancy is None else with_discrepancy(driven, self.discrepancy, seed)
+        return dataclasses.replace(driven, power=self.power)
+
+
+SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
+"""Fields of a prediction that need not come back from where it was computed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandidateDrives:
+    """Drives of some members along each of some plans: what `run_blocks` shares out, a row for each plan."""
+
+    conditions: Conditions
+    plans: Sequence[Plan]
+    members: range
+
+    def __call__(self, block: range) -> list[dict[str, Any]]:
+        """What the predictions of a block of plans do not share."""
+        names = [field.name for field in dataclasses.fields(Prediction) if field.name not in SHARED]
+        driven = [self.conditions.drive(self.plans[number], self.members) for number in block]
+        return [{name: getattr(one, name) for name in names} for one in driven]
+
+
+def drive_candidates(
+    conditions: Conditions, plans: Sequence[Plan], members: range, progress: Progress | None = None
+) -> list[Prediction]:
+    """Some members along every plan, in threads or on a cluster; they depend on nothing else. In the order of plans."""
+    work = CandidateDrives(conditions, plans, members)
+    found: dict[int, Prediction] = {}
+    own, grounds = slice(members.start, members.stop), conditions.grounds
+    for block, parts in run_blocks(work, spans(len(plans), shared_out(len(plans), 1)), progress=progress):
+        for number, part in zip(block, parts, strict=True):
+            samples = {name: values[own] for name, values in conditions.samples.items()}
+            found[number] = Prediction(
+                rover=conditions.rover,
+                terrain=conditions.terrain,
+                plan=plans[number],
+                grounds=None if grounds is None else _SomeGrounds(grounds, members.start, samples),
+                before=conditions.before,
+                power=conditions.power,
+                **part,
+            )
+    return [found[number] for number in range(len(plans))]
+
+
+def joined(parts: Sequence[Prediction]) -> Prediction:
+    """Predictions of successive members along one plan as one."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def whole(name: str) -> Any:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    first = parts[0]
+    soils = {name: np.concatenate([part.parameters[name] for part in parts]) for name in first.parameters}
+    arrays = {name: whole(name) for name in ("paths", "states", "recorded", "outcome", "finer")}
+    draws, steered = (None if getattr(first, name) is None else whole(name) for name in ("draws", "steered"))
+    grounds = first.grounds
+    if isinstance(grounds, _SomeGrounds):
+        grounds = _SomeGrounds(grounds.whole, grounds.first, soils)
+    return dataclasses.replace(
+        first,
+        **arrays,
+        parameters=soils,
+        draws=draws,
+        steered=steered,
+        grounds=grounds,
+        discrepancy=_joined_discrepancy(parts),
+    )
+
+
+def _joined_discrepancy(parts: Sequence[Prediction]) -> DrawnDiscrepancy | None:
+    drawn = [part.discrepancy for part in parts if part.discrepancy is not None]
+    if not drawn:
+        return None
+    shares = {name: np.concatenate([one.shares[name] for one in drawn]) for name in drawn[0].shares}
+    return DrawnDiscrepancy(law=drawn[0].law, offsets_m=np.concatenate([one.offsets_m for one in drawn]), shares=shares)
+
+
+UNFINISHED = "unfinished"
+
+
+@dataclass(frozen=True, slots=True)
+class Weakest:
+    """Where the drives of a plan come nearest to a limit, or break it.
+
+    Attributes
+    ----------
+    quantity, unit : the limit that most drives break, or else the one that they come nearest to; `unfinished`, with the
+        outcome as `unit`, where most did not end.
+    value, limit : what 95 % of the drives keep there, and the limit.
+    failed : drives that break it anywhere.
+    x_m, y_m, distance_m : where: mean place of the drives, and how far the plan then is. [m]
+    """
+
+    quantity: str
+    unit: str
+    value: float
+    limit: float
+    failed: int
+    x_m: float
+    y_m: float
+    distance_m: float
+
+    @property
+    def why(self) -> str:
+        """One sentence."""
+        if self.quantity == UNFINISHED:
+            return f"{self.failed} drive{'s end' if self.failed > 1 else ' ends'} early: {self.unit}"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"95 % of the drives keep {self.quantity} {self.value:.3g}{unit}, limit {self.limit:.4g}{unit}"
+
+    @property
+    def short(self) -> str:
+        """What is beyond its limit, and in how many drives."""
+        if self.quantity == UNFINISHED:
+            return f"{self.failed} drives end early"
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.quantity} {self.value:.3g} of {self.limit:.3g}{unit} ({self.failed} drives)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdicts:
+    """Each drive of a prediction held against the limits of its plan.
+
+    Attributes
+    ----------
+    kept : drives that ended and kept every limit. (members,)
+    weakest : where they come nearest to a limit.
+    broken : each limit that drives break, that which most of them break first.
+    """
+
+    kept: BoolArray
+    weakest: Weakest
+    broken: tuple[Weakest, ...] = ()
+
+    @property
+    def chance(self) -> Chance:
+        """Of failing."""
+        return Chance(int((~self.kept).sum()), self.kept.size)
+
+
+def verdicts(prediction: Prediction) -> Verdicts:
+    """Whether each drive kept every limit of the plan, and where they are in danger.
+
+    A limit on `endpoint_miss_m` is the tolerance of the end. Drives are kept as `lunarsci.twin.judgement.keeping.kept`
+    has it. Raises ParameterError for a plan without limits.
+    """
+    if not prediction.plan.limits and not prediction.plan.exclusion_zones:
+        raise ParameterError("the plan has no limits, so there is no chance of keeping them; give it some")
+    kept = prediction.finished.copy()
+    places = [_unfinished(prediction)] if not kept.all() else []
+    for limit in limits_judged(prediction):
+        values = limited(prediction, limit.quantity)
+        beyond = broken(limit, values) & prediction.reached
+        kept &= ~beyond.any(axis=1)
+        places.append(_place(prediction, limit, _use(prediction, limit, values), values, int(beyond.any(axis=1).sum())))
+    places.sort(key=lambda pair: pair[0], reverse=True)
+    return Verdicts(kept, places[0][1], tuple(place for _, place in places if place.failed))
+
+
+def _use(prediction: Prediction, limit: Limit, values: FloatArray) -> FloatArray:
+    """Share of a limit that is used up at every sample, above 1 where it is broken. (members, samples)
+
+    Samples that were not reached use nothing.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if limit.sense == "at most":
+            use = values / limit.limit
+        else:
+            use = np.where(broken(limit, values), np.inf, limit.limit / np.where(values > 0, values, np.inf))
+    return np.where(prediction.reached & ~np.isnan(values), use, 0.0)
+
+
+def _place(
+    prediction: Prediction, limit: Limit, use: FloatArray, values: FloatArray, failed: int
+) -> tuple[tuple[int, float], Weakest]:
+    """How bad it is, for comparison, and the sample at which the use that 95 % of the drives keep is largest."""
+    order = np.argsort(use, axis=0)
+    rank = math.ceil(CONFIDENCE * len(use)) - 1
+    kept = np.take_along_axis(use, order[rank : rank + 1], axis=0)[0]
+    sample = int(kept.argmax())
+    member = int(order[rank, sample])
+    x, y = prediction.places_m[:, sample].mean(axis=0)
+    weakest = Weakest(
+        limit.quantity, limit.unit, float(values[member, sample]), limit.limit, failed, float(x), float(y),
+        float(prediction.distance_m[sample]),
+    )  # fmt: skip
+    return (failed, float(kept[sample])), weakest
+
+
+def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
+    """Where drives end early, the one in the middle of them."""
+    stopped: IntArray = np.flatnonzero(~prediction.finished)
+    last = np.maximum(prediction.recorded[stopped], 1) - 1
+    member = int(stopped[np.argsort(last)[len(last) // 2]])
+    sample = int(max(prediction.recorded[member], 1) - 1)
+    x, y = prediction.places_m[member, sample]
+    weakest = Weakest(
+        UNFINISHED, prediction.outcome_text(member), math.nan, math.nan, stopped.size, float(x), float(y),
+        float(prediction.distance_m[sample]),
+    )  # fmt: skip
+    return (stopped.size, math.inf), weakest
+
+
 Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
 
 ROUNDS = (0.25, 0.5, 1.0)
