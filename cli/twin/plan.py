@@ -169,7 +169,7 @@ def _choice_table(found: ChosenDrive) -> TextTable:
     notes = [
         *([found.soils.doubt] if found.soils.doubt else []),
         *([] if choice.feasible else [found.what_next]),
-        f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
+        f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
         *([held] if choice.feasible else []),
@@ -192,8 +192,8 @@ def _candidate_row(one: DriveCandidate) -> list[str]:
     return [
         f"{one.number}{'*' if one.pareto else ''}",
         one.plan.name,
-        f"{unsure}{_percent(one.said.risk)}",
-        _percent(one.said.high),
+        f"{unsure}{_percent(one.stated.risk)}",
+        _percent(one.stated.high),
         f"{one.length_m:.1f}",
         energy,
         SHORT[weak.quantity],

@@ -280,10 +280,10 @@ def _states(file: InputFile) -> Mapping[str, Any]:
 
 def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.telemetry.reading import Findings, own_names, read_telemetry
+    from lunarsci.twin.telemetry.reading import Findings, read_telemetry, ros_names
 
     names = file.data if isinstance(file, InputFile) else _ends(file)
-    ros = own_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
+    ros = ros_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
     four = b"FL" in names and b"_ML_" not in names if not ros else "angle_ML_deg" not in ros
     rover = build_rover("small-four" if four else "yutu2")
     found = read_telemetry(file, rover, Findings(file.name))

@@ -74,9 +74,9 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
 
 def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of telemetry and positions that are there by names of ROS, or in other units."""
-    from lunarsci.twin.telemetry.reading import named_columns, own_names
+    from lunarsci.twin.telemetry.reading import named_columns, ros_names
 
-    ros = own_names(list(columns))
+    ros = ros_names(list(columns))
     if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
         ros = [name for name in ros if name != "yaw_deg"]
     return ros + [name for name in named_columns(list(columns)) if name not in columns]

@@ -123,10 +123,10 @@ def by_risk(one: Errand, risk: float) -> Proposal:
     best = found.best
     return Proposal(
         plan=best.plan if found.feasible else None,
-        promised=1.0 - best.said.risk,
+        promised=1.0 - best.stated.risk,
         reason="" if found.feasible else best.weakest.why,
         others=tuple(
-            (a.plan, 1.0 - a.said.risk, a.promise is not None) for a in found.candidates if a is not found.best
+            (a.plan, 1.0 - a.stated.risk, a.promise is not None) for a in found.candidates if a is not found.best
         ),
     )
 

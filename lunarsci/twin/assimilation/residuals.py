@@ -72,8 +72,8 @@ class DriveRecord:
         for name, times in (("time_s", self.time_s), ("fix_time_s", self.fix_time_s)):
             if not (np.isfinite(times).all() and (times >= 0).all()):
                 raise ParameterError(f"a record's {name} must be 0 or more: it counts from the start of the plan")
-        known = np.isfinite(self.values)
-        if not (np.isfinite(self.sigmas[known]).all() and (self.sigmas[known] >= 0).all()):
+        measured = np.isfinite(self.values)
+        if not (np.isfinite(self.sigmas[measured]).all() and (self.sigmas[measured] >= 0).all()):
             raise ParameterError("a record's sigmas must be 0 or more wherever a value is measured")
         if not np.isfinite(self.fix_m).all() or not all(np.linalg.eigvalsh(c)[0] > 0 for c in self.fix_covariance_m2):
             raise ParameterError("a record's positions need finite places and positive definite covariances")
@@ -108,46 +108,46 @@ def read_record(
     Errors of slip are without the part that all states share (`slip_ratio_shared`): it is that of the wheels' radius,
     which an update finds.
     """
-    found = _valid_rows(read_drive_states(states, rover, errors) if isinstance(states, InputFile) else states)
-    values, sigmas = found.values.copy(), _without_shared(found)
+    table = _valid_rows(read_drive_states(states, rover, errors) if isinstance(states, InputFile) else states)
+    values, sigmas = table.values.copy(), _without_shared(table)
     if positions is not None:
-        _forget_slips(found.file, found.table, values)
+        _forget_slips(table.file, table.table, values)
     fixes = Positions.none() if positions is None else read_positions(positions)
     try:
         return DriveRecord(
-            time_s=found.numbers("time_s"),
-            wheel=found.wheels,
+            time_s=table.numbers("time_s"),
+            wheel=table.wheels,
             values=values,
             sigmas=sigmas,
             fix_time_s=fixes.time_s,
             fix_m=fixes.place_m,
             fix_covariance_m2=fixes.covariance_m2,
             fix_shared_m2=fixes.shared_m2,
-            rim_m_s=found.numbers("rim_m_s") if "rim_m_s" in found.table else None,
-            doubt="; ".join(found.table["doubt"].dropna().unique()) if "doubt" in found.table else "",
+            rim_m_s=table.numbers("rim_m_s") if "rim_m_s" in table.table else None,
+            doubt="; ".join(table.table["doubt"].dropna().unique()) if "doubt" in table.table else "",
         )
     except ParameterError as error:
-        raise DataError(f"{found.file}: {error}") from error
+        raise DataError(f"{table.file}: {error}") from error
 
 
-def _without_shared(found: StateTable) -> FloatArray:
+def _without_shared(table: StateTable) -> FloatArray:
     """Errors of the values, that of slip without what all states share. (n, 6)"""
-    sigmas = found.sigmas.copy()
-    if "slip_ratio_shared" in found.table:
-        shared, k = np.nan_to_num(found.numbers("slip_ratio_shared")), OBSERVED.index("slip_ratio")
+    sigmas = table.sigmas.copy()
+    if "slip_ratio_shared" in table.table:
+        shared, k = np.nan_to_num(table.numbers("slip_ratio_shared")), OBSERVED.index("slip_ratio")
         sigmas[:, k] = np.sqrt(np.maximum(sigmas[:, k] ** 2 - shared**2, 0.0))
     return sigmas
 
 
-def _valid_rows(found: StateTable) -> StateTable:
-    if found.valid.all():
-        return found
-    out = ~found.valid
-    text = f"{found.file}: {int(out.sum())} of {len(out)} states left out, marked not valid"
-    if fast := int((np.abs(found.values[out, OBSERVED.index("slip_ratio")]) > VALID_SLIP).sum()):
+def _valid_rows(table: StateTable) -> StateTable:
+    if table.valid.all():
+        return table
+    out = ~table.valid
+    text = f"{table.file}: {int(out.sum())} of {len(out)} states left out, marked not valid"
+    if fast := int((np.abs(table.values[out, OBSERVED.index("slip_ratio")]) > VALID_SLIP).sum()):
         text += f": {fast} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
     warnings.warn(text, LunarSciWarning, stacklevel=3)
-    return found.kept(found.valid)
+    return table.kept(table.valid)
 
 
 def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
@@ -269,16 +269,16 @@ class DriveBias:
         """
         columns = []
         for k, name in enumerate(OBSERVED):
-            known, measured = np.isfinite(values[:, k]), np.isfinite(expected[:, k])
+            counted, measured = np.isfinite(values[:, k]), np.isfinite(expected[:, k])
             if self.common.get(name) and measured.any():
                 sizes = SHARED * self.common[name] * np.where(measured, expected[:, k], 0.0)
-                for own in (np.full(len(sizes), np.abs(sizes[measured]).mean()), sizes):
-                    states = _column(values.shape, k, known * own / sigma[:, k])
-                    moved = own[measured].mean() * _moved(name, way)
+                for part in (np.full(len(sizes), np.abs(sizes[measured]).mean()), sizes):
+                    states = _column(values.shape, k, counted * part / sigma[:, k])
+                    moved = part[measured].mean() * _moved(name, way)
                     columns.append(np.append(states, whitening @ moved.ravel()))
             if self.wheels.get(name):
                 for w in np.unique(wheel):
-                    states = _column(values.shape, k, self.wheels[name] * (known & (wheel == w)))
+                    states = _column(values.shape, k, self.wheels[name] * (counted & (wheel == w)))
                     columns.append(np.append(states, np.zeros(way.size)))
         if self.turns and turned is not None:
             columns.append(np.append(np.zeros(values.size), whitening @ (self.turns * turned).ravel()))
@@ -288,9 +288,9 @@ class DriveBias:
         return MarginalisedBias(left, sizes)
 
 
-def _column(shape: tuple[int, ...], k: int, own: FloatArray) -> FloatArray:
+def _column(shape: tuple[int, ...], k: int, part: FloatArray) -> FloatArray:
     column = np.zeros(shape)
-    column[:, k] = own
+    column[:, k] = part
     return column.ravel()
 
 
@@ -339,12 +339,10 @@ FIX_ERROR_M = 0.0015
 between samples does; over obstacles it is more. [m]"""
 STEP_S, SAMPLE_M = 0.1, 0.1
 """Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
-FARTHEST = 4.0
-"""Standard deviations of the first laws that a soil may be from their centre; assumed."""
 POSITION = "position"
 HUBER = 4.0
-"""Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance;
-assumed."""
+"""Standard deviations beyond which a value counts by size, not square, and as an outlier, and a soil as none of the
+first laws: 1 in 16 000 by chance; assumed."""
 
 
 def robust_cost(white: FloatArray) -> FloatArray:
@@ -393,7 +391,7 @@ class DriveResiduals:
     def __post_init__(self) -> None:
         check_wheels(self.record, self.rover.wheels, self.rover.name)
         check_clock(self.record, self.schedule.duration_s, self.spacing_s)
-        if (values := int(self.known.sum()) + self.record.fix_m.size) < len(PARAMETERS):
+        if (values := int(self.counted.sum()) + self.record.fix_m.size) < len(PARAMETERS):
             raise ParameterError(
                 f"{values} values can be compared with a drive of the plan, fewer than a soil has parameters, "
                 f"{len(PARAMETERS)}; are there states under way, and in time?"
@@ -415,7 +413,7 @@ class DriveResiduals:
         return wheel_numbers(self.record, self.rover.wheels)
 
     @cached_property
-    def known(self) -> BoolArray:
+    def counted(self) -> BoolArray:
         """Values that count: measured, under way, and from the second sample on. (n, 6)
 
         States between two samples are interpolated, and at the first one the simulated rover has not found its speed.
@@ -430,7 +428,7 @@ class DriveResiduals:
         """Their errors, 1 elsewhere. (n, 6)"""
         floor = self.floor * np.array([MODEL_ERRORS[name] for name in OBSERVED])
         factor = np.array([self.inflation.get(name, 1.0) for name in OBSERVED])
-        return np.where(self.known, factor * np.hypot(self.record.sigmas, floor), 1.0)
+        return np.where(self.counted, factor * np.hypot(self.record.sigmas, floor), 1.0)
 
     @cached_property
     def whitening(self) -> FloatArray:
@@ -441,7 +439,7 @@ class DriveResiduals:
     @cached_property
     def marginalised(self) -> MarginalisedBias:
         """What whitens the errors that stay the same throughout the drive."""
-        values = np.where(self.known, self.record.values, np.nan)
+        values = np.where(self.counted, self.record.values, np.nan)
         way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
         expected = values if self.expected is None else self.expected
         return self.bias.marginalised(values, self.sigma, self.wheel, way, self.whitening, expected, self.turned)
@@ -466,10 +464,10 @@ class DriveResiduals:
         return predict(*drive, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts)
 
     def near(self, transforms: FloatArray) -> BoolArray:
-        """Soils that are no farther from the first laws than `FARTHEST`. (points,)"""
+        """Soils that are no farther from the first laws than `HUBER`. (points,)"""
         center, width = _center_and_width(tuple(self.belief.laws.values()))
         with np.errstate(invalid="ignore"):
-            return np.asarray((np.abs(transforms - center) < FARTHEST * width).all(axis=1))
+            return np.asarray((np.abs(transforms - center) < HUBER * width).all(axis=1))
 
     def residuals(self, transforms: FloatArray) -> FloatArray:
         """Whitened residuals, simulated less measured, of states, then of positions. (points, r)
@@ -498,7 +496,7 @@ class DriveResiduals:
 
     def _of(self, drives: Prediction) -> FloatArray:
         record, count = self.record, len(drives.outcome)
-        states = np.where(self.known, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
+        states = np.where(self.counted, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
         places = at_times(record.fix_time_s, drives.time_s, drives.paths[..., :2], axis=-2)
         white = (places - record.fix_m).reshape(count, -1) @ self.whitening.T
         rows = self.marginalised.applied(np.concatenate([states.reshape(count, -1), white], axis=1))

@@ -28,7 +28,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import effective_rows
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.posterior import CHANCE
+from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
@@ -137,9 +138,9 @@ class TrackBins:
     slope: FloatArray
     model: FloatArray
 
-    def part(self, kept: BoolArray) -> "TrackBins":
+    def part(self, inside: BoolArray) -> "TrackBins":
         """Some of the pieces."""
-        middle, mean, weight, slope = (part[kept] for part in (self.middle_m, self.mean, self.weight, self.slope))
+        middle, mean, weight, slope = (part[inside] for part in (self.middle_m, self.mean, self.weight, self.slope))
         return TrackBins(middle, self.names, mean, weight, slope, self.model)
 
 
@@ -153,8 +154,8 @@ def binned(places: FloatArray, values: FloatArray, slopes: FloatArray, model: Fl
     slopes : of the values by the soil. (n, 6, 8)
     model : of each quantity. (6,)
     """
-    known = np.isfinite(values)
-    columns = np.flatnonzero(known.any(axis=0))
+    measured = np.isfinite(values)
+    columns = np.flatnonzero(measured.any(axis=0))
     if not columns.size:
         return None
     length = max(BIN_M, float(np.ptp(places)) / MOST_BINS)
@@ -162,7 +163,7 @@ def binned(places: FloatArray, values: FloatArray, slopes: FloatArray, model: Fl
     number = (np.floor(places / length) - first).astype(np.int64)
     weight = np.zeros((int(number.max()) + 1, len(columns)))
     total, slope = np.zeros(weight.shape), np.zeros((*weight.shape, slopes.shape[-1]))
-    seen = known[:, columns]
+    seen = measured[:, columns]
     np.add.at(weight, number, seen)
     np.add.at(total, number, np.where(seen, values[:, columns], 0.0))
     np.add.at(slope, number, np.where(seen[..., None], slopes[:, columns], 0.0))
@@ -295,14 +296,11 @@ def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray
 
 NUDGE = 0.1
 """Widths of the first laws by which soils are moved for derivatives; assumed."""
-LARGEST = 4.0
-"""Residuals count as no larger, so that a stone or a slip of a sensor makes no change; assumed."""
 WITHIN_95 = 7.35
 """Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
 10.1111/1468-0262.00124."""
-FALSE_ALARMS = 0.01
-"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors;
-assumed."""
+FALSE_ALARMS = CHANCE
+"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
 MODEL_SHARE = 2.0
 """Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
 enough for what is left of the time step's errors."""
@@ -310,10 +308,8 @@ FINER = 0.25
 """Of the time step."""
 MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
-"""Of a stretch, assumed; with fewer it stays as it was believed to be."""
-LEAST_SLIPS = 2 * len(PARAMETERS)
-"""Of a stretch whose median slip is judged, as many as `FEWEST_VALUES` of which its soil is learned; assumed."""
-TOLD = 1.0
+"""Of a stretch whose soil is learned, and whose median slip is judged, assumed; with fewer it stays as believed."""
+NAMED = 1.0
 """Steps of a measured quantity that are named, in its errors; assumed."""
 
 
@@ -345,7 +341,7 @@ class SoilChange:
     def text(self) -> str:
         """In words, such as `the soil changes at 4.9 m of the way (4.7 to 5.0 m): from there on ...`."""
         strong = sorted(self.steps, key=lambda name: -abs(self.steps[name]))
-        named = [name for name in strong if abs(self.steps[name]) >= TOLD]
+        named = [name for name in strong if abs(self.steps[name]) >= NAMED]
         words = ", ".join(f"{name} is {'larger' if self.steps[name] > 0 else 'smaller'}" for name in named)
         place = f"{self.distance_m:.1f} m of the way ({self.low_m:.1f} to {self.high_m:.1f} m)"
         return f"the soil changes at {place}" + (f": from there on {words} than before" if words else "")
@@ -353,7 +349,7 @@ class SoilChange:
 
 def find_change(
     record: DriveRecord,
-    found: SoilUpdate,
+    update: SoilUpdate,
     *,
     false_alarms: float = FALSE_ALARMS,
     seed: int = 0,
@@ -363,7 +359,7 @@ def find_change(
     Parameters
     ----------
     record : what was measured.
-    found : what `assimilate` made of it: its residuals, and the drive on the soil that left them.
+    update : what `assimilate` made of it: its residuals, and the drive on the soil that left them.
     false_alarms : wanted share of drives over one soil in which a change is found, 0.001 to 0.5.
     seed : of the simulated drives.
 
@@ -372,17 +368,17 @@ def find_change(
     """
     if not 0.001 <= false_alarms <= 0.5:
         raise ParameterError(f"the share of false alarms is {false_alarms:g}; give 0.001 to 0.5")
-    way = traverse_of(found.prediction)
+    way = traverse_of(update.prediction)
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
-    sigma = np.where(np.isfinite(found.residuals), np.hypot(record.sigmas, floor), np.nan)
-    known = np.isfinite(sigma).any(axis=0)
-    typical = np.nanmedian(np.where(known, sigma, 1.0), axis=0)
-    model = np.where(known, MODEL_SHARE * floor / typical, 0.0)
-    places = wheel_places(found.prediction.rover, record, way)
-    slopes, finer = _drives(record, found)
-    widened = np.array([found.inflation.get(name, 1.0) for name in OBSERVED])
-    residuals = widened * found.residuals + finer / sigma
-    unexplained = -np.clip(residuals, -LARGEST, LARGEST)
+    sigma = np.where(np.isfinite(update.residuals), np.hypot(record.sigmas, floor), np.nan)
+    measured = np.isfinite(sigma).any(axis=0)
+    typical = np.nanmedian(np.where(measured, sigma, 1.0), axis=0)
+    model = np.where(measured, MODEL_SHARE * floor / typical, 0.0)
+    places = wheel_places(update.prediction.rover, record, way)
+    slopes, finer = _drives(record, update)
+    widened = np.array([update.inflation.get(name, 1.0) for name in OBSERVED])
+    residuals = widened * update.residuals + finer / sigma
+    unexplained = -np.clip(residuals, -HUBER, HUBER)
     bins = binned(places, unexplained, slopes / sigma[..., None], model)
     if bins is None or len(bins.middle_m) < 2 * FEWEST_BINS:
         return None
@@ -390,15 +386,15 @@ def find_change(
     return _change(step, way, places, -residuals) if step.p_value <= false_alarms else None
 
 
-def _drives(record: DriveRecord, found: SoilUpdate) -> tuple[FloatArray, FloatArray]:
+def _drives(record: DriveRecord, update: SoilUpdate) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the simulated values by the soil, in widths of the first laws; and what a finer time step adds.
 
     In bends a step of 0.2 s puts the side slip off by 0.1 deg, which would look like another soil. (n, 6, 8), (n, 6)
     """
-    laws, drive, plan = found.belief.laws, found.prediction, found.prediction.plan
+    laws, drive, plan = update.belief.laws, update.prediction, update.prediction.plan
     best = np.array([law.transformed(drive.parameters[name])[0] for name, law in laws.items()])
     nudges = NUDGE * np.diag([law.width for law in laws.values()])[: len(PARAMETERS)]
-    samples = found.belief.samples(np.concatenate([best + nudges, best - nudges]))
+    samples = update.belief.samples(np.concatenate([best + nudges, best - nudges]))
     sample_m = min(float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9), LONGEST_SAMPLE_M)
     step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
     count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
@@ -446,28 +442,28 @@ class Segment:
     from_m, to_m : along the way of the rover's origin. [m]
     place_m : places of the origin. (k, 2) [m]
     before : what was believed of the soil there.
-    found : what the stretch says; None where it has too little data.
+    update : what the stretch says; None where it has too little data.
     slips : how many states of it have a slip.
-    slip : median slip as measured and on its soil; None where nothing was learned, or by fewer than `LEAST_SLIPS`.
+    slip : median slip as measured and on its soil; None where nothing was learned, or by fewer than `FEWEST_VALUES`.
     """
 
     from_m: float
     to_m: float
     place_m: FloatArray
     before: SoilBelief
-    found: SoilUpdate | None
+    update: SoilUpdate | None
     slips: int = 0
     slip: SlipLean | None = None
 
     @property
     def learned(self) -> bool:
         """Whether the stretch moved the belief."""
-        return self.found is not None and not self.found.refused
+        return self.update is not None and not self.update.refused
 
     @property
     def belief(self) -> SoilBelief:
         """After the drive."""
-        return self.before if self.found is None else self.found.belief
+        return self.before if self.update is None else self.update.belief
 
     @property
     def slip_text(self) -> str:
@@ -484,7 +480,7 @@ class Segment:
             "to_m": self.to_m,
             "learned": self.learned,
             "why_not": self.why_not or None,
-            "surprise": self.found.prior_shift if self.found else None,
+            "surprise": self.update.prior_shift if self.update else None,
             "slips": self.slips,
             "slip_ratio": self.slip.to_dict() if self.slip else None,
             "parameters": effective_rows(self.belief),
@@ -493,7 +489,7 @@ class Segment:
     @property
     def why_not(self) -> str:
         """Why nothing was learned, empty where something was."""
-        return "too few values" if self.found is None else self.found.refused
+        return "too few values" if self.update is None else self.update.refused
 
 
 def drive_segments(
@@ -501,7 +497,7 @@ def drive_segments(
     terrain: Terrain,
     plan: Plan,
     record: DriveRecord,
-    found: SoilUpdate,
+    update: SoilUpdate,
     soil_map: SoilMap,
     *,
     forget: float = 0.0,
@@ -515,7 +511,7 @@ def drive_segments(
     Parameters
     ----------
     rover, terrain, plan : what was driven where.
-    record, found, false_alarms : as in `find_change`.
+    record, update, false_alarms : as in `find_change`.
     soil_map : what was believed of the soil by place.
     forget : share of the way back to the first laws, as in `SoilBelief.forgotten`. [-]
     particles, seed, progress : as in `assimilate`.
@@ -524,33 +520,33 @@ def drive_segments(
     it led depends on the soils before it, and what positions say of speed is in the slip. The twin drives the whole
     plan on each stretch's soil, so that it comes to the stretch some centimetres beside where the rover did.
     """
-    way = traverse_of(found.prediction)
+    way = traverse_of(update.prediction)
 
     def believed(place_m: FloatArray) -> SoilBelief:
         return soil_map.belief_along(place_m).inflated(forget)
 
-    def learned(own: DriveRecord, low: float, high: float) -> _Part:
+    def learned(states: DriveRecord, low: float, high: float) -> _Part:
         before = believed(way.between(low, high))
-        if np.isfinite(own.values).sum() < FEWEST_VALUES:
-            return _Part(low, high, own, before, None)
+        if np.isfinite(states.values).sum() < FEWEST_VALUES:
+            return _Part(low, high, states, before, None)
         drive = assimilate(
-            *(rover, terrain, plan, own, before),
+            *(rover, terrain, plan, states, before),
             particles=particles,
             seed=seed,
-            ruts=found.prediction.ruts,
+            ruts=update.prediction.ruts,
             wheel=False,
             progress=progress,
         )
-        return _Part(low, high, own, before, drive)
+        return _Part(low, high, states, before, drive)
 
-    open_parts = [_Part(-np.inf, np.inf, record, believed(way.place_m), found)]
+    open_parts = [_Part(-np.inf, np.inf, record, believed(way.place_m), update)]
     segments: list[Segment] = []
     changes: list[SoilChange] = []
     while open_parts:
         part = open_parts.pop(0)
         change = None
-        if part.found is not None and len(changes) + 1 < MOST_SEGMENTS:
-            change = find_change(part.record, part.found, false_alarms=false_alarms, seed=seed)
+        if part.update is not None and len(changes) + 1 < MOST_SEGMENTS:
+            change = find_change(part.record, part.update, false_alarms=false_alarms, seed=seed)
         if change is None:
             segments.append(part.segment(way))
             continue
@@ -570,7 +566,7 @@ class _Part:
     high_m: float
     record: DriveRecord
     before: SoilBelief
-    found: SoilUpdate | None
+    update: SoilUpdate | None
 
     def segment(self, way: Traverse) -> Segment:
         low, high = max(self.low_m, float(way.distance_m[0])), min(self.high_m, float(way.distance_m[-1]))
@@ -580,22 +576,22 @@ class _Part:
             to_m=high,
             place_m=way.between(self.low_m, self.high_m),
             before=self.before,
-            found=self.found,
+            update=self.update,
             slips=int(np.isfinite(self.record.values[:, OBSERVED.index("slip_ratio")]).sum()),
-            slip=None if self.found is None else SlipLean.of(self.record, self.found, stretch, LEAST_SLIPS),
+            slip=None if self.update is None else SlipLean.of(self.record, self.update, stretch, FEWEST_VALUES),
         )
 
 
 def record_within(record: DriveRecord, way: Traverse, low_m: float, high_m: float) -> DriveRecord:
     """States of the times at which the whole rover stood within a stretch of its way, without positions."""
     distance = way.distance_at(record.time_s)
-    kept = (distance - way.reach_m >= low_m) & (distance + way.reach_m <= high_m)
+    inside = (distance - way.reach_m >= low_m) & (distance + way.reach_m <= high_m)
     return replace(
         record,
-        time_s=record.time_s[kept],
-        wheel=tuple(np.array(record.wheel, dtype=object)[kept]),
-        values=record.values[kept],
-        sigmas=record.sigmas[kept],
+        time_s=record.time_s[inside],
+        wheel=tuple(np.array(record.wheel, dtype=object)[inside]),
+        values=record.values[inside],
+        sigmas=record.sigmas[inside],
         fix_time_s=np.zeros(0),
         fix_m=np.zeros((0, 2)),
         fix_covariance_m2=np.zeros((0, 2, 2)),

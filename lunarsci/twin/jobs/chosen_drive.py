@@ -85,8 +85,8 @@ class ChosenDrive(TerrainSurvey):
         broken = ", ".join(one.short for one in best.broken)
         return (
             f"no drive keeps a risk of {choice.risk:.3g}, so there is no plan.toml: drive {best.number}, the safest of "
-            f"{len(choice.candidates)}, fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}): "
-            f"{broken}"
+            f"{len(choice.candidates)}, fails with {best.stated.risk:.2g} ({best.stated.low:.2g} to "
+            f"{best.stated.high:.2g}): {broken}"
         )
 
     @property

@@ -200,7 +200,7 @@ class UncertainLoads(Result):
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        poses = f"{int(self.found.known.sum())} of {len(self.found.known)} poses"
+        poses = f"{int(self.found.with_forces.sum())} of {len(self.found.with_forces)} poses"
         return f"Wheel forces along {self.given['motion'].name}, {poses}, on {self.known.terrain.name}"
 
     @property
@@ -228,12 +228,12 @@ class UncertainLoads(Result):
             "of": "uncertain motion",
             "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
             "draws": self.draws,
-            "poses": {"known": int(found.known.sum()), "all": len(found.known)},
+            "poses": {"known": int(found.with_forces.sum()), "all": len(found.with_forces)},
             "motion_errors": {"correlation_m": self.correlation_m, "basis": self.basis} if uncertain else None,
             "balance_error": self.balance_error,
             "wheels": _wheels(found),
-            "shares": _shares(found) if found.known.any() else None,
-            "totals": _totals(found) if found.known.any() else None,
+            "shares": _shares(found) if found.with_forces.any() else None,
+            "totals": _totals(found) if found.with_forces.any() else None,
             "iteration": None if self.turned is None else _iteration(self.turned),
             "soil": soil_record(driven, known.terrain, PARAMETERS),
         }
@@ -337,7 +337,7 @@ def _shares(found: LoadEnsemble) -> dict[str, Any]:
 
 def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
 
-    known = found.known
+    known = found.with_forces
     if not known.any():
         return []
     return [
@@ -357,7 +357,7 @@ def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
 
 def _totals(found: LoadEnsemble) -> dict[str, dict[str, float]]:
 
-    known = found.known
+    known = found.with_forces
     return {
         name: {
             "missing_before": _rms(found.residual_before[known, k]),

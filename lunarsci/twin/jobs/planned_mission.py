@@ -24,7 +24,7 @@ from lunarsci.twin.jobs.plan_request import PlanRequest, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions
-from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95
+from lunarsci.twin.judgement.keeping import Chance, keeps_limits, least_of_95
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, Pose, drive_mission
 from lunarsci.twin.mission.mission import Mission, MissionTarget, read_mission
 from lunarsci.twin.plans.path import poses_along
@@ -234,7 +234,7 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         site.rover,
         _Ways(local, asked, mission.speed_m_s),
         lambda plan: _conditions_of(plan, local, soils, conditions).drive(plan, members),
-        kept,
+        keeps_limits,
         seed=asked.seed or 0,
         goal_of=lambda target: beyond(target, surface, site.rover),
         power=asked.power(),

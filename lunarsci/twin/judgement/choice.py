@@ -56,8 +56,8 @@ class _SomeGrounds:
         return self.whole.terrain(self.first + member)
 
     def only(self, member: int) -> "_SomeGrounds":
-        own = slice(member, member + 1)
-        return _SomeGrounds(self.whole, self.first + member, {n: v[own] for n, v in self.parameters.items()})
+        some = slice(member, member + 1)
+        return _SomeGrounds(self.whole, self.first + member, {n: v[some] for n, v in self.parameters.items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,8 +96,8 @@ class Conditions:
 
     def drive(self, plan: Plan, members: range) -> Prediction:
         """Some members along a plan. Each such part draws its own errors of fixes and discrepancy."""
-        own = slice(members.start, members.stop)
-        samples = {name: values[own] for name, values in self.samples.items()}
+        some = slice(members.start, members.stop)
+        samples = {name: values[some] for name, values in self.samples.items()}
         seed = int(np.random.SeedSequence([self.seed, members.start]).generate_state(1)[0])
         soils: dict[str, Any] = {"samples": samples}
         if self.grounds is not None:
@@ -112,7 +112,7 @@ class Conditions:
             sample_m=self.sample_m,
             ruts=self.ruts,
             before=self.before,
-            draws=None if self.draws is None else self.draws[own],
+            draws=None if self.draws is None else self.draws[some],
         )
         driven = driven if self.discrepancy is None else with_discrepancy(driven, self.discrepancy, seed)
         return dataclasses.replace(driven, power=self.power)
@@ -142,12 +142,12 @@ def drive_candidates(
 ) -> list[Prediction]:
     """Some members along every plan, in threads or on a cluster; they depend on nothing else. In the order of plans."""
     work = CandidateDrives(conditions, plans, members)
-    found: dict[int, Prediction] = {}
-    own, grounds = slice(members.start, members.stop), conditions.grounds
+    candidates: dict[int, Prediction] = {}
+    some, grounds = slice(members.start, members.stop), conditions.grounds
     for block, parts in run_blocks(work, spans(len(plans), shared_out(len(plans), 1)), progress=progress):
         for number, part in zip(block, parts, strict=True):
-            samples = {name: values[own] for name, values in conditions.samples.items()}
-            found[number] = Prediction(
+            samples = {name: values[some] for name, values in conditions.samples.items()}
+            candidates[number] = Prediction(
                 rover=conditions.rover,
                 terrain=conditions.terrain,
                 plan=plans[number],
@@ -156,7 +156,7 @@ def drive_candidates(
                 power=conditions.power,
                 **part,
             )
-    return [found[number] for number in range(len(plans))]
+    return [candidates[number] for number in range(len(plans))]
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:
@@ -241,38 +241,38 @@ class Verdicts:
 
     Attributes
     ----------
-    kept : drives that ended and kept every limit. (members,)
+    keeps : drives that ended and kept every limit. (members,)
     weakest : where they come nearest to a limit.
     broken : each limit that drives break, that which most of them break first.
     """
 
-    kept: BoolArray
+    keeps: BoolArray
     weakest: Weakest
     broken: tuple[Weakest, ...] = ()
 
     @property
     def chance(self) -> Chance:
         """Of failing."""
-        return Chance(int((~self.kept).sum()), self.kept.size)
+        return Chance(int((~self.keeps).sum()), self.keeps.size)
 
 
 def verdicts(prediction: Prediction) -> Verdicts:
     """Whether each drive kept every limit of the plan, and where they are in danger.
 
-    A limit on `endpoint_miss_m` is the tolerance of the end. Drives are kept as `lunarsci.twin.judgement.keeping.kept`
-    has it. Raises ParameterError for a plan without limits.
+    A limit on `endpoint_miss_m` is the tolerance of the end, others are those of `keeping.keeps_limits`.
+    Raises ParameterError for a plan without limits.
     """
     if not prediction.plan.limits and not prediction.plan.exclusion_zones:
         raise ParameterError("the plan has no limits, so there is no chance of keeping them; give it some")
-    kept = prediction.finished.copy()
-    places = [_unfinished(prediction)] if not kept.all() else []
+    keeps = prediction.finished.copy()
+    places = [_unfinished(prediction)] if not keeps.all() else []
     for limit in limits_judged(prediction):
         values = limited(prediction, limit.quantity)
         beyond = broken(limit, values) & prediction.reached
-        kept &= ~beyond.any(axis=1)
+        keeps &= ~beyond.any(axis=1)
         places.append(_place(prediction, limit, _use(prediction, limit, values), values, int(beyond.any(axis=1).sum())))
     places.sort(key=lambda pair: pair[0], reverse=True)
-    return Verdicts(kept, places[0][1], tuple(place for _, place in places if place.failed))
+    return Verdicts(keeps, places[0][1], tuple(place for _, place in places if place.failed))
 
 
 def _use(prediction: Prediction, limit: Limit, values: FloatArray) -> FloatArray:
@@ -294,15 +294,15 @@ def _place(
     """How bad it is, for comparison, and the sample at which the use that 95 % of the drives keep is largest."""
     order = np.argsort(use, axis=0)
     rank = math.ceil(CONFIDENCE * len(use)) - 1
-    kept = np.take_along_axis(use, order[rank : rank + 1], axis=0)[0]
-    sample = int(kept.argmax())
+    keeps = np.take_along_axis(use, order[rank : rank + 1], axis=0)[0]
+    sample = int(keeps.argmax())
     member = int(order[rank, sample])
     x, y = prediction.places_m[:, sample].mean(axis=0)
     weakest = Weakest(
         limit.quantity, limit.unit, float(values[member, sample]), limit.limit, failed, float(x), float(y),
         float(prediction.distance_m[sample]),
     )  # fmt: skip
-    return (failed, float(kept[sample])), weakest
+    return (failed, float(keeps[sample])), weakest
 
 
 def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
@@ -367,7 +367,7 @@ class DriveCandidate:
         return self.plan.length_m
 
     @property
-    def said(self) -> Chance:
+    def stated(self) -> Chance:
         """The chance to go by: that on fresh soils, where there is one."""
         return self.chance if self.promise is None else self.promise
 
@@ -380,12 +380,12 @@ class DriveCandidate:
 
     def dominates(self, other: "DriveCandidate") -> bool:
         """Whether it has no more risk, length and energy than another, and less of one."""
-        own, others = self._aims, other._aims
-        return all(a <= b for a, b in zip(own, others, strict=True)) and own != others
+        some, others = self._aims, other._aims
+        return all(a <= b for a, b in zip(some, others, strict=True)) and some != others
 
     @property
     def _aims(self) -> tuple[float, float, float]:
-        return self.said.risk, round(self.length_m, 3), math.inf if math.isnan(self.energy_j) else self.energy_j
+        return self.stated.risk, round(self.length_m, 3), math.inf if math.isnan(self.energy_j) else self.energy_j
 
     def to_dict(self) -> dict[str, Any]:
         """For a result."""
@@ -448,7 +448,7 @@ class DriveChoice:
         """Where none is feasible, what the candidates break most, and how many of them do, the most frequent first."""
         counts: dict[str, int] = {}
         for one in self.candidates:
-            if one.said.risk > self.risk:
+            if one.stated.risk > self.risk:
                 counts[one.weakest.quantity] = counts.get(one.weakest.quantity, 0) + 1
         return tuple(sorted(counts.items(), key=lambda pair: -pair[1]))
 
@@ -513,22 +513,22 @@ class _Race:
         parts: dict[int, list[Prediction]] = {number: [] for number in alive}
         stops = [math.ceil(share * self.members) for share in (ROUNDS if racing else ROUNDS[-1:])]
         first = 0
-        found: list[DriveCandidate] = []
+        candidates: list[DriveCandidate] = []
         for last in dict.fromkeys(stops):
             driven = self._drive([plans[number] for number in alive], range(first, last))
             for number, part in zip(alive, driven, strict=True):
                 parts[number].append(part)
-            found = [self._candidate(number, joined(parts[number])) for number in alive]
+            candidates = [self._candidate(number, joined(parts[number])) for number in alive]
             first = last
             if last < self.members:
-                left, stopped = self._left(found)
+                left, stopped = self._left(candidates)
                 out += [replace(one, stopped=True) for one in stopped]
                 alive = [one.number - 1 for one in left]
-        return sorted([*found, *out], key=lambda one: one.number)
+        return sorted([*candidates, *out], key=lambda one: one.number)
 
-    def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
+    def checked(self, candidates: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
-        order = ranked((one for one in found if not one.stopped), self.risk, self.prefer)
+        order = ranked((one for one in candidates if not one.stopped), self.risk, self.prefer)
         fresh = range(self.members, self.conditions.members)
         done: dict[int, DriveCandidate] = {}
         for first in range(0, len(order), CHECKED):
@@ -537,9 +537,9 @@ class _Race:
                 break
             for one in self._on_fresh(batch, fresh):
                 done[one.number] = one
-            if any(one.said.risk <= self.risk for one in done.values()):
+            if any(one.stated.risk <= self.risk for one in done.values()):
                 break
-        return [done.get(one.number, one) for one in found]
+        return [done.get(one.number, one) for one in candidates]
 
     def _on_fresh(self, batch: list[DriveCandidate], fresh: range) -> list[DriveCandidate]:
         if not fresh:
@@ -547,8 +547,8 @@ class _Race:
         driven = self._drive([one.plan for one in batch], fresh)
         held = [verdicts(prediction) for prediction in driven]
         return [
-            replace(one, promise=own.chance, weakest=own.weakest, broken=own.broken)
-            for one, own in zip(batch, held, strict=True)
+            replace(one, promise=some.chance, weakest=some.weakest, broken=some.broken)
+            for one, some in zip(batch, held, strict=True)
         ]
 
     def _drive(self, plans: list[Plan], members: range) -> list[Prediction]:
@@ -574,31 +574,33 @@ class _Race:
             duration_s=make_schedule(prediction.plan, prediction.rover).duration_s,
         )
 
-    def _left(self, found: list[DriveCandidate]) -> tuple[list[DriveCandidate], list[DriveCandidate]]:
+    def _left(self, candidates: list[DriveCandidate]) -> tuple[list[DriveCandidate], list[DriveCandidate]]:
         """Candidates that go on, and those that stop.
 
         One stops whose risk is surely, with 95 % each, above what is accepted and above that of the safest. Of the
         others the better half goes on, and no less than eight; and those of the worse half that no better one beats in
         risk, length and energy.
         """
-        bound = max(self.risk, min(one.chance.high for one in found))
-        order = ranked(found, self.risk, self.prefer)
+        bound = max(self.risk, min(one.chance.high for one in candidates))
+        order = ranked(candidates, self.risk, self.prefer)
         hopeful = [one for one in order if one.chance.low <= bound]
-        half = max(LEAST_LEFT, math.ceil(len(found) / 2))
+        half = max(LEAST_LEFT, math.ceil(len(candidates) / 2))
         left = hopeful[:half]
         left += [one for one in hopeful[half:] if not any(other.dominates(one) for other in left)]
         going = {one.number for one in left}
-        return sorted(left, key=lambda one: one.number), [one for one in found if one.number not in going]
+        return sorted(left, key=lambda one: one.number), [one for one in candidates if one.number not in going]
 
 
-def ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
+def ranked(raced: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
     """The best first: promised, then likely to keep the risk, then the others by their risk; NaN energies last.
 
     Of those that keep it, what is alike is told apart by risk, and then by time: what lies within `ALIKE` of the best,
     and then each further step of that size.
     """
-    candidates = list(found)
-    stages = {one.number: int(one.promise is None) if one.said.risk <= risk else 2 + one.stopped for one in candidates}
+    candidates = list(raced)
+    stages = {
+        one.number: int(one.promise is None) if one.stated.risk <= risk else 2 + one.stopped for one in candidates
+    }
     least = dict[int, float]()
     for one in candidates:
         stage = stages[one.number]
@@ -607,15 +609,15 @@ def ranked(found: Iterable[DriveCandidate], risk: float, prefer: Preference) -> 
     def order(one: DriveCandidate) -> tuple[int, float, float, float, float, int]:
         stage = stages[one.number]
         steps = _steps(_wanted(one, prefer), least[stage])
-        beyond = one.said.risk if stage > 1 else 0.0
-        return stage, beyond, steps, one.said.risk, one.duration_s, one.number
+        beyond = one.stated.risk if stage > 1 else 0.0
+        return stage, beyond, steps, one.stated.risk, one.duration_s, one.number
 
     return sorted(candidates, key=order)
 
 
 def _wanted(one: DriveCandidate, prefer: Preference) -> float:
     """What shall be least; infinite where it is not known."""
-    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "risk": one.said.risk}[prefer]
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "risk": one.stated.risk}[prefer]
     return math.inf if math.isnan(wanted) else wanted
 
 
@@ -626,7 +628,9 @@ def _steps(wanted: float, least: float) -> float:
     return math.floor(math.log(wanted / least) / math.log1p(ALIKE))
 
 
-def _with_front(found: list[DriveCandidate]) -> list[DriveCandidate]:
+def _with_front(candidates: list[DriveCandidate]) -> list[DriveCandidate]:
     """The candidates, with those marked that no other one driven on all soils beats."""
-    whole = [one for one in found if not one.stopped]
-    return [replace(one, pareto=not one.stopped and not any(other.dominates(one) for other in whole)) for one in found]
+    whole = [one for one in candidates if not one.stopped]
+    return [
+        replace(one, pareto=not one.stopped and not any(other.dominates(one) for other in whole)) for one in candidates
+    ]

@@ -18,7 +18,7 @@ from lunarsci.regolith.traction import LoadedWheel, Traction, traction
 from lunarsci.rovers import RoverDescription
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.judgement.energy import charge_left, energy_use, power_use
-from lunarsci.twin.judgement.keeping import extremes, kept, least_of_95
+from lunarsci.twin.judgement.keeping import extremes, keeps_limits, least_of_95
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import Plan, check_plan
 from lunarsci.twin.rover import Rover, build_rover
@@ -78,7 +78,7 @@ def check_names(variations: Sequence[Variation], description: RoverDescription, 
     names = [entry.name for entry in variations]
     if len(set(names)) < len(names):
         raise ParameterError(f"a number is varied twice: {', '.join(names)}")
-    known = varied_names(description)
+    given = varied_names(description)
     for name in names:
         if name == SPEED:
             continue
@@ -87,9 +87,9 @@ def check_names(variations: Sequence[Variation], description: RoverDescription, 
         reason = UNUSED.get(name) or UNUSED.get(name.partition(".")[0])
         if reason is not None:
             raise ParameterError(f"{name} changes nothing here: {reason}")
-        if name not in known:
+        if name not in given:
             raise ParameterError(
-                f"{name} is no number of {description.name}; {meant(name, known)}these are: {SPEED}, {', '.join(known)}"
+                f"{name} is no number of {description.name}; {meant(name, given)}these are: {SPEED}, {', '.join(given)}"
             )
         if name.startswith("body.") and not any(_judges_body(plan) for plan in plans):
             raise ParameterError(
@@ -167,11 +167,11 @@ def check_design(rover: Rover, assumed: Sequence[str] = ()) -> None:
     body = rover.body
     if body is None:
         return
-    known = "body.width_m" not in assumed
+    given = "body.width_m" not in assumed
     inner = rover.rocker_pivot_y_m - 0.5 * wheel.width_m
     reach = body.center_x_m + 0.5 * body.length_m, body.center_x_m - 0.5 * body.length_m
     beside = (places[:, 0] - outer < reach[0]) & (places[:, 0] + outer > reach[1])
-    if known and inner < 0.5 * body.width_m and bool((beside & (places[:, 2] + outer > body.belly_z_m)).any()):
+    if given and inner < 0.5 * body.width_m and bool((beside & (places[:, 2] + outer > body.belly_z_m)).any()):
         raise ParameterError(
             f"wheels reach {0.5 * body.width_m - inner:.3g} m into the chassis: narrow them or the body, or set them "
             "lower"
@@ -193,7 +193,7 @@ class MissionOutcome:
     Attributes
     ----------
     drives : members of the ensemble, each of which drives every plan on its soil.
-    kept_share : members that keep every plan, as `lunarsci.twin.judgement.keeping.kept` has it. [-]
+    kept_share : members that keep every plan, as `lunarsci.twin.judgement.keeping.keeps_limits` has it. [-]
     slip_ratio, sinkage_m, motor_torque_nm : p95 over the members of the worst of all plans.
     energy_p50_j, energy_p95_j : work of the motors at the wheels on all plans; None where no member reaches all ends.
     electrical_p50_wh : what motors and electronics draw on all plans; None also without [motors] and [power].
@@ -232,18 +232,18 @@ class Design:
 
     def row(self) -> dict[str, Any]:
         """One row of a table; what is not known is None."""
-        found = self.outcome
+        result = self.outcome
         names = (
             "kept_share", "slip_ratio", "sinkage_m", "motor_torque_nm", "energy_p50_j", "energy_p95_j",
             "electrical_p50_wh", "least_charge", "duration_s", "bias_m", "scatter_m",
         )  # fmt: skip
         figures = ("pull_at_20_n", "pull_per_weight_at_20", "efficiency_at_20", "slope_at_20_deg")
-        pull = None if found is None else found.traction
+        pull = None if result is None else result.traction
         return {
             **self.values,
-            **{name: None if found is None else getattr(found, name) for name in names},
+            **{name: None if result is None else getattr(result, name) for name in names},
             **{name: None if pull is None else getattr(pull, name) for name in figures},
-            "reasons": "" if found is None else "; ".join(found.reasons),
+            "reasons": "" if result is None else "; ".join(result.reasons),
             "impossible": self.impossible,
         }
 
@@ -270,12 +270,12 @@ def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionO
     """Put the plans of a mission together, member by member, which have the same soil on each."""
     predictions = with_battery(predictions)
     verdicts = [judge(prediction) for prediction in predictions]
-    keeps = np.all([kept(prediction) for prediction in predictions], axis=0)
+    keeps = np.all([keeps_limits(prediction) for prediction in predictions], axis=0)
     done = np.all([prediction.finished for prediction in predictions], axis=0)
     work = np.sum([energy_use(prediction).total_j for prediction in predictions], axis=0)[done]
     ends = [verdict.endpoint for verdict in verdicts]
-    known = [end for end in ends if end is not None]
-    all_ended = len(known) == len(ends)
+    given = [end for end in ends if end is not None]
+    all_ended = len(given) == len(ends)
     return MissionOutcome(
         drives=predictions[0].members,
         kept_share=float(keeps.mean()),
@@ -285,8 +285,8 @@ def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionO
         electrical_p50_wh=_electrical_wh(rover, predictions, done),
         least_charge=_least_charge(predictions),
         duration_s=math.fsum(float(prediction.time_s[-1]) for prediction in predictions),
-        bias_m=max(end.bias_m for end in known) if all_ended else None,
-        scatter_m=max(end.scatter_radius_m for end in known) if all_ended else None,
+        bias_m=max(end.bias_m for end in given) if all_ended else None,
+        scatter_m=max(end.scatter_radius_m for end in given) if all_ended else None,
         traction=_traction(rover, predictions[0]),
         reasons=tuple(f"{p.plan.name}: {why}" for p, v in zip(predictions, verdicts, strict=True) for why in v.reasons),
     )
@@ -294,12 +294,12 @@ def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionO
 
 def with_battery(predictions: Sequence[Prediction]) -> list[Prediction]:
     """The same where the battery counts, each plan with what the one before has left of it in each member."""
-    found: list[Prediction] = []
+    result: list[Prediction] = []
     for one in predictions:
-        if found and one.power is not None:
-            one = replace(one, power=replace(one.power, charge=charge_left(found[-1])))
-        found.append(one)
-    return found
+        if result and one.power is not None:
+            one = replace(one, power=replace(one.power, charge=charge_left(result[-1])))
+        result.append(one)
+    return result
 
 
 def _least_charge(predictions: Sequence[Prediction]) -> float | None:
@@ -331,7 +331,7 @@ def median_soil(prediction: Prediction) -> Soil:
         values[name] *= 1e3
     for name in ("friction_angle_deg", "external_friction_angle_deg"):
         values[name] = math.degrees(math.atan(values[name]))
-    given = {name: float(np.median(own)) for name, own in prediction.parameters.items() if name in SOIL_COLUMNS}
+    given = {name: float(np.median(values)) for name, values in prediction.parameters.items() if name in SOIL_COLUMNS}
     return Soil(**values | given)
 
 
@@ -349,14 +349,14 @@ def pareto_front(designs: Sequence[Design]) -> list[int]:
 
     By energy, the least first; without those that are impossible or reach no end.
     """
-    known = [
-        (found.energy_p50_j, -found.kept_share, number)
+    given = [
+        (result.energy_p50_j, -result.kept_share, number)
         for number, design in enumerate(designs)
-        if (found := design.outcome) is not None and found.energy_p50_j is not None
+        if (result := design.outcome) is not None and result.energy_p50_j is not None
     ]
     front: list[int] = []
     best = math.inf
-    for _, lost, number in sorted(known):
+    for _, lost, number in sorted(given):
         if lost < best:
             front.append(number)
             best = lost
@@ -366,7 +366,7 @@ def pareto_front(designs: Sequence[Design]) -> list[int]:
 def unchanged(designs: Sequence[Design]) -> list[str]:
     """Varied numbers with which, all others alike, no outcome changes by a digit; [] where none was tried so."""
     names = list(designs[0].values) if designs else []
-    found = []
+    result = []
     for name in names:
         groups: dict[tuple[float, ...], list[MissionOutcome]] = {}
         for design in designs:
@@ -375,5 +375,5 @@ def unchanged(designs: Sequence[Design]) -> list[str]:
                 groups.setdefault(rest, []).append(design.outcome)
         several = [group for group in groups.values() if len(group) > 1]
         if several and all(outcome == group[0] for group in several for outcome in group):
-            found.append(name)
-    return found
+            result.append(name)
+    return result

@@ -255,13 +255,13 @@ def step_error_m(prediction: Prediction) -> float | None:
     plan = replace(prediction.plan, fixes=fixes)
     steps = (prediction.time_step_s, prediction.time_step_s / 2) if fixes else (prediction.time_step_s / 2,)
     ground = prediction.grounds and prediction.grounds.only(member)
-    own = {name: values[member : member + 1] for name, values in prediction.parameters.items()}
+    sample = {name: values[member : member + 1] for name, values in prediction.parameters.items()}
     runs = [
         predict(
             prediction.rover,
             prediction.terrain,
             plan,
-            samples=(own or None) if ground is None else None,
+            samples=(sample or None) if ground is None else None,
             grounds=ground,
             sweep=None if prediction.parameters else (),
             time_step_s=step * (1 + 1e-9),
@@ -349,7 +349,7 @@ def _alike(plain: Prediction, count: int) -> Prediction:
 def _again(prediction: Prediction, chosen: IntArray) -> Prediction:
     """Some members on the likely ground."""
     samples = {name: values[chosen] for name, values in prediction.parameters.items()}
-    known: dict[str, Any] = {"samples": samples} if samples else {"sweep": ()}
+    soils: dict[str, Any] = {"samples": samples} if samples else {"sweep": ()}
     sample_m = float(prediction.time_s[1]) * prediction.plan.speed_m_s
     return predict(
         prediction.rover,
@@ -360,7 +360,7 @@ def _again(prediction: Prediction, chosen: IntArray) -> Prediction:
         seed=prediction.seed,
         ruts=prediction.ruts,
         before=prediction.before,
-        **(known if prediction.grounds is None else {"grounds": prediction.grounds}),
+        **(soils if prediction.grounds is None else {"grounds": prediction.grounds}),
     )
 
 

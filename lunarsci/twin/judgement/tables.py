@@ -46,10 +46,10 @@ def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
     `values` is (members, samples) or (members, samples, wheels). Percentiles interpolate linearly; NaN is left out.
     """
     values = values if values.ndim == 3 else values[..., None]
-    known = reached[..., None] & ~np.isnan(values)
+    counted = reached[..., None] & ~np.isnan(values)
     rows = np.full((5, values.shape[1]), np.nan)
-    for sample in np.flatnonzero(known.any(axis=(0, 2))):
-        rows[:, sample] = np.percentile(values[:, sample][known[:, sample]], (5, 50, 95, 0, 100))
+    for sample in np.flatnonzero(counted.any(axis=(0, 2))):
+        rows[:, sample] = np.percentile(values[:, sample][counted[:, sample]], (5, 50, 95, 0, 100))
     return rows
 
 
@@ -74,8 +74,8 @@ def profile_table(prediction: Prediction) -> "pd.DataFrame":
         series = {"": values}
         if values.ndim == 3:
             series = {ALL: values} | {wheel: values[..., w] for w, wheel in enumerate(prediction.rover.wheels)}
-        for wheel, own in series.items():
-            rows = dict(zip(("p05", "p50", "p95", "min", "max"), spread(own, prediction.reached), strict=True))
+        for wheel, part in series.items():
+            rows = dict(zip(("p05", "p50", "p95", "min", "max"), spread(part, prediction.reached), strict=True))
             head = {"distance_m": prediction.distance_m, "time_s": prediction.time_s, "quantity": name, "wheel": wheel}
             parts.append(pd.DataFrame({**head, **rows, "unit": PROFILED[name]}))
     table = pd.concat(parts, ignore_index=True)
@@ -105,7 +105,7 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
 
 
-def held_table(found: PrescribedLoads) -> "pd.DataFrame":
+def held_table(result: PrescribedLoads) -> "pd.DataFrame":
     """States and forces of each wheel along a given motion: one row for each pose and wheel.
 
     Columns time_s, wheel, then as in `state_table`, then missing_ahead_n, missing_left_n, missing_moment_nm: what the
@@ -113,18 +113,18 @@ def held_table(found: PrescribedLoads) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    names = found.rover.wheels
-    table = pd.DataFrame(found.states.reshape(-1, len(STATE_COLUMNS)), columns=list(STATE_COLUMNS))
+    names = result.rover.wheels
+    table = pd.DataFrame(result.states.reshape(-1, len(STATE_COLUMNS)), columns=list(STATE_COLUMNS))
     table["valid"] = table["valid"] > 0.5
-    table.insert(0, "time_s", np.repeat(found.motion.time_s, len(names)))
-    table.insert(1, "wheel", np.tile(names, len(found.motion.time_s)))
+    table.insert(0, "time_s", np.repeat(result.motion.time_s, len(names)))
+    table.insert(1, "wheel", np.tile(names, len(result.motion.time_s)))
     for name, values in zip(
         ("missing_ahead_n", "missing_left_n", "missing_moment_nm"),
-        (*found.residual_n.T, found.residual_nm),
+        (*result.residual_n.T, result.residual_nm),
         strict=True,
     ):
         table[name] = np.repeat(values, len(names))
-    return table.assign(rover=found.rover.written, ground=found.terrain.written)
+    return table.assign(rover=result.rover.written, ground=result.terrain.written)
 
 
 def path_table(prediction: Prediction) -> "pd.DataFrame":
@@ -163,7 +163,7 @@ def endpoint_table(prediction: Prediction) -> "pd.DataFrame":
     )
 
 
-def force_table(found: LoadEnsemble, states: PoseStates | None = None) -> "pd.DataFrame":
+def force_table(result: LoadEnsemble, states: PoseStates | None = None) -> "pd.DataFrame":
     """Forces of each wheel after the balance: one row for each measured state, or for each pose and wheel.
 
     The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each
@@ -176,27 +176,27 @@ def force_table(found: LoadEnsemble, states: PoseStates | None = None) -> "pd.Da
     import pandas as pd
 
     if states is None:
-        return _of_the_motion(found)
+        return _of_the_motion(result)
     table = states.table.copy()
     gone = [f"{name}{end}" for name in FORCES for end in ("", "_sigma")]
     table = table.drop(columns=[name for name in (*gone, "valid") if name in table])
-    poses = found.held.motion.time_s
+    poses = result.held.motion.time_s
     rows = np.arange(len(table))
     mean, sigma = (
         at_times(states.time_s, poses, part, beyond=False)[rows, states.wheel]
-        for part in (found.after, found.after_sigma)
+        for part in (result.after, result.after_sigma)
     )
     for k, name in enumerate(FORCES):
         table[name], table[f"{name}_sigma"] = mean[:, k], sigma[:, k]
     table["forces_from"] = FROM_MOTION
     table["valid"] = states.valid & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
-    return pd.DataFrame(table).assign(rover=found.held.rover.written, ground=found.held.terrain.written)
+    return pd.DataFrame(table).assign(rover=result.held.rover.written, ground=result.held.terrain.written)
 
 
-def _of_the_motion(found: LoadEnsemble) -> "pd.DataFrame":
+def _of_the_motion(result: LoadEnsemble) -> "pd.DataFrame":
     import pandas as pd
 
-    held, wheels = found.held, found.held.rover.wheels
+    held, wheels = result.held, result.held.rover.wheels
     count = len(held.motion.time_s)
     flat = held.states.reshape(-1, len(STATE_COLUMNS))
     columns = {
@@ -206,7 +206,7 @@ def _of_the_motion(found: LoadEnsemble) -> "pd.DataFrame":
     }
     names = ("x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg")
     columns |= {name: flat[:, STATE_COLUMNS.index(name)] for name in names}
-    mean, sigma = found.after.reshape(-1, 3), found.after_sigma.reshape(-1, 3)
+    mean, sigma = result.after.reshape(-1, 3), result.after_sigma.reshape(-1, 3)
     for k, name in enumerate(FORCES):
         columns |= {name: mean[:, k], f"{name}_sigma": sigma[:, k]}
     columns["forces_from"] = np.full(len(mean), FROM_MOTION)
@@ -313,14 +313,14 @@ def check_loads(prediction: Prediction) -> LoadCheck:
     )
 
 
-def load_notes(found: LoadCheck) -> list[str]:
+def load_notes(result: LoadCheck) -> list[str]:
     """One sentence for each kind that occurs."""
     notes = []
-    if found.hanging_members:
-        notes.append(f"in {found.hanging_members} drive(s) a wheel carries nothing, and others carry its load")
-    if found.overloaded_members:
+    if result.hanging_members:
+        notes.append(f"in {result.hanging_members} drive(s) a wheel carries nothing, and others carry its load")
+    if result.overloaded_members:
         notes.append(
-            f"in {found.overloaded_members} drive(s) a wheel carries up to {found.most_n:.0f} N, more than twice the "
-            f"rover's weight of {found.weight_n:.0f} N: a fall, a hit, or a computation that lost its meaning"
+            f"in {result.overloaded_members} drive(s) a wheel carries up to {result.most_n:.0f} N, more than twice the "
+            f"rover's weight of {result.weight_n:.0f} N: a fall, a hit, or a computation that lost its meaning"
         )
     return notes

@@ -75,7 +75,7 @@ class PrescribedLoads:
     arms: FloatArray
 
     @property
-    def known(self) -> BoolArray:
+    def with_forces(self) -> BoolArray:
         """Poses with forces: in equilibrium, and neither at a halt nor beside a halt or gap. (n,)"""
         return np.asarray((self.outcome == FINISHED) & ~self.motion.no_speed)
 
@@ -95,8 +95,12 @@ class PrescribedLoads:
     def residual_share(self) -> float:
         """Root mean square of the missing force, as a share of the rover's weight. [-]"""
         weight = self.rover.mass_kg * self.rover.gravity_m_s2
-        known = self.known
-        return float(np.sqrt((self.residual_n[known] ** 2).sum(axis=1).mean()) / weight) if known.any() else np.nan
+        with_forces = self.with_forces
+        return (
+            float(np.sqrt((self.residual_n[with_forces] ** 2).sum(axis=1).mean()) / weight)
+            if with_forces.any()
+            else np.nan
+        )
 
 
 def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: FloatArray | None = None) -> PrescribedLoads:
@@ -114,7 +118,7 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     if motion.speed_m_s.shape != (count, wheels) or motion.steering_deg.shape != (count, wheels):
         raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
     override = np.full((GROUP, len(OVERRIDES)), np.nan) if soil is None else np.tile(soil, (GROUP, 1))
-    known = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
+    with_forces = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
     poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
     paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
     outcome, frames = np.zeros(count, dtype=np.int64), np.zeros((count, wheels, 12))
@@ -122,21 +126,21 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     works = [new_work(wheels) for _ in groups]
 
     def rest(number: int) -> None:
-        own, work = groups[number], works[number]
-        _place(known, motion, own, work)
-        outcome[own] = work.code
+        lanes, work = groups[number], works[number]
+        _place(with_forces, motion, lanes, work)
+        outcome[lanes] = work.code
         pose = np.concatenate([BODY.view(work.body, name) for name in ("position", "quaternion", "joints")])
-        poses[own] = np.where(work.code == FINISHED, pose, np.nan).T
+        poses[lanes] = np.where(work.code == FINISHED, pose, np.nan).T
 
     def carry(number: int) -> None:
-        own, work = groups[number], works[number]
+        lanes, work = groups[number], works[number]
         share = np.zeros((GROUP, 3))
-        balance(*known, HELD, velocities[own], share, work)
-        outcome[own], left[own] = np.maximum(outcome[own], work.code), share
+        balance(*with_forces, HELD, velocities[lanes], share, work)
+        outcome[lanes], left[lanes] = np.maximum(outcome[lanes], work.code), share
         seen = [WHEEL.view(work.wheels, name) for name in ("forward", "across", "upward", "arm")]
-        frames[own] = np.concatenate(seen, axis=1).transpose(2, 0, 1)
-        for lane, row in enumerate(own):
-            record(work, lane, known[1], paths[row], states[row])
+        frames[lanes] = np.concatenate(seen, axis=1).transpose(2, 0, 1)
+        for lane, row in enumerate(lanes):
+            record(work, lane, with_forces[1], paths[row], states[row])
 
     each_in_threads(rest, len(groups))
     moving = _velocities(motion.time_s, poses)
@@ -148,21 +152,21 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     return _results(rover, terrain, motion, (paths, states, left, frames), outcome)
 
 
-def _place(known: tuple[Any, Any, Any, Any], motion: Motion, own: IntArray, work: Any) -> None:
+def _place(with_forces: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, work: Any) -> None:
     """Let a group of rovers rest on the ground at its poses."""
-    start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[own]
+    start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[lanes]
     speed = np.where(motion.speed_m_s == 0, CREEP_M_S, motion.speed_m_s)
-    tread(known[1], known[3], work)
-    take_commands(work, np.radians(motion.steering_deg[own])[:, None], speed[own][:, None], 0)
-    settle(*known, start, work)
+    tread(with_forces[1], with_forces[3], work)
+    take_commands(work, np.radians(motion.steering_deg[lanes])[:, None], speed[lanes][:, None], 0)
+    settle(*with_forces, start, work)
 
 
 def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
     """Generalised velocities by differences of the poses, NaN beside poses that are. (n, 9)"""
     from scipy.spatial.transform import Rotation
 
-    known: Any = np.isfinite(poses).all(axis=1)
-    turned = Rotation.from_quat(np.where(known[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
+    with_forces: Any = np.isfinite(poses).all(axis=1)
+    turned = Rotation.from_quat(np.where(with_forces[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
     steps = np.diff(time_s)[:, None]
     spins = (turned[1:] * turned[:-1].inv()).as_rotvec() / steps
     # Weighed as `np.gradient` does: the nearer step counts the more.
@@ -176,14 +180,14 @@ def _results(
     rover: Rover,
     terrain: Terrain,
     motion: Motion,
-    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    result: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     outcome: IntArray,
 ) -> PrescribedLoads:
     # What a speed that is not known leads to says nothing of the ground.
     outcome[motion.no_speed & np.isin(outcome, (DIVERGED, SANK, UNSETTLED))] = FINISHED
-    for part in found:
+    for part in result:
         part[(outcome != FINISHED) | motion.no_speed] = np.nan
-    paths, states, left, frames = found
+    paths, states, left, frames = result
     paths[:, 3:5], states[..., 4] = np.degrees(paths[:, 3:5]), np.degrees(states[..., 4])
     paths[:, 5] = motion.yaw_deg
     yaw = np.radians(motion.yaw_deg)
@@ -210,40 +214,40 @@ LARGEST_RESIDUAL = 0.05
 FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
 
 
-def contact_jacobian(found: PrescribedLoads) -> FloatArray:
+def contact_jacobian(result: PrescribedLoads) -> FloatArray:
     """What one newton of each wheel's forces adds to the totals. (n, 3 totals, wheels, 3 forces) [-, -, m]
 
     The forces act along the normal, ahead along and sideways against the contact axes at the wheel's centre; the
     lateral one where the shear stress is centred.
     """
-    ahead, below = _shear_centers(found)
-    e, d, n = (found.axes[:, :, k] for k in range(3))
+    ahead, below = _shear_centers(result)
+    e, d, n = (result.axes[:, :, k] for k in range(3))
     along = np.stack([n, e, -d], axis=2)  # (n, wheels, forces, xyz)
-    turn = np.cross(found.arms[:, :, None], along)[..., 2]
+    turn = np.cross(result.arms[:, :, None], along)[..., 2]
     turn[..., 2] += -below * e[..., 2] - ahead * n[..., 2]
-    yaw = np.radians(found.motion.yaw_deg)[:, None, None]
+    yaw = np.radians(result.motion.yaw_deg)[:, None, None]
     forward = np.cos(yaw) * along[..., 0] + np.sin(yaw) * along[..., 1]
     left = np.cos(yaw) * along[..., 1] - np.sin(yaw) * along[..., 0]
     return np.stack([forward, left, turn], axis=1)
 
 
-def residual_wrench(found: PrescribedLoads) -> FloatArray:
+def residual_wrench(result: PrescribedLoads) -> FloatArray:
     """What the wheels do not supply of the totals. (n, 3) [N, N, N m]"""
-    return np.column_stack([found.residual_n, found.residual_nm])
+    return np.column_stack([result.residual_n, result.residual_nm])
 
 
-def net_wrench(found: PrescribedLoads, levers: FloatArray) -> FloatArray:
+def net_wrench(result: PrescribedLoads, levers: FloatArray) -> FloatArray:
     """What drawbar pulls and lateral forces have to add up to for the motion: (n, 3) [N, N, N m]
 
     Weight and slope are in the normal forces; these follow from the levers of the suspension and hardly from the soil.
     """
-    forces = found.states[..., FORCE_COLUMNS][..., 1:]
-    return np.asarray(np.einsum("ntwf,nwf->nt", levers[..., 1:], forces) + residual_wrench(found))
+    forces = result.states[..., FORCE_COLUMNS][..., 1:]
+    return np.asarray(np.einsum("ntwf,nwf->nt", levers[..., 1:], forces) + residual_wrench(result))
 
 
-def _shear_centers(found: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
-    sinkage, slip = (found.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
-    ahead, below = shear_center(sinkage, slip, found.rover.wheel.vector())
+def _shear_centers(result: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
+    sinkage, slip = (result.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
+    ahead, below = shear_center(sinkage, slip, result.rover.wheel.vector())
     return ahead, below
 
 
@@ -272,11 +276,11 @@ class PoseStates:
     def by_pose(self, wheels: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times (p,), values and sigmas (p, wheels, 3) of all states that are valid; NaN where there is none."""
         times, place = np.unique(self.time_s, return_inverse=True)
-        found = np.full((2, len(times), wheels, 3), np.nan)
+        result = np.full((2, len(times), wheels, 3), np.nan)
         rows = np.flatnonzero(self.valid)
-        found[0, place[rows], self.wheel[rows]] = self.values[rows]
-        found[1, place[rows], self.wheel[rows]] = self.sigmas[rows]
-        return times, found[0], found[1]
+        result[0, place[rows], self.wheel[rows]] = self.values[rows]
+        result[1, place[rows], self.wheel[rows]] = self.sigmas[rows]
+        return times, result[0], result[1]
 
 
 def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
@@ -284,11 +288,11 @@ def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
 
     Where no sigma is given it is that of `MeasurementErrors`. Raises DataError.
     """
-    found = read_state_table(source, rover.wheel, measured=MEASURED, wheels=rover.wheels, rover=rover.name)
-    wheel = np.array([rover.wheels.index(name) for name in found.wheels], dtype=np.int64)
+    result = read_state_table(source, rover.wheel, measured=MEASURED, wheels=rover.wheels, rover=rover.name)
+    wheel = np.array([rover.wheels.index(name) for name in result.wheels], dtype=np.int64)
     columns = [COLUMNS.index(name) for name in MEASURED]
-    time = found.numbers("time_s")
-    return PoseStates(found.table, time, wheel, found.values[:, columns], found.sigmas[:, columns], found.valid)
+    time = result.numbers("time_s")
+    return PoseStates(result.table, time, wheel, result.values[:, columns], result.sigmas[:, columns], result.valid)
 
 
 def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float, str]:
@@ -296,8 +300,8 @@ def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float
     if states is None:
         return CORRELATION_M, "assumed"
     shown = states.valid & np.isin(states.time_s, motion.time_s[~motion.no_speed])
-    found = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1])
-    return (CORRELATION_M, "assumed") if found is None else (found, "slip errors")
+    result = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1])
+    return (CORRELATION_M, "assumed") if result is None else (result, "slip errors")
 
 
 DRAWS, FEWEST_DRAWS = 64, 16
@@ -344,7 +348,7 @@ class LoadEnsemble:
     """
 
     held: PrescribedLoads
-    known: BoolArray
+    with_forces: BoolArray
     before: FloatArray
     after: FloatArray
     before_parts: FloatArray
@@ -362,14 +366,14 @@ class LoadEnsemble:
         """Why there are no forces, or none at some poses; empty where there are."""
         if failed := outcome_texts(self.held.outcome):
             return f"poses without equilibrium: {'; '.join(failed)}"
-        if not self.known.any():
+        if not self.with_forces.any():
             return "no pose has forces: all are at halts, or too few of the drawn soils carry the rover"
         return ""
 
     @property
     def doubt_of_soils(self) -> str:
         """Why the drawn soils are not those of the motion; empty where they may be. Needs poses with forces."""
-        surprise = float(np.median(self.surprise[self.known]))
+        surprise = float(np.median(self.surprise[self.with_forces]))
         if surprise <= SURPRISING:
             return ""
         return (
@@ -389,8 +393,8 @@ class LoadEnsemble:
 
     def shares(self, force: int, *, balanced: bool) -> Shares:
         """Of one force, by its place in `FORCES`."""
-        parts = (self.after_parts if balanced else self.before_parts)[..., force][:, self.known].mean(axis=(1, 2))
-        size = np.mean((self.after if balanced else self.before)[..., force][self.known] ** 2)
+        parts = (self.after_parts if balanced else self.before_parts)[..., force][:, self.with_forces].mean(axis=(1, 2))
+        size = np.mean((self.after if balanced else self.before)[..., force][self.with_forces] ** 2)
         whole = max(float(parts.sum()), 1e-30)
         soil, motion, balance, together = (float(part) / whole for part in parts)
         return Shares(soil, motion, balance, together, float(np.sqrt(parts[0] / max(size, 1e-30))))
@@ -448,25 +452,27 @@ def draw_loads(
     pairs = [(motions, rows), (still, rows), (motions, same)] if motion.sigmas is not None else [(still, rows)]
     counted, total = iter(range(1, len(pairs) * len(rows) + 1)), len(pairs) * len(rows)
 
-    def told() -> None:
+    def report() -> None:
         if progress is not None:
             progress(next(counted), total)
 
-    drawn = [_along(rover, terrain, each, on, told) for each, on in pairs]
+    drawn = [_along(rover, terrain, each, on, report) for each, on in pairs]
     held = prescribed_loads(rover, terrain, motion, center)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     return _balanced(held, drawn, error, correlation_m)
 
 
-def _along(rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, told: Callable[[], None]) -> _Drawn:
+def _along(
+    rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, report: Callable[[], None]
+) -> _Drawn:
     forces, residual, carried = [], [], []
     for motion, row in zip(motions, rows, strict=True):
-        found = prescribed_loads(rover, terrain, motion, row)
-        forces.append(found.states[..., FORCE_COLUMNS])
-        residual.append(residual_wrench(found))
-        carried.append(found.known)
-        told()
+        result = prescribed_loads(rover, terrain, motion, row)
+        forces.append(result.states[..., FORCE_COLUMNS])
+        residual.append(residual_wrench(result))
+        carried.append(result.with_forces)
+        report()
     return _Drawn(np.array(forces), np.array(residual), np.array(carried))
 
 
@@ -475,37 +481,39 @@ def _balanced(held: PrescribedLoads, drawn: list[_Drawn], error: FloatArray, cor
     count, wheels = held.states.shape[:2]
     shape = (count, wheels, 3)
     before, after = np.full(shape, np.nan), np.full(shape, np.nan)
-    parts, kept = np.full((4, *shape), np.nan), np.full((4, *shape), np.nan)
+    parts, used_parts = np.full((4, *shape), np.nan), np.full((4, *shape), np.nan)
     gap, left = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     total, rest, surprise = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
     carried = np.all([part.carried for part in drawn], axis=0)
     levers = contact_jacobian(held)
-    known = held.known & (carried.mean(axis=0) >= LEAST_CARRIED)
-    for k in np.flatnonzero(known):
-        own = [(part.forces[carried[:, k], k], part.residual[carried[:, k], k]) for part in drawn]
-        flat = own[0][0].reshape(len(own[0][0]), -1)
-        gain = _gain(flat, own[0][1], error)
-        moved = [(forces.reshape(len(flat), -1) - residual @ gain.T).reshape(forces.shape) for forces, residual in own]
+    with_forces = held.with_forces & (carried.mean(axis=0) >= LEAST_CARRIED)
+    for k in np.flatnonzero(with_forces):
+        lanes = [(part.forces[carried[:, k], k], part.residual[carried[:, k], k]) for part in drawn]
+        flat = lanes[0][0].reshape(len(lanes[0][0]), -1)
+        gain = _gain(flat, lanes[0][1], error)
+        moved = [
+            (forces.reshape(len(flat), -1) - residual @ gain.T).reshape(forces.shape) for forces, residual in lanes
+        ]
         noise = ((gain * error) ** 2).sum(axis=1).reshape(wheels, 3)
-        before[k], after[k] = own[0][0].mean(axis=0), moved[0].mean(axis=0)
-        parts[:, k] = _parts([forces for forces, _ in own], np.zeros((wheels, 3)))
+        before[k], after[k] = lanes[0][0].mean(axis=0), moved[0].mean(axis=0)
+        parts[:, k] = _parts([forces for forces, _ in lanes], np.zeros((wheels, 3)))
         # The gain was fitted to these draws: three numbers of their freedom are gone.
-        kept[:, k] = _parts(moved, noise, (len(flat) - 1) / (len(flat) - 4))
+        used_parts[:, k] = _parts(moved, noise, (len(flat) - 1) / (len(flat) - 4))
         # What is missing shrinks by as much as the forces of all wheels grow.
         sums = np.einsum("twf,wfk->tk", levers[k], gain.reshape(wheels, 3, 3))
-        gap[k] = own[0][1].mean(axis=0)
+        gap[k] = lanes[0][1].mean(axis=0)
         left[k] = gap[k] + sums @ gap[k]
-        surprise[k] = gap[k] @ np.linalg.solve(np.cov(own[0][1].T) + np.diag(error**2), gap[k]) / len(error)
-        total[k] = np.einsum("twf,dwf->dt", levers[k], own[0][0]).std(axis=0, ddof=1)
+        surprise[k] = gap[k] @ np.linalg.solve(np.cov(lanes[0][1].T) + np.diag(error**2), gap[k]) / len(error)
+        total[k] = np.einsum("twf,dwf->dt", levers[k], lanes[0][0]).std(axis=0, ddof=1)
         spread = np.einsum("twf,dwf->dt", levers[k], moved[0]).var(axis=0, ddof=1)
         rest[k] = np.sqrt(spread + ((sums * error) ** 2).sum(axis=1))
     return LoadEnsemble(
         held=held,
-        known=known,
+        with_forces=with_forces,
         before=before,
         after=after,
         before_parts=parts,
-        after_parts=kept,
+        after_parts=used_parts,
         residual_before=gap,
         residual_after=left,
         total_before=total,
@@ -629,13 +637,13 @@ def alternate(
 
     forces, before, done = forces_on(belief, 0), belief, list[Round]()
     while True:
-        found = infer_from_totals(balanced_states(forces, states, balance_error), rover.wheel, belief)
-        after = forces_on(found.belief, len(done) + 1)
-        done.append(_round(before, found, forces, after))
-        forces, before = after, found.belief
+        result = infer_from_totals(balanced_states(forces, states, balance_error), rover.wheel, belief)
+        after = forces_on(result.belief, len(done) + 1)
+        done.append(_round(before, result, forces, after))
+        forces, before = after, result.belief
         verdict = verdict_of(done)
         if verdict == "converged" or len(done) == rounds:
-            return AlternatingEstimate(found, forces, tuple(done), verdict)
+            return AlternatingEstimate(result, forces, tuple(done), verdict)
 
 
 def verdict_of(rounds: list[Round]) -> str:
@@ -661,9 +669,9 @@ def balanced_states(forces: LoadEnsemble, states: PoseStates, balance_error: flo
     times, values, sigmas = states.by_pose(len(rover.wheels))
     load, load_sigma = (part[..., 0] for part in (forces.after, forces.after_sigma))
     levers = contact_jacobian(held)
-    told = (load, load_sigma, levers[..., 1:], net_wrench(held, levers))
-    kept = [np.where(forces.known.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in told]
-    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part, beyond=False) for part in kept)
+    report = (load, load_sigma, levers[..., 1:], net_wrench(held, levers))
+    used_parts = [np.where(forces.with_forces.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in report]
+    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part, beyond=False) for part in used_parts)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     used = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).any(axis=(1, 2))
@@ -682,11 +690,11 @@ def balanced_states(forces: LoadEnsemble, states: PoseStates, balance_error: flo
     )
 
 
-def _round(before: SoilBelief, found: TotalsPosterior, one: LoadEnsemble, two: LoadEnsemble) -> Round:
-    sd = np.sqrt(np.diag(found.belief.covariance))
-    step = (found.belief.mean - before.mean) / sd
-    known = one.known & two.known
-    pulls = two.after[known, :, 1:]
-    moved = np.sqrt(np.mean((pulls - one.after[known, :, 1:]) ** 2) / np.mean(pulls**2))
-    sinkages, totals = found.reduced
-    return Round(float(np.abs(step).max()), float(moved), step, found.belief.sd_ratio, sinkages, totals)
+def _round(before: SoilBelief, result: TotalsPosterior, one: LoadEnsemble, two: LoadEnsemble) -> Round:
+    sd = np.sqrt(np.diag(result.belief.covariance))
+    step = (result.belief.mean - before.mean) / sd
+    with_forces = one.with_forces & two.with_forces
+    pulls = two.after[with_forces, :, 1:]
+    moved = np.sqrt(np.mean((pulls - one.after[with_forces, :, 1:]) ** 2) / np.mean(pulls**2))
+    sinkages, totals = result.reduced
+    return Round(float(np.abs(step).max()), float(moved), step, result.belief.sd_ratio, sinkages, totals)

@@ -20,15 +20,15 @@ from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, comman
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import GAP, Findings, Telemetry, held
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, mean_speed
+from lunarsci.twin.telemetry.reading import GAP, STILL, SURE, Findings, Telemetry, held
+from lunarsci.twin.telemetry.wheel_motion import PACE, UNDER_WAY, mean_speed
 
 LEAST_ROWS = 5
 FAST = "fast slip"
 """Kind of a finding."""
-MOST_FAST = 0.05
-"""Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
-doubt; assumed."""
+LEAST_ROW_M = 0.3
+"""Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
+slip does not change faster. [m]"""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
@@ -38,7 +38,7 @@ def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
 
 
 def _arrays(telemetry: Telemetry) -> dict[str, FloatArray]:
-    """What has a row for each time, by name."""
+    """Fields with a row for each time, by name."""
     values = {field.name: getattr(telemetry, field.name) for field in dataclasses.fields(telemetry)}
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
@@ -125,63 +125,53 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     Readings that hang or jump away from the command are replaced by it and said. Raises DataError for a wheel that has
     none, and for angles beyond 90 degrees.
     """
-    measured, told = telemetry.steered_deg.copy(), telemetry.steering_deg
+    measured, commanded = telemetry.steered_deg.copy(), telemetry.steering_deg
     for k, wheel in enumerate(rover.wheels):
-        _mend(telemetry, k, wheel, measured, told, findings)
-    angle = np.where(np.isfinite(measured), measured, told)
-    known = np.isfinite(angle)
-    for k, wheel in enumerate(rover.wheels):
-        rows = known[:, k]
+        _mend(telemetry, k, wheel, measured, commanded, findings)
+    angle = np.where(np.isfinite(measured), measured, commanded)
+    given = np.isfinite(angle)
+    for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
         if not rows.any():
             raise DataError(f"{telemetry.file}: no row has a steering angle of wheel {wheel}")
         if not rows.all():
-            findings.add(
-                "missing steering",
+            what, first = (
                 f"rows without a steering angle of wheel {wheel}",
-                "found from the rows beside; its states are not valid there",
-                count=int((~rows).sum()),
-                time_s=float(telemetry.time_s[int(np.argmin(rows))]),
+                float(telemetry.time_s[int(np.argmin(rows))]),
             )
+            done = "found from the rows beside; its states are not valid there"
+            findings.add("missing steering", what, done, count=int((~rows).sum()), time_s=first)
         angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
     if np.abs(angle).max() > 90.0:
         raise DataError(f"{telemetry.file}: steering angles reach {np.abs(angle).max():.4g} deg; give -90 to 90 deg")
-    return angle, known
+    return angle, given
 
 
-def _mend(telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, told: FloatArray, findings: Findings) -> None:
+def _mend(
+    telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, commanded: FloatArray, findings: Findings
+) -> None:
     """Put the command in the place of readings that hang or spike, in one wheel's column of `measured`.
 
     Where most readings are off their commands, it is these that are others.
     """
-    both = np.isfinite(measured[:, k]) & np.isfinite(told[:, k])
+    both = np.isfinite(measured[:, k]) & np.isfinite(commanded[:, k])
     if not both.any():
         return
     hung, off = np.zeros((2, len(both)), dtype=bool)
-    hung[both] = held(measured[both, k], 1.0, told[both, k], STEERED_DEG)
-    off[both] = np.abs(measured[both, k] - told[both, k]) > OFF_DEG
+    hung[both] = held(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
+    off[both] = np.abs(measured[both, k] - commanded[both, k]) > OFF_DEG
     off &= ~hung
     obeyed = not np.median(off[both])
-    for kind, rows, what in (
-        ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change"),
-        ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command"),
+    for kind, rows, what, mended in (
+        ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change", True),
+        ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command", obeyed),
     ):
         if rows.any():
-            mended = kind == "stuck" or obeyed
             done = "the command is taken there" if mended else "the measured angle is taken"
             first = float(telemetry.time_s[int(np.argmax(rows))])
             findings.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=not mended)
-            if mended:
-                measured[rows, k] = told[rows, k]
+            measured[rows & mended, k] = commanded[rows & mended, k]
 
 
-PACE = 0.02
-"""Share by which wheels may turn faster or slower than the plan says, unsaid: it is a slip of as much; assumed."""
-PACE_ERRORS = 3.0
-"""And in errors of the ratio; assumed."""
-UNDER_WAY = 0.3
-"""Share of the highest speed from which a wheel counts as under way; assumed."""
-SHELL = 0.01
-"""How near the ratio must come to r_s / r for the plan's speed to be taken for that of the shell; assumed."""
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
@@ -211,21 +201,21 @@ class WheelPace:
         fixes the first leg alone counts.
         """
         schedule = make_schedule(plan, rover)
-        told = commands_at(rover, schedule, times_s).speed_m_s
+        planned = commands_at(rover, schedule, times_s).speed_m_s
         # From the first fix on the rover drives its legs from where it believes to be, not at the plan's speed.
         last_s = schedule.runs[0].end_s if plan.fixes else schedule.duration_s
         inside = (times_s >= 0.0) & (times_s <= last_s)
-        turning = np.isfinite(rim_m_s) & inside[:, None] & (rim_m_s * told > 0.0)
+        turning = np.isfinite(rim_m_s) & inside[:, None] & (rim_m_s * planned > 0.0)
         # Neither at a halt nor beside one, where a mean over some time is of both.
         half_s = np.gradient(times_s) / 2.0 if times_s.size > 1 else np.zeros(1)
         for at in (times_s - half_s, times_s, times_s + half_s):
-            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > UNDER_WAY * np.abs(told).max()
+            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > UNDER_WAY * np.abs(planned).max()
         turning &= np.abs(rim_m_s) > UNDER_WAY * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
         # Of sums: a coarse encoder has steps of many sizes.
-        rows = [(rim_m_s[on, k], told[on, k]) for k, on in enumerate(turning.T) if on.any()]
+        rows = [(rim_m_s[on, k], planned[on, k]) for k, on in enumerate(turning.T) if on.any()]
         if sum(rims.size for rims, _ in rows) < FEWEST_RATES:
             return None
-        means = np.array([rims.sum() / planned.sum() for rims, planned in rows])
+        means = np.array([rims.sum() / wanted.sum() for rims, wanted in rows])
         # Errors of one wheel's steps cancel in their sum, so that they would say too much of it.
         squared = means.var(ddof=1) if len(rows) > 1 else (rows[0][0] / rows[0][1]).var() / rows[0][0].size
         wheel = rover.wheel
@@ -239,7 +229,7 @@ class WheelPace:
     @property
     def off(self) -> bool:
         """Whether the wheels surely turned otherwise than planned."""
-        return abs(self.ratio - 1.0) > max(PACE, PACE_ERRORS * self.sigma)
+        return abs(self.ratio - 1.0) > max(PACE, SURE * self.sigma)
 
     @property
     def text(self) -> str:
@@ -253,7 +243,7 @@ class WheelPace:
     def remedy(self) -> str:
         """What it may come from, and what to do."""
         right = f"{self.ratio * self.speed_m_s:.4g}"
-        if self.shell_ratio > 1.0 + SHELL and abs(self.ratio - self.shell_ratio) < max(SHELL, 2.0 * self.sigma):
+        if self.shell_ratio > 1.0 + PACE / 2 and abs(self.ratio - self.shell_ratio) < max(PACE / 2, SURE * self.sigma):
             return (
                 f"this is r_s / r: if the plan's speed is that of the wheel's radius alone, write speed_m_s = {right}; "
                 "else check the radius"
@@ -284,18 +274,9 @@ def check_pace(
 def check_stands(stands: BoolArray, time_s: FloatArray, findings: Findings) -> None:
     """Say states at which the rover does not stand on the terrain."""
     if not stands.all():
-        findings.add(
-            "off the terrain",
-            "the rover does not stand on the terrain there",
-            "states there are left blank, not valid",
-            count=int((~stands).sum()),
-            time_s=float(time_s[int(np.argmin(stands))]),
-            doubt=True,
-        )
-
-
-FAR_M = 1.0
-"""Way by the wheels below which positions are never far apart; assumed. [m]"""
+        what, done = "the rover does not stand on the terrain there", "states there are left blank, not valid"
+        count, first = int((~stands).sum()), float(time_s[int(np.argmin(stands))])
+        findings.add("off the terrain", what, done, count=count, time_s=first, doubt=True)
 
 
 def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> None:
@@ -303,18 +284,16 @@ def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, finding
     ends = np.concatenate([[0], rows, [len(way_m) - 1]])
     ways = np.diff(way_m[ends])
     usual = float(np.median(ways[ways > 0])) if (ways > 0).any() else 0.0
-    far = np.flatnonzero(ways > max(GAP * usual, FAR_M))
+    far = np.flatnonzero(ways > GAP * max(usual, LEAST_ROW_M))
     if far.size:
         longest = int(far[np.argmax(ways[far])])
-        begin, end = telemetry.time_s[ends[longest]], telemetry.time_s[ends[longest + 1]]
-        findings.add(
-            "far positions",
+        begin, end = telemetry.time_s[ends[longest : longest + 2]]
+        what = (
             f"no position between {begin:.6g} and {end:.6g} s, {ways[longest]:.3g} m by the wheels where {usual:.2g} m "
-            "are usual",
-            "slip there is told by one state or none; what it was on the way is not known",
-            count=far.size,
-            time_s=float(begin),
+            "are usual"
         )
+        done = "slip there is told by one state or none; what it was on the way is not known"
+        findings.add("far positions", what, done, count=far.size, time_s=float(begin))
 
 
 def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findings: Findings) -> None:
@@ -342,8 +321,6 @@ assumed."""
 STEP_M, MOST_TRIED = 0.05, 500
 """Step between the ways tried, by which the way differs where the plan is right, and number of them, and of rows;
 assumed. [m]"""
-NEAR_M = 0.3
-"""Way within which standstills are one halt; assumed. [m]"""
 HALT = "unplanned halt"
 """Kind of a finding: states are right, and a soil learned with the plan is not."""
 START_M, HEADING_DEG = 0.5, 10.0
@@ -352,7 +329,7 @@ EDGE_S = 5.0
 """How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
 take to steer to its first leg without doubt; assumed. [s]"""
 STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
-"""What slowing down and speeding up again cost, beside the halt itself; of the ramps assumed. [s]"""
+"""What slowing down and speeding up again cost, beside the halt itself, by the ramps of a schedule. [s]"""
 
 
 def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
@@ -401,9 +378,9 @@ def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findin
         what = f"telemetry goes on for {last - end:.4g} s after the plan's end"
         done = "kept; is it the plan that was driven? `until` leaves out what was after"
         findings.add("late end", what, done, time_s=last)
-    known = np.flatnonzero(np.isfinite(telemetry.yaw_deg))
-    if known.size and telemetry.time_s[known[0]] <= EDGE_S:
-        off = float(np.remainder(telemetry.yaw_deg[known[0]] - plan.heading_deg + 180.0, 360.0) - 180.0)
+    rows = np.flatnonzero(np.isfinite(telemetry.yaw_deg))
+    if rows.size and telemetry.time_s[rows[0]] <= EDGE_S:
+        off = float(np.remainder(telemetry.yaw_deg[rows[0]] - plan.heading_deg + 180.0, 360.0) - 180.0)
         if abs(off) > HEADING_DEG:
             what = f"the first heading is {off:.3g} deg off the plan's: another frame, or another plan"
             findings.add("another start", what, "kept as it is", doubt=True)
@@ -411,7 +388,7 @@ def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findin
     if rows.size and telemetry.time_s[rows[0]] < EDGE_S:
         off = float(np.hypot(*(telemetry.fix_m[rows[0]] - [plan.x_m, plan.y_m])))
         sigma = float(np.sqrt(np.trace(telemetry.fix_covariance_m2[rows[0]])))
-        if off > START_M + 5.0 * sigma:
+        if off > START_M + SURE * sigma:
             what = f"the first position is {off:.3g} m from the plan's start: another frame, or another plan"
             findings.add("another start", what, "kept as it is", doubt=True)
 
@@ -451,18 +428,8 @@ class _AlongWay(NamedTuple):
             return None
         # Noise of a wheel that stands is no way: over many rows it would add up to one.
         steps = speed_m_s * np.diff(time_s)
-        way = np.append(0.0, np.cumsum(np.where(steps > STILL_SHARE * np.median(steps[fast]), steps, 0.0)))
+        way = np.append(0.0, np.cumsum(np.where(steps > STILL * np.median(steps[fast]), steps, 0.0)))
         return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
-
-
-class _Tried(NamedTuple):
-    """A way in which telemetry may lie beside its plan: ln of its odds, the way of the rows, its offset behind that of
-    the plan [m], and the pace of the drive."""
-
-    ln: float
-    sent: _AlongWay
-    offset_m: float
-    faster: float
 
 
 class _Beside:
@@ -470,35 +437,37 @@ class _Beside:
 
     Attributes
     ----------
-    sent, told : both by their ways, that of the rows in the plan's metres.
+    sent, plan : both by their ways, that of the rows in the plan's metres.
     offset_m : of the way of the rows behind that of the plan, as it fits best.
     planned_s, late_s : when the plan has each row, and by how much the row is later at the drive's pace. (n,) [s]
     off : rows whose commands are not the plan's; `inside` are rows within the plan. (n,), (n,)
     share_off : of the way; 1 where too little of it lies within the plan.
     """
 
-    def __init__(self, sent: _AlongWay, told: _AlongWay, schedule: Schedule, rover: Rover) -> None:
-        self.rover, self.schedule, self.told = rover, schedule, told
+    def __init__(self, sent: _AlongWay, plan: _AlongWay, schedule: Schedule, rover: Rover) -> None:
+        self.rover, self.schedule, self.plan = rover, schedule, plan
         self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
-        pace, end = sent.speed_m_s / told.speed_m_s, float(told.way_m[-1])
-        begin, tried = float(np.interp(sent.time_s[0], told.time_s, told.way_m)), list[_Tried]()
+        pace, end = sent.speed_m_s / plan.speed_m_s, float(plan.way_m[-1])
+        begin = float(np.interp(sent.time_s[0], plan.time_s, plan.way_m))
+        tried = list[tuple[float, _AlongWay, float, float]]()
         # Faster wheels go as far in less time, or are of another size and go farther.
         for scale, faster in ((1.0, pace), (pace, 1.0)):
             one = sent._replace(way_m=sent.way_m / scale)
             by_clock = begin - float(one.way_m[0])
-            tried.append(_Tried(self._ln_of(one, by_clock), one, by_clock, faster))
-        if max(one.ln for one in tried) < LN_OFFSET:
+            tried.append((self._ln_of(one, by_clock), one, by_clock, faster))
+        if max(ln for ln, *_ in tried) < LN_OFFSET:
             for _, one, _, faster in tuple(tried):
                 last = float(one.way_m[-1])
                 step = max(STEP_M, (last + end) / MOST_TRIED)
-                coarse = self._best(one, np.arange(-last, end, step))
-                fine = self._best(one, coarse + np.arange(-step, step, STEP_M / 2.0))
-                for offset_m in (0.0, coarse, fine):
-                    tried.append(_Tried(self._ln_of(one, offset_m) + LN_OFFSET, one, offset_m, faster))
-        _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one.ln)
+                ln, offset_m = -np.inf, 0.0
+                for offsets in (np.arange(-last, end, step), np.arange(-step, step, STEP_M / 2.0)):
+                    near = offset_m + np.append(0.0, offsets)
+                    ln, offset_m = max(((self._ln_of(one, float(m)), float(m)) for m in near), key=lambda pair: pair[0])
+                tried.append((ln + LN_OFFSET, one, offset_m, faster))
+        _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one[0])
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)
         self.off, self.inside = self._compared(self.sent, self.offset_m)
-        self.planned_s = np.interp(way + self.offset_m, told.way_m, told.time_s)
+        self.planned_s = np.interp(way + self.offset_m, plan.way_m, plan.time_s)
         self.late_s = sent.time_s - self.planned_s / faster
         within = float(length[self.inside].sum())
         short = within < COVERED * min(float(length.sum()), end)
@@ -521,56 +490,37 @@ class _Beside:
         made = [_AlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
         return None if made[0] is None or made[1] is None else cls(made[0], made[1], schedule, rover)
 
-    def _best(self, sent: _AlongWay, offsets_m: FloatArray) -> float:
-        return float(offsets_m[np.argmax([self._ln_of(sent, float(one)) for one in offsets_m])])
-
     def _ln_of(self, sent: _AlongWay, offset_m: float) -> float:
         """ln of how probable an offset is, up to a constant."""
         some = slice(None, None, 1 + len(sent.way_m) // MOST_TRIED)
         off, inside = self._compared(sent, offset_m, some)
         steps = np.gradient(sent.way_m)[some] * len(sent.way_m) / len(off)
         # Of the way in one, the part that is not in the other is as wrong as other commands are.
-        missed = max(self.told.way_m[-1] - steps[inside].sum(), 0.0)
+        missed = max(self.plan.way_m[-1] - steps[inside].sum(), 0.0)
         return LN_OFF_M * float(steps[off.any(axis=1) | ~inside].sum() + missed)
 
     def _compared(self, sent: _AlongWay, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
         """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
         way, off = sent.way_m[rows] + offset_m, np.ones(sent.command[rows].shape, dtype=bool)
         for beside in (-STEP_M / 2.0, 0.0, STEP_M / 2.0):
-            at = np.minimum(np.searchsorted(self.told.way_m, way + beside), len(self.told.way_m) - 1)
-            off &= np.abs(sent.command[rows] - self.told.command[at]) > self.allowed
-        return off, np.asarray((way >= -STEP_M) & (way <= self.told.way_m[-1] + STEP_M))
-
-    def first_off(self) -> tuple[float, str]:
-        """When commands are first not those of the plan [s], and what they are there. Some row must be off."""
-        off = self.off & self.inside[:, None]
-        row = int(np.argmax(off.any(axis=1)))
-        wheel, planned = int(np.argmax(off[row])), int(np.argmin(np.abs(self.told.time_s - self.planned_s[row])))
-        sent, told = (f"{one.command[k, wheel]:.3g}" for one, k in ((self.sent, row), (self.told, planned)))
-        unit = " deg" if self.rover.steered_mask.any() else " of the mean speed"
-        text = (
-            f"{'steering' if unit == ' deg' else 'rim'} of {self.rover.wheels[wheel]} is {sent}{unit}, planned {told}"
-        )
-        return float(self.sent.time_s[row]), text
-
-    def last_off_s(self) -> float:
-        """When commands are last not those of the plan. Some row must be off. [s]"""
-        return float(self.sent.time_s[self.off.any(axis=1) & self.inside][-1])
+            at = np.minimum(np.searchsorted(self.plan.way_m, way + beside), len(self.plan.way_m) - 1)
+            off &= np.abs(sent.command[rows] - self.plan.command[at]) > self.allowed
+        return off, np.asarray((way >= -STEP_M) & (way <= self.plan.way_m[-1] + STEP_M))
 
     def halts(self) -> "tuple[_Halt, ...]":
         """Where the rover stood longer, or less long, than the plan has it."""
         rows = np.flatnonzero(self.inside)
         times, planned, way = self.sent.time_s[rows], self.planned_s[rows], self.sent.way_m[rows]
-        longer, found = np.diff(self.late_s[rows]), list[_Halt]()
+        longer, halts = np.diff(self.late_s[rows]), list[_Halt]()
         jumps = np.flatnonzero(np.abs(longer) > EDGE_S)
-        for near in np.split(jumps, np.flatnonzero(np.diff(way[jumps]) > NEAR_M) + 1):
+        for near in np.split(jumps, np.flatnonzero(np.diff(way[jumps]) > LEAST_ROW_M) + 1):
             total = float(longer[near].sum())
             if near.size and abs(total) > EDGE_S:
                 first, last = int(near[np.argmax(np.abs(longer[near]))]), int(near[-1])
                 stands = bool((np.diff(planned)[near[0] : last + 1] > EDGE_S / 2.0).any())
                 begin = times[first] + min(planned[first + 1] - planned[first], times[first + 1] - times[first])
-                found.append(_Halt(begin, times[first + 1], planned[first + 1], total, stands))
-        return tuple(found)
+                halts.append(_Halt(begin, times[first + 1], planned[first + 1], total, stands))
+        return tuple(halts)
 
 
 def _say_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings) -> None:
@@ -620,10 +570,14 @@ def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> flo
 
 
 def _say_commands(beside: _Beside, findings: Findings) -> bool:
-    """Say that commands are not the plan's; whether that is a doubt."""
-    off_s, what = beside.first_off()
+    """Say that commands are not the plan's; whether that is a doubt. Some row must be off."""
+    sent, plan, off = beside.sent, beside.plan, beside.off & beside.inside[:, None]
+    rows = np.flatnonzero(off.any(axis=1))
+    wheel = int(np.argmax(off[rows[0]]))
+    planned = plan.command[int(np.argmin(np.abs(plan.time_s - beside.planned_s[rows[0]]))), wheel]
+    what, unit = ("steering", " deg") if beside.rover.steered_mask.any() else ("rim", " of the mean speed")
     text = f"the commands of {100 * beside.share_off:.0f} % of the way are not those of the plan"
-    done, doubt = "the telemetry's are taken; give the plan as it was driven", beside.last_off_s() > EDGE_S
+    done, doubt = "the telemetry's are taken; give the plan as it was driven", bool(sent.time_s[rows[-1]] > EDGE_S)
     if not doubt:
         text += ", all of them at its start"
         done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
@@ -631,6 +585,9 @@ def _say_commands(beside: _Beside, findings: Findings) -> bool:
         done += ", and its `rover`"
     else:
         done += " (`blend_m` is half before a join of arcs, half behind)"
-    count = int((beside.off.any(axis=1) & beside.inside).sum())
-    findings.add("other commands", f"{text}; first {what}", done, count=count, time_s=off_s, doubt=doubt)
+    text += (
+        f"; first {what} of {beside.rover.wheels[wheel]} is {sent.command[rows[0], wheel]:.3g}{unit}, "
+        f"planned {planned:.3g}"
+    )
+    findings.add("other commands", text, done, count=len(rows), time_s=float(sent.time_s[rows[0]]), doubt=doubt)
     return doubt

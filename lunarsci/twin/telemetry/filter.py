@@ -155,8 +155,8 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     count = len(nodes.time_s)
     steps = np.diff(nodes.time_s)
     turned = np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
-    known = np.isfinite(nodes.yaw_rad)
-    off = np.interp(nodes.time_s, nodes.time_s[known], (nodes.yaw_rad - turned)[known]) if known.any() else 0.0
+    given = np.isfinite(nodes.yaw_rad)
+    off = np.interp(nodes.time_s, nodes.time_s[given], (nodes.yaw_rad - turned)[given]) if given.any() else 0.0
     yaw = turned + off
     middle = 0.5 * (yaw[1:] + yaw[:-1])
     ahead, left = nodes.twist[:, 0] * steps, nodes.twist[:, 1] * steps
@@ -175,8 +175,8 @@ def lag_of_turns(nodes: Nodes) -> float:
     0 where it is so short that the motion is linear in it, or where turns hardly tell.
     """
     steps = np.diff(nodes.time_s)
-    known, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
-    times, yaw = nodes.time_s[known], nodes.yaw_rad[known]
+    given, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
+    times, yaw = nodes.time_s[given], nodes.yaw_rad[given]
     farthest = min(0.5 * FARTHEST_S, 0.25 * float(times[-1] - times[0]))
     inside = (times >= times[0] + farthest) & (times <= times[-1] - farthest)
     if inside.sum() < 3 or np.ptp(turned) == 0.0:
@@ -427,14 +427,14 @@ class Model:
         return linear.seen[k, rows], linear.by[k, rows], linear.value[k, rows], errors[rows][:, rows]
 
 
-def filtered(model: Model, *, kept: bool = True) -> FilterRun:
+def filtered(model: Model, *, every_node: bool = True) -> FilterRun:
     """The filter for each of several assumptions.
 
-    Where they are not `kept`, columns and covariances are those of the last node alone, (1, m, ...).
+    Without `every_node` columns and covariances are those of the last node alone, (1, m, ...).
     """
     nodes, linear = model.nodes, model.linear
     columns, covariance = model.start()
-    count = len(nodes.time_s) if kept else 1
+    count = len(nodes.time_s) if every_node else 1
     all_columns, covariances = np.empty((count, *columns.shape)), np.empty((count, *covariance.shape))
     squares, ln_likelihood = np.zeros((len(columns), columns.shape[2], columns.shape[2])), np.zeros(len(columns))
 
@@ -454,7 +454,7 @@ def filtered(model: Model, *, kept: bool = True) -> FilterRun:
             columns = columns + np.swapaxes(through, 1, 2) @ weighed
             covariance = covariance - np.swapaxes(through, 1, 2) @ inverse @ through
             covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
-        all_columns[k if kept else 0], covariances[k if kept else 0] = columns, covariance
+        all_columns[k if every_node else 0], covariances[k if every_node else 0] = columns, covariance
 
     observe(0)
     for first, last in model.stretches():

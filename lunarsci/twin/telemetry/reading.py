@@ -13,12 +13,13 @@ wheels stand, and headings are used at positions and beside drives alone.
 
 import difflib
 import io
+import itertools
 import math
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,6 +37,7 @@ from lunarsci.io.tables import (
     read_csv_table,
     without_repeats,
 )
+from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -62,14 +64,19 @@ def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
 
     `yaw_rad` is `yaw_deg` in another unit, where there is none in this one.
     """
-    found = {name: (name, 1.0) for name in names}
+    columns = {name: (name, 1.0) for name in names}
     for name in names:
         if match := UNIT.search(name):
-            for own, others in UNITS.items():
+            for unit, others in UNITS.items():
                 if match[1] in others:
-                    meant = f"{name[: match.start()]}_{own}{name[match.end() :]}"
-                    found.setdefault(meant, (name, others[match[1]]))
-    return found
+                    meant = f"{name[: match.start()]}_{unit}{name[match.end() :]}"
+                    columns.setdefault(meant, (name, others[match[1]]))
+    return columns
+
+
+PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
+OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
+"""Of each of these every wheel needs one: how it turned, and how it was steered."""
 
 
 def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
@@ -77,26 +84,26 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
 
     Positions are needed where they do not come from elsewhere (`placed`).
     """
-    _check_strange(file, names, rover)
-    _check_all_there(file, names, rover, placed=placed)
-    _check_wheels(file, names, rover)
-    _check_needed(file, names, placed=placed)
-
-
-def _check_all_there(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
-    """Raises DataError, with all of them, where more than one quantity is missing, and not only some wheels."""
-    missing = [name for name in NEEDED if name not in names and (placed or name not in ("x_m", "y_m"))]
-    told = [f"{name}{_guess(name, names)}" for name in missing]
-    for forms in (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg")):
+    wheels = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
+    if others := [wheel for wheel in wheels if wheel not in rover.wheels]:
+        raise DataError(
+            f"{file}: '{others[0]}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}; give the right "
+            "one as `rover`"
+        )
+    missing = [
+        f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
+    ]
+    for forms in OF_A_WHEEL:
         without = [wheel for wheel in rover.wheels if not any(form.format(wheel) in names for form in forms)]
         if without:
-            which = "each wheel W" if len(without) == len(rover.wheels) else f"W = {', '.join(without)}"
-            guess = _guess(forms[0].format(without[0]), names) if len(without) == len(rover.wheels) else ""
-            told.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
-    if len(told) > 1 and (missing or not _wheels_in(names)):
+            which, guess = f"W = {', '.join(without)}, as the file has the wheels {', '.join(wheels)}", ""
+            if len(without) == len(rover.wheels):
+                which, guess = "each wheel W", _guess(forms[0].format(without[0]), names)
+            missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
+    if missing:
         raise DataError(
-            f"{file}: columns are missing: {', '.join(told)}; steered_W_deg is 0 for wheels that stay straight; "
-            "`lunarsci template telemetry` has all"
+            f"{file}: columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight; "
+            "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
         )
 
 
@@ -104,47 +111,6 @@ def _guess(needed: str, names: list[str]) -> str:
     bare = UNIT.sub("", needed)
     other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
     return f" ({other[0]}?)" if other else ""
-
-
-def _check_needed(file: str, names: list[str], *, placed: bool) -> None:
-    for needed in NEEDED:
-        if needed not in names and (placed or needed not in ("x_m", "y_m")):
-            told = f"{_hint(needed, names)}; `lunarsci template telemetry` has all columns"
-            raise DataError(f"{file}: no column {needed}{told}")
-
-
-def _hint(needed: str, names: list[str]) -> str:
-    """The column that may be meant: one with a name like it."""
-    near = difflib.get_close_matches(needed, names, n=1, cutoff=0.7)
-    return f"; is it '{near[0]}'? rename it" if near else f"; there are: {', '.join(names[:12])}"
-
-
-def _check_strange(file: str, names: list[str], rover: Rover) -> None:
-    strange = [wheel for wheel in _wheels_in(names) if wheel not in rover.wheels]
-    if strange:
-        own = ", ".join(rover.wheels)
-        raise DataError(
-            f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right one as `rover`"
-        )
-
-
-def _wheels_in(names: list[str]) -> list[str]:
-    return sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
-
-
-def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
-    found = _wheels_in(names)
-    for wheel in rover.wheels:
-        for what, forms in (("turned", ("angle", "rate", "speed")), ("was steered", ("steered", "steering"))):
-            units = {"rate": "deg_s", "speed": "m_s"}
-            columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
-            if not any(column in names for column in columns):
-                hint = f"; the file has the wheels {', '.join(found)}" if found else ""
-                raise DataError(
-                    f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}; each wheel needs a "
-                    "turn and a steering (0 if it stays straight), as in `lunarsci template telemetry`; or give the "
-                    "`rover` that has these wheels"
-                )
 
 
 _ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
@@ -195,77 +161,78 @@ def _wheel_in(joint: str) -> str:
     return ends[0] + sides[0] if ends and sides else ""
 
 
-def own_names(names: list[str]) -> list[str]:
+def ros_names(names: list[str]) -> list[str]:
     """Columns that a table of ROS has in lunarsci's words; none for any other table."""
-    found = {meaning_of(name) for name in names} - {""}
-    if not found & {"x_m", "qw"} or not found & {"stamp", "secs"}:
+    meanings = {meaning_of(name) for name in names} - {""}
+    if not meanings & {"x_m", "qw"} or not meanings & {"stamp", "secs"}:
         return []
-    turned = {"time_s", *(("yaw_deg",) if "qw" in found else ())}
-    return sorted(found - {"stamp", "secs", "nsecs", "qx", "qy", "qz", "qw", "yaw_variance"} | turned)
+    turned = {"time_s", *(("yaw_deg",) if "qw" in meanings else ())}
+    return sorted(meanings - {"stamp", "secs", "nsecs", "qx", "qy", "qz", "qw", "yaw_variance"} | turned)
 
 
-def in_own_words(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+def from_ros(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     """A table of ROS with lunarsci's columns; any other as it is. Raises DataError for two places of one rover."""
     names = [str(name) for name in table.columns]
-    if not own_names(names) or "time_s" in names:
+    if not ros_names(names) or "time_s" in names:
         return table
-    found: dict[str, str] = {}
+    columns: dict[str, str] = {}
     for name in sorted(names, key=lambda one: "odom" in one.lower()):
         meaning = meaning_of(name)
-        other = found.get(meaning, "")
+        other = columns.get(meaning, "")
         if meaning in ("x_m", "qw") and other and ("odom" in other.lower()) == ("odom" in name.lower()):
             raise DataError(f"{file}: '{other}' and '{name}' are both the rover's; keep the localised ones")
-        found.setdefault(meaning, name)
-
-    def numbers(meaning: str) -> FloatArray:
-        return numbers_of(file, found[meaning], table[found[meaning]])
-
-    made = {"time_s": _seconds(found, numbers("stamp") if "secs" not in found else numbers("secs"))}
-    if "secs" in found and "nsecs" in found:
-        made["time_s"] = made["time_s"] + 1e-9 * numbers("nsecs")
-    for meaning in found:
+        columns.setdefault(meaning, name)
+    if "secs" in columns:
+        columns.pop("stamp", None)
+    values = {meaning: numbers_of(file, name, table[name]) for meaning, name in columns.items() if meaning}
+    made = {"time_s": _seconds(columns, values.get("secs", values.get("stamp", np.zeros(0))))}
+    if "secs" in values and "nsecs" in values:
+        made["time_s"] = made["time_s"] + 1e-9 * values["nsecs"]
+    for meaning, column in values.items():
         if meaning.endswith("_m"):
-            made[meaning] = numbers(meaning)
+            made[meaning] = column
         elif meaning.endswith(("_deg", "_deg_s")):
-            made[meaning] = np.degrees(numbers(meaning))
-    if all(f"q{axis}" in found for axis in "xyzw"):
-        made |= _attitude(np.column_stack([numbers(f"q{axis}") for axis in "xyzw"]))
-    errors = {name: numbers(name) for name in ("xx_m2", "xy_m2", "yy_m2", "yaw_variance") if name in found}
-    if {"xx_m2", "xy_m2", "yy_m2"} <= {*errors} and (errors["xx_m2"] > 0).any():
-        made |= {name: errors[name] for name in ("xx_m2", "xy_m2", "yy_m2")}
-    if "yaw_variance" in errors and (errors["yaw_variance"] > 0).any():
-        made["yaw_deg_sigma"] = np.degrees(np.sqrt(np.maximum(errors["yaw_variance"], 0.0)))
-    return table.drop(columns=[*found.values()]).assign(
-        **{name: ["" if np.isnan(one) else repr(float(one)) for one in values] for name, values in made.items()}
+            made[meaning] = np.degrees(column)
+    if all(f"q{axis}" in values for axis in "xyzw"):
+        attitude = yaw_roll_pitch(np.column_stack([values[f"q{axis}"] for axis in "xyzw"]))
+        made |= dict(zip(("yaw_deg", "roll_deg", "pitch_deg"), attitude.T, strict=True))
+    if {*ERRORS} <= {*values} and (values["xx_m2"] > 0).any():
+        made |= {name: values[name] for name in ERRORS}
+    if "yaw_variance" in values and (values["yaw_variance"] > 0).any():
+        made["yaw_deg_sigma"] = np.degrees(np.sqrt(np.maximum(values["yaw_variance"], 0.0)))
+    return table.drop(columns=[*columns.values()]).assign(
+        **{name: ["" if np.isnan(one) else repr(float(one)) for one in column] for name, column in made.items()}
     )
 
 
-def _seconds(found: dict[str, str], stamps: FloatArray) -> FloatArray:
+def _seconds(columns: dict[str, str], stamps: FloatArray) -> FloatArray:
     """Stamps in s: `rostopic echo -p` has ns whatever they are, others by their size."""
-    name = found.get("stamp", "")
-    if "secs" not in found and (name.startswith("%") or name.startswith("field.")):
+    if "secs" not in columns and columns.get("stamp", "").startswith(("%", "field.")):
         return 1e-9 * stamps
     most = float(np.nanmax(stamps, initial=0.0))
     return next((size for least, size in STAMP_UNITS if most >= least), 1.0) * stamps
 
 
-def _attitude(quaternion: FloatArray) -> dict[str, FloatArray]:
-    """Yaw, roll, pitch of quaternions x, y, z, w, pitch positive nose down; NaN where they are none. (n, 4) [deg]"""
+def yaw_roll_pitch(quaternion: FloatArray) -> FloatArray:
+    """Of quaternions x, y, z, w, pitch positive nose down; NaN where they are none. (n, 3) [deg]
+
+    Body axes x ahead, y left, z up, as ROS has them (REP 103).
+    """
     from scipy.spatial.transform import Rotation
 
     turns = np.full((len(quaternion), 3), np.nan)
     norm = np.linalg.norm(quaternion, axis=1)
-    known = np.isfinite(norm) & (norm > 0)
-    if known.any():
-        turns[known] = Rotation.from_quat(quaternion[known]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
-    return dict(zip(("yaw_deg", "roll_deg", "pitch_deg"), turns.T, strict=True))
+    proper: BoolArray = np.isfinite(norm) & (norm > 0)
+    if proper.any():
+        turns[proper] = Rotation.from_quat(quaternion[proper]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
+    return turns
 
 
 LEAST_HELD, SURELY = 1e-4, 3.0
 """Least odds beforehand that a run is held; they are the share of repeats beyond so many times that by chance;
 assumed."""
-FOLLOWS = 0.2
-"""Share by which a change may differ from the one that is expected; assumed."""
+OBEYED = 0.2
+"""Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
 
 
 def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
@@ -276,7 +243,7 @@ def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) 
     values : readings, of one or more numbers each. (n,) or (n, m)
     chance : probability that a sound reading repeats the one before while nothing changes.
     expected : what the reading should have changed by since the start. (n,)
-    sigma : standard error of that change beside the share `FOLLOWS`, in its unit.
+    sigma : standard error of that change beside the share `OBEYED`, in its unit.
     """
     flat = values.reshape(len(values), -1)
     begins = np.flatnonzero(np.append(True, (np.diff(flat, axis=0) != 0).any(axis=1)))
@@ -284,7 +251,7 @@ def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) 
     change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
     # A channel that is sent more often than it is read repeats throughout.
     ln_held = math.log(max(LEAST_HELD, repeats.sum() / len(values) - SURELY * chance))
-    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (FOLLOWS * change) ** 2)
+    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (OBEYED * change) ** 2)
     result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
     result[begins] = False
     return np.asarray(result)
@@ -296,10 +263,10 @@ def digit_of(values: FloatArray) -> float:
     Infinite where nothing changes.
     """
     changes = np.abs(np.diff(values, axis=0))
-    known = changes[np.isfinite(changes)]
-    known = known[known > 1e-6 * np.max(known, initial=0.0)]
-    finest = float(np.min(known, initial=np.inf))
-    return finest if (np.abs(known / finest - np.rint(known / finest)) < 0.01).all() else 1e-3 * finest
+    changes = changes[np.isfinite(changes)]
+    changes = changes[changes > 1e-6 * np.max(changes, initial=0.0)]
+    finest = float(np.min(changes, initial=np.inf))
+    return finest if (np.abs(changes / finest - np.rint(changes / finest)) < 0.01).all() else 1e-3 * finest
 
 
 def chance_by_noise(values: FloatArray, sigma: float) -> float:
@@ -311,22 +278,19 @@ def chance_by_noise(values: FloatArray, sigma: float) -> float:
 
 
 BLOCK = 256
-"""Rows of a block: half a minute at 10 Hz; assumed."""
+"""Rows of a block: half a minute at 10 Hz. States are those of all rows."""
 STILL = 0.05
-"""Share of the rover's highest speed up to which a rate is that of a wheel that stands; assumed."""
+"""Share of the usual or the highest rim speed below which a wheel stands; assumed."""
 TURNED_DEG = 3.0
 """Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
-GAP = 5.0
-"""Times the median step between rows from which on a step is a gap; assumed, as of a motion."""
+SURE = 3.0
+"""Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
 MOST_ROWS = 500_000
 """That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
-PLACES = ("x_m", "y_m", "xx_m2", "xy_m2", "yy_m2", "sigma_m")
-
-
 Columns = dict[str, FloatArray]
 
 
-class RowsKept:
+class RowsWithoutRests:
     """Rows of telemetry by column, without most of those of a rover that rests, put together from pieces.
 
     Attributes
@@ -339,11 +303,11 @@ class RowsKept:
         self.file, self.read = file, 0
         self.rests_s: list[tuple[float, float]] = []
         self._rover, self._count = rover, 0
-        self._kept: list[Columns] = []
+        self._retained: list[Columns] = []
         self._left: Columns = {}
         self._before: tuple[Columns, bool] | None = None
         self._held: tuple[Columns, bool] | None = None
-        self._anchor = np.full((0, 0), np.nan)
+        self._anchor = np.full(len(rover.wheels), np.nan)
         self._place = np.full(len(PLACES), np.nan)
 
     def add(self, columns: Columns) -> None:
@@ -358,31 +322,31 @@ class RowsKept:
     def joined(self) -> Columns:
         """The columns of the rows that are kept, in their order, when all have been added."""
         if self._held is not None:
-            self._keep(self._held[0])
-        self._keep(self._left)
-        return {name: np.concatenate([part[name] for part in self._kept]) for name in self._left}
+            self._retain(self._held[0])
+        self._retain(self._left)
+        return {name: np.concatenate([part[name] for part in self._retained]) for name in self._left}
 
     def _take(self, block: Columns) -> None:
-        """Keep the block before this one, or leave it out, now that both its neighbours are known."""
-        rests = self._rests(block)
-        if self._held is not None:
-            before, (middle, still) = self._before, self._held
-            if still and rests and before is not None and before[1]:
-                self._leave_out(before[0], middle, block)
+        """Keep the block before this one, or leave it out, now that both its neighbours are read."""
+        rests, before, middle = self._rests(block), self._before, self._held
+        if middle is not None:
+            if before is not None and before[1] and middle[1] and rests:
+                self._leave_out(before[0], middle[0], block)
             else:
-                self._keep(middle)
-        self._before, self._held = self._held, (block, rests)
+                self._retain(middle[0])
+        self._before, self._held = middle, (block, rests)
 
-    def _keep(self, rows: Columns) -> None:
-        self._kept.append(rows)
+    def _retain(self, rows: Columns) -> None:
+        self._retained.append(rows)
         self._count += len(rows["time_s"])
         if self._count > MOST_ROWS:
             raise DataError(
                 f"{self.file}: more than {MOST_ROWS:,} rows of a rover that does not stand for long, to "
                 f"time_s {rows['time_s'][-1]:.6g}; take a part of it with `since` and `until`, or fewer rows a second"
             )
-        if len(placed := np.flatnonzero(_placed(rows))):
-            self._place = _places(rows)[placed[-1]]
+        places = _columns(rows, PLACES)
+        if len(placed := np.flatnonzero(np.isfinite(places[:, :2]).any(axis=1))):
+            self._place = places[placed[-1]]
 
     def _leave_out(self, before: Columns, rows: Columns, after: Columns) -> None:
         """Keep only positions that do not repeat the one before to the last digit."""
@@ -390,47 +354,42 @@ class RowsKept:
         if self.rests_s and self.rests_s[-1][1] == rows["time_s"][-1]:
             begin = self.rests_s.pop()[0]
         self.rests_s.append((begin, end))
-        placed = np.flatnonzero(_placed(rows))
-        if len(placed):
-            places = np.vstack([self._place, _places(rows)[placed]])
-            new = placed[(np.nan_to_num(places[1:], nan=np.inf) != np.nan_to_num(places[:-1], nan=np.inf)).any(axis=1)]
-            self._keep({name: column[new] for name, column in rows.items()})
+        places = np.vstack([self._place, _columns(rows, PLACES)])
+        placed = np.flatnonzero(np.isfinite(places[:, :2]).any(axis=1) | (np.arange(len(places)) == 0))
+        texts = np.nan_to_num(places[placed], nan=np.inf)
+        new = placed[1:][(texts[1:] != texts[:-1]).any(axis=1)] - 1
+        if len(new):
+            self._retain({name: column[new] for name, column in rows.items()})
 
     def _rests(self, rows: Columns) -> bool:
         """Whether no wheel turns, and time goes on evenly, also from the block before."""
-        first = self._held is None
+        wheels, first = self._rover.wheels, self._held is None
         times = rows["time_s"] if self._held is None else np.append(self._held[0]["time_s"][-1], rows["time_s"])
         steps = np.diff(times)
-        even = bool((steps > 0).all()) and bool(steps.max() <= GAP * np.median(steps))
-        angles = _of_wheels(rows, self._rover, "angle_{}_deg")
-        still = even and not first and self._stand(rows, angles)
-        if not still:
-            self._anchor = angles
-        return still
+        commanded, rate, angles = (
+            _columns(rows, [WHEEL_COLUMNS[key].format(wheel) for wheel in wheels])
+            for key in ("speed_m_s", "rate_deg_s", "angle_deg")
+        )
+        off = np.abs(angles - np.where(np.isfinite(self._anchor), self._anchor, angles[0]))
+        rim = np.radians(np.abs(rate)) * self._rover.wheel.shearing_radius_m
+        turns = (commanded != 0) & np.isfinite(commanded) | (rim > STILL * self._rover.max_speed_m_s)
+        observed = np.isfinite(commanded) | np.isfinite(rim) | np.isfinite(angles)
+        rests = bool(
+            not first
+            and (steps > 0).all()
+            and steps.max() <= GAP * np.median(steps)
+            and observed.any(axis=0).all()
+            and not (turns | (off > TURNED_DEG)).any()
+        )
+        if not rests:
+            self._anchor = angles[-1]
+        return rests
 
-    def _stand(self, rows: Columns, angles: FloatArray) -> bool:
-        told = np.abs(_of_wheels(rows, self._rover, "speed_{}_m_s"))
-        rim = np.radians(np.abs(_of_wheels(rows, self._rover, "rate_{}_deg_s"))) * self._rover.wheel.shearing_radius_m
-        both = np.concatenate([self._anchor[-1:], angles])
-        off = np.abs(both[1:] - np.where(np.isfinite(both[0]), both[0], angles[0]))
-        turns = (told > 0).any() or (rim > STILL * self._rover.max_speed_m_s).any() or (off > TURNED_DEG).any()
-        known = np.isfinite(told) | np.isfinite(rim) | np.isfinite(angles)
-        return bool(known.any(axis=0).all()) and not turns
 
-
-def _of_wheels(rows: Columns, rover: Rover, form: str) -> FloatArray:
-    """A column of each wheel, NaN where there is none. (n, wheels)"""
+def _columns(rows: Columns, names: Sequence[str]) -> FloatArray:
+    """Some columns beside each other, NaN where there is none. (n, names)"""
     blank = np.full(len(rows["time_s"]), np.nan)
-    return np.column_stack([rows.get(form.format(wheel), blank) for wheel in rover.wheels])
-
-
-def _placed(rows: Columns) -> BoolArray:
-    return np.isfinite(rows["x_m"]) | np.isfinite(rows["y_m"]) if "x_m" in rows else np.zeros(len(rows["time_s"]), bool)
-
-
-def _places(rows: Columns) -> FloatArray:
-    blank = np.full(len(rows["time_s"]), np.nan)
-    return np.column_stack([rows.get(name, blank) for name in PLACES])
+    return np.column_stack([rows.get(name, blank) for name in names])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -548,7 +507,6 @@ class Telemetry:
         return np.where(np.isfinite(self.steered_deg), self.steered_deg, self.steering_deg)
 
 
-OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
 DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
 SYNTHETIC = ("true", "1", "1.0")
 YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
@@ -556,7 +514,7 @@ YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
 
 SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
 """Covariance of x and y of a position with x and y of the one in the row before."""
-KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
+POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
 
 
 class Positions(NamedTuple):
@@ -583,8 +541,8 @@ def read_positions(source: InputFile) -> Positions:
     time that contradict each other.
     """
     file = source.name
-    table = in_own_words(file, read_csv_table(source))
-    check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
+    table = from_ros(file, read_csv_table(source))
+    check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m"))
     timed = table["time_s"].fillna("").str.strip() != ""
     if not timed.any():
         raise DataError(f"{file}: no position has a time; add time_s, in s from the start of the drive")
@@ -597,9 +555,9 @@ def read_positions(source: InputFile) -> Positions:
         for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS, *SHARED)
         if name in table
     }
-    if "sigma_m" not in values and not all(name in values for name in ERRORS):
+    if "sigma_m" not in values and not {*ERRORS} <= {*values}:
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
-    place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(file, values)
+    place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(values)
     shared = None
     if any(name in values for name in SHARED):
         if missing := [name for name in (*ERRORS, *SHARED) if name not in values]:
@@ -620,8 +578,8 @@ def joint_m2(covariance_m2: FloatArray, shared_m2: FloatArray | None) -> FloatAr
     """
     count = len(covariance_m2)
     joint = np.zeros((count, 2, count, 2))
-    for k, own in enumerate(covariance_m2):
-        joint[k, :, k] = own
+    for k, covariance in enumerate(covariance_m2):
+        joint[k, :, k] = covariance
         if k and shared_m2 is not None and shared_m2[k].any():
             carried = shared_m2[k] @ np.linalg.inv(covariance_m2[k - 1])
             joint[k, :, :k] = np.einsum("ij,jlm->ilm", carried, joint[k - 1, :, :k])
@@ -651,37 +609,41 @@ def read_telemetry(
     columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more rows
     of a rover that does not rest than there is memory for.
     """
-    kept, infinite, synthetic = RowsKept(source.name, rover), dict[str, int](), False
+    rows, infinite, synthetic = RowsWithoutRests(source.name, rover), Counter[str](), False
     begin = -math.inf if start_s is None else start_s
     with open_input(source) as stream:
         for table in tables_of(stream, findings):
             values = _numbers(source.name, table, rover, placed=placed)
-            names = list(values)
-            _count_infinities(values, infinite)
-            outside = (values["time_s"] < max(span_s[0], begin)) | (values["time_s"] > span_s[1])
+            for name, column in values.items():
+                infinite[name] += int(np.isinf(column).sum())
+                values[name] = np.where(np.isinf(column), np.nan, column)
+            inside = ~((values["time_s"] < max(span_s[0], begin)) | (values["time_s"] > span_s[1]))
             values["time_s"] = values["time_s"] - (start_s or 0.0)
-            kept.add({name: column[~outside] for name, column in values.items()})
+            rows.add({name: column[inside] for name, column in values.items()})
             if "synthetic" in table:
                 synthetic = synthetic or bool(table["synthetic"].astype(str).str.lower().isin(SYNTHETIC).any())
-    for name, count in infinite.items():
+    for name, count in (+infinite).items():
         findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
-    if not kept.read:
+    if not rows.read:
         first, last = max(span_s[0], begin), span_s[1]
         raise DataError(f"{source.name}: no rows between time_s {first:.12g} and {last:.12g}; give others")
-    found = _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
-    return replace(found, start_s=start_s or 0.0)
+    return _telemetry(source.name, rows, rover, findings, synthetic=synthetic, start_s=start_s or 0.0)
 
 
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
     """The columns that count, of a piece."""
     columns = named_columns([str(name) for name in table.columns])
-    names = list(columns)
-    check_telemetry_columns(file, names, rover, placed=placed)
-    known = [name for name in _known(names, rover) if placed or name not in OF_PLACES]
-    first = str(next(iter(table[columns["time_s"][0]].dropna()), ""))
-    if DATE.match(first):
-        table = table.assign(**{columns["time_s"][0]: _since_1970_s(file, table[columns["time_s"][0]])})
-    return {name: columns[name][1] * numbers_of(file, columns[name][0], table[columns[name][0]]) for name in known}
+    check_telemetry_columns(file, list(columns), rover, placed=placed)
+    used = {*NEEDED, *POSE_COLUMNS, *PLACES} - (set() if placed else {*PLACES})
+    used |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
+    times = columns["time_s"][0]
+    if DATE.match(str(next(iter(table[times].dropna()), ""))):
+        table = table.assign(**{times: _since_1970_s(file, table[times])})
+    return {
+        name: factor * numbers_of(file, column, table[column])
+        for name, (column, factor) in columns.items()
+        if name in used
+    }
 
 
 def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
@@ -697,56 +659,39 @@ def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
 
 
 def _telemetry(
-    file: str, kept: RowsKept, names: list[str], rover: Rover, findings: Findings, *, synthetic: bool
+    file: str, rows: RowsWithoutRests, rover: Rover, findings: Findings, *, synthetic: bool, start_s: float
 ) -> Telemetry:
-    values = kept.joined()
-    count = len(values["time_s"])
-    blank = np.full(count, np.nan)
-    if "x_m" not in names:
-        values |= dict.fromkeys(("x_m", "y_m", "sigma_m", *ERRORS), blank)
-    if "sigma_m" not in values and not all(name in values for name in ERRORS):
+    values = rows.joined()
+    blank = np.full(len(values["time_s"]), np.nan)
+    if "x_m" not in values:
+        values |= dict.fromkeys(PLACES, blank)
+    if "sigma_m" not in values and not {*ERRORS} <= {*values}:
         done = f"{POSITION_SIGMA_M:g} m assumed, or as much as they scatter by; add a column sigma_m"
-        findings.add("no position error", "no errors of x_m and y_m", done, count=kept.read)
-        values["sigma_m"] = np.full(count, POSITION_SIGMA_M)
-    yaw_sigma = values.get("yaw_deg_sigma", blank)
-    if not np.isfinite(yaw_sigma).any():
+        findings.add("no position error", "no errors of x_m and y_m", done, count=rows.read)
+        values["sigma_m"] = np.full_like(blank, POSITION_SIGMA_M)
+    if not np.isfinite(values.get("yaw_deg_sigma", blank)).any():
         done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"
-        findings.add("no heading error", "no errors of yaw_deg", done, count=kept.read)
-        yaw_sigma = np.full(count, YAW_SIGMA_DEG)
+        findings.add("no heading error", "no errors of yaw_deg", done, count=rows.read)
+        values["yaw_deg_sigma"] = np.full_like(blank, YAW_SIGMA_DEG)
     columns: dict[str, Any] = {
-        key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
-        for key, form in WHEEL_COLUMNS.items()
+        key: _columns(values, [form.format(wheel) for wheel in rover.wheels]) for key, form in WHEEL_COLUMNS.items()
     }
-    columns |= {name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"}
     return Telemetry(
         file=file,
         time_s=values["time_s"],
         fix_m=np.column_stack([values["x_m"], values["y_m"]]),
-        fix_covariance_m2=_covariance(file, values),
-        yaw_deg_sigma=yaw_sigma,
+        fix_covariance_m2=_covariance(values),
         **columns,
+        **{name: values.get(name, blank) for name in POSE_COLUMNS},
         synthetic=synthetic,
-        rests_s=tuple(kept.rests_s),
-        rows=kept.read,
+        rests_s=tuple(rows.rests_s),
+        rows=rows.read,
+        start_s=start_s,
     )
 
 
-def _count_infinities(values: dict[str, FloatArray], infinite: dict[str, int]) -> None:
-    """Blank what is infinite, and count it by column."""
-    for name, column in values.items():
-        if (wrong := np.isinf(column)).any():
-            infinite[name] = infinite.get(name, 0) + int(wrong.sum())
-            values[name] = np.where(wrong, np.nan, column)
-
-
-def _known(names: list[str], rover: Rover) -> list[str]:
-    known = {*NEEDED, *POSE_COLUMNS, *ERRORS, "sigma_m"}
-    known |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
-    return [name for name in names if name in known]
-
-
-def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:
-    if all(name in values for name in ERRORS):
+def _covariance(values: dict[str, FloatArray]) -> FloatArray:
+    if {*ERRORS} <= {*values}:
         xx, xy, yy = (values[name] for name in ERRORS)
     else:
         # A negative standard error would turn positive in the square.
@@ -771,7 +716,7 @@ def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame
         tables = (_read_ecsv(piece) for piece, _ in line_pieces(stream, lambda cut, _: cut))
     else:
         tables = csv_tables(stream, without_cut)
-    for table in (in_own_words(stream.name, one) for one in tables):
+    for table in (from_ros(stream.name, one) for one in tables):
         yield table.set_axis(range(rows, rows + len(table)))
         rows += len(table)
     if not rows:
@@ -788,7 +733,9 @@ def _read_ecsv(source: InputFile) -> "pd.DataFrame":
             units = {name: str(table[name].unit) for name in table.colnames if table[name].unit is not None}
             frame = _flat(source.name, table.to_pandas())
     except Exception as error:
-        raise DataError(f"{source.name}: not an ECSV table that can be read ({_line(error)})") from error
+        raise DataError(
+            f"{source.name}: not an ECSV table that can be read ({' '.join(str(error).split())[:120]})"
+        ) from error
     return frame.rename(columns={name: _in_unit(source.name, name, unit) for name, unit in units.items()})
 
 
@@ -796,13 +743,12 @@ def _in_unit(file: str, name: str, unit: str) -> str:
     """The name of a column that ends in the unit the file says, where that is another one than its name has."""
     from astropy import units as u
 
-    match, said = UNIT.search(name), u.Unit(unit)
+    match, stated = UNIT.search(name), u.Unit(unit)
     if match is None:
         return name
-    for own, others in UNITS.items():
-        for end in (own, *others):
-            if said == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
-                return f"{name[: match.start()]}_{end}{name[match.end() :]}"
+    for end in itertools.chain.from_iterable((meant, *others) for meant, others in UNITS.items()):
+        if stated == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
+            return f"{name[: match.start()]}_{end}{name[match.end() :]}"
     raise DataError(f"{file}: {name} is in {unit}; give it in {' or '.join(UNITS)}")
 
 
@@ -813,7 +759,3 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     if twice := next((name for name, times in Counter(names).items() if times > 1), None):
         raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
     return table.set_axis(pd.Index(names), axis=1)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]

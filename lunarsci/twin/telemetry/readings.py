@@ -29,9 +29,20 @@ from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.checks import check_far, ordered
-from lunarsci.twin.telemetry.reading import DEG, GAP, UNITS, Findings, Positions, Telemetry, chance_by_noise, held
+from lunarsci.twin.telemetry.reading import (
+    DEG,
+    GAP,
+    OBEYED,
+    STILL,
+    UNITS,
+    Findings,
+    Positions,
+    Telemetry,
+    chance_by_noise,
+    held,
+)
 from lunarsci.twin.telemetry.smoother import FREEDOM, MEAN_SIGMA
-from lunarsci.twin.telemetry.wheel_motion import between
+from lunarsci.twin.telemetry.wheel_motion import SIGMA_DEG, UNDER_WAY, between
 
 SLIPS = np.array(MEAN_SIGMA[:2])
 """Standard deviation of what slip makes of ways ahead and to the left throughout, as in `smoother`."""
@@ -133,7 +144,7 @@ def as_meant(
         [one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in readings]
     )
     best = readings[int(np.argmax(ln_probable))]
-    near = [one for one, own in zip(readings, ln_probable, strict=True) if own > ln_probable.max() - ALIKE]
+    near = [one for one, ln in zip(readings, ln_probable, strict=True) if ln > ln_probable.max() - ALIKE]
     if AS_NAMED in near:
         return telemetry
     if best is ROLLED_ALONE:
@@ -143,16 +154,16 @@ def as_meant(
         what = "positions, headings and wheels tell of different motions, in any frame and unit"
         findings.add("heading against motion", what, "kept as they are", doubt=True)
     elif len(near) > 1:
-        told = ", or ".join(one.meaning for one in near)
+        meanings = ", or ".join(one.meaning for one in near)
         raise DataError(
-            f"{telemetry.file}: {told}; x is to the right of the map, y up, yaw_deg from x towards y in degrees, "
+            f"{telemetry.file}: {meanings}; x is to the right of the map, y up, yaw_deg from x towards y in degrees, "
             "steering positive to the left: convert it"
         )
     else:
         findings.add("read as", best.meaning, "taken so; x is east, y north, yaw_deg from x towards y in degrees")
         yaw = best.heading(telemetry.yaw_deg)
-        known = np.isfinite(yaw)
-        yaw[known] = np.unwrap(yaw[known], period=360.0)
+        given = np.isfinite(yaw)
+        yaw[given] = np.unwrap(yaw[given], period=360.0)
         return dataclasses.replace(
             telemetry,
             yaw_deg=yaw,
@@ -169,8 +180,8 @@ def as_meant(
 def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a reading makes positions and headings, up to a constant that all readings share."""
     rows, times, twist = _apart(telemetry, twist), telemetry.time_s, reading.rims * twist
-    known = np.isfinite(telemetry.yaw_deg)
-    yaw = np.radians(np.interp(times, times[known], reading.heading(telemetry.yaw_deg)[known]))
+    given = np.isfinite(telemetry.yaw_deg)
+    yaw = np.radians(np.interp(times, times[given], reading.heading(telemetry.yaw_deg)[given]))
     steps, middle = np.diff(times), 0.5 * (yaw[1:] + yaw[:-1])
     ahead, left = twist[:, 0] * steps, twist[:, 1] * steps
     moved = np.column_stack(
@@ -220,14 +231,11 @@ def _ln_student(off: FloatArray, sigma: FloatArray) -> float:
     return float((-np.log(sigma) - 0.5 * (FREEDOM + 1.0) * np.log1p((off / sigma) ** 2 / FREEDOM)).sum())
 
 
-AGREE, FASTER, SLOWER = 0.2, 0.25, 1.0
-"""Standard deviation, in ln, of one column over another (a motor may be slower than told), and of the fastest rim over
-the rover's highest speed, if it is faster and if it is slower; assumed."""
-TURNING, NOISE, FEWEST_ROWS = 0.3, 0.05, 3
-"""Share of the usual turn from which on a row counts, of the largest from which on one is no noise, and how many rows
-there are at least; assumed."""
-LEAST_DEG = 1.0
-"""Angle of one of both from which on steering counts: it is noise below; assumed. [deg]"""
+FASTER, SLOWER = 0.25, 1.0
+"""Standard deviation, in ln, of the fastest rim over the rover's highest speed, if it is faster and if it is slower;
+assumed. Of one column over another it is `OBEYED`: a motor may be slower than told."""
+FEWEST_ROWS = 3
+"""Rows with both columns below which one tells nothing of the other."""
 STEERING = ("steered_deg", "steering_deg")
 COMMANDED = ("speed_m_s", "steering_deg")
 NAMED = dict.fromkeys(("angle_deg", *STEERING), "deg") | {"rate_deg_s": "deg_s", "speed_m_s": "m_s", "time_s": "s"}
@@ -248,10 +256,10 @@ class Unit:
 
 def units_of(rover: Rover) -> dict[str, tuple[Unit, ...]]:
     """The units in which each column may be, the first as it is named."""
-    rim, found = rover.wheel.shearing_radius_m, {}
-    for name, own in NAMED.items():
-        others = UNITS[own] | ({"deg_s": rim / DEG, "rad_s": rim} if own == "m_s" else {})
-        plain = [Unit(own.replace("_", "/"), 1.0, 0.0)]
+    rim, units = rover.wheel.shearing_radius_m, {}
+    for name, unit in NAMED.items():
+        others = UNITS[unit] | ({"deg_s": rim / DEG, "rad_s": rim} if unit == "m_s" else {})
+        plain = [Unit(unit.replace("_", "/"), 1.0, 0.0)]
         plain += [Unit(text.replace("_", "/"), factor) for text, factor in others.items()]
         if name != "time_s":
             turned = "to the right" if name.startswith("steer") else "backwards"
@@ -259,8 +267,8 @@ def units_of(rover: Rover) -> dict[str, tuple[Unit, ...]]:
             odds = STRANGE if name in COMMANDED else STRANGE - 2.0 * ALIKE
             plain += [Unit(f"{u.name}, positive {turned}", -u.factor, u.ln_odds + odds) for u in plain]
             plain += [Unit("no unit at all", math.nan, RARE)]
-        found[name] = tuple(plain)
-    return found
+        units[name] = tuple(plain)
+    return units
 
 
 def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetry:
@@ -284,36 +292,36 @@ def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetr
     ratios = {(a, b): _ratio(turns[a], turns[b]) for a, b in itertools.combinations(turns, 2)}
     fastest = {name: _fastest(per_deg * rate) / rover.max_speed_m_s for name, rate in turns.items()}
     telemetry = _taken(telemetry, _likeliest(units, ratios, fastest, telemetry.file), findings)
-    ratio = {STEERING: _ratio(telemetry.steered_deg, telemetry.steering_deg, LEAST_DEG)}
+    ratio = {STEERING: _ratio(telemetry.steered_deg, telemetry.steering_deg, SIGMA_DEG)}
     return _taken(telemetry, _likeliest({name: units[name] for name in STEERING}, ratio, {}, telemetry.file), findings)
 
 
 def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     """Median of one column over another, where that one is large; NaN where there are too few rows."""
-    known = np.isfinite(values) & np.isfinite(wanted)
-    known &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
-    known &= np.abs(wanted) > TURNING * _usual(wanted[known])
-    return float(np.median(values[known] / wanted[known])) if known.sum() >= FEWEST_ROWS else math.nan
+    given = np.isfinite(values) & np.isfinite(wanted)
+    given &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
+    given &= np.abs(wanted) > UNDER_WAY * _usual(wanted[given])
+    return float(np.median(values[given] / wanted[given])) if given.sum() >= FEWEST_ROWS else math.nan
 
 
 def _fastest(rim_m_s: FloatArray) -> float:
-    known = rim_m_s[np.isfinite(rim_m_s)]
-    return _usual(known) if known.size else math.nan
+    given = rim_m_s[np.isfinite(rim_m_s)]
+    return _usual(given) if given.size else math.nan
 
 
 def _usual(values: FloatArray) -> float:
     """Median size of what is no noise at rest; the very largest ones may be wild."""
     size = np.abs(values)
-    return float(np.median(size[size >= NOISE * np.percentile(size, 98)])) if size.size else 0.0
+    return float(np.median(size[size >= STILL * np.percentile(size, 98)])) if size.size else 0.0
 
 
 def _likeliest(
     units: dict[str, tuple[Unit, ...]], ratios: dict[tuple[str, str], float], fastest: dict[str, float], file: str
 ) -> dict[str, Unit]:
     """The units of columns that some ratio or speed tells of. Raises DataError where some are alike."""
-    told = {name for pair, ratio in ratios.items() if math.isfinite(ratio) for name in pair}
-    told |= {name for name, share in fastest.items() if math.isfinite(share)}
-    names = [name for name in units if name in told or (name == "time_s" and "angle_deg" in told)]
+    compared = {name for pair, ratio in ratios.items() if math.isfinite(ratio) for name in pair}
+    compared |= {name for name, share in fastest.items() if math.isfinite(share)}
+    names = [name for name in units if name in compared or (name == "time_s" and "angle_deg" in compared)]
     named = {name: units[name][0] for name in names}
     # Any other reading is less probable beforehand by STRANGE at least.
     if not names or _ln_probable(named, ratios, fastest) > STRANGE + ALIKE:
@@ -321,7 +329,7 @@ def _likeliest(
     every = itertools.product(*(units[name] for name in names))
     tried: list[dict[str, Unit]] = [dict(zip(names, one, strict=True)) for one in every]
     ln_probable = [_ln_probable(one, ratios, fastest) for one in tried]
-    near = [one for one, own in zip(tried, ln_probable, strict=True) if own > max(ln_probable) - ALIKE]
+    near = [one for one, ln in zip(tried, ln_probable, strict=True) if ln > max(ln_probable) - ALIKE]
     if len(near) > 1:
         ways = [", ".join(_words(name, unit) for name, unit in one.items() if unit.factor != 1.0) for one in near]
         raise DataError(f"{file}: {', or '.join(way or 'all is as named' for way in ways)}: convert what is wrong")
@@ -335,19 +343,19 @@ def _words(name: str, unit: Unit) -> str:
 
 def _ln_probable(tried: dict[str, Unit], ratios: dict[tuple[str, str], float], fastest: dict[str, float]) -> float:
     """ln of how probable some units are, up to a constant."""
-    found = sum(unit.ln_odds for unit in tried.values())
+    ln = sum(unit.ln_odds for unit in tried.values())
     # Of an angle it is the change in a time that counts.
     factor = {name: unit.factor for name, unit in tried.items()}
     factor["angle_deg"] = factor.get("angle_deg", math.nan) / factor.get("time_s", 1.0)
     for (a, b), ratio in ratios.items():
         ratio *= factor.get(a, math.nan) / factor.get(b, math.nan)
         if math.isfinite(ratio):
-            found -= 0.5 * (math.log(max(abs(ratio), 1e-9)) / AGREE) ** 2 - (2.0 * RARE if ratio < 0.0 else 0.0)
+            ln -= 0.5 * (math.log(max(abs(ratio), 1e-9)) / OBEYED) ** 2 - (2.0 * RARE if ratio < 0.0 else 0.0)
     for name, share in fastest.items():
         share *= abs(factor.get(name, math.nan))
         if share > 0.0:
-            found -= 0.5 * (math.log(share) / (FASTER if share > 1.0 else SLOWER)) ** 2
-    return found
+            ln -= 0.5 * (math.log(share) / (FASTER if share > 1.0 else SLOWER)) ** 2
+    return ln
 
 
 def _taken(telemetry: Telemetry, units: dict[str, Unit], findings: Findings) -> Telemetry:
@@ -378,9 +386,9 @@ def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
     as beside a halt, it stands as about there: a tilt left out would be a jump, and read as a slip.
     """
     height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
-    known = np.flatnonzero(np.isfinite(paths[:, 3:5]).all(axis=1))
-    tilts = paths[known, 3:5] if known.size else np.zeros((1, 2))
-    roll, pitch = np.radians([np.interp(np.arange(len(paths)), known if known.size else [0], c) for c in tilts.T])
+    given = np.flatnonzero(np.isfinite(paths[:, 3:5]).all(axis=1))
+    tilts = paths[given, 3:5] if given.size else np.zeros((1, 2))
+    roll, pitch = np.radians([np.interp(np.arange(len(paths)), given if given.size else [0], c) for c in tilts.T])
     yaw = np.radians(np.nan_to_num(paths[:, 5]))
     ahead, left = np.sin(pitch) * np.cos(roll), -np.sin(roll)
     return height * np.column_stack(
@@ -392,10 +400,10 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
     """Roll and pitch are those of a rover that stands on this terrain; all alike off is their sensor's mounting."""
     for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
         measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
-        known = np.isfinite(measured) & np.isfinite(stood)
-        if known.sum() < 5:
+        given = np.isfinite(measured) & np.isfinite(stood)
+        if given.sum() < 5:
             continue
-        a, b = measured[known], stood[known]
+        a, b = measured[given], stood[given]
 
         def off(values: FloatArray, wanted: FloatArray = b) -> float:
             return float(np.median(np.abs(values - wanted)))
@@ -409,7 +417,7 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
         cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
         what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
         done = "the terrain's is taken"
-        findings.add("attitude against terrain", what, done, count=int(known.sum()), doubt=not turned)
+        findings.add("attitude against terrain", what, done, count=int(given.sum()), doubt=not turned)
 
 
 def with_positions(telemetry: Telemetry, positions: Positions, file: str, findings: Findings) -> Telemetry:
@@ -451,8 +459,8 @@ def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> Float
     share = (merged - times[low]) / np.where(high > low, times[high] - times[low], 1.0)
     step = flat[high] - flat[low]
     step[np.abs(step) > 180.0] = np.nan
-    found = np.where((high > low)[:, None], flat[low] + share[:, None] * step, flat[low])
-    return np.asarray(found.reshape(len(merged), *values.shape[1:]))
+    result = np.where((high > low)[:, None], flat[low] + share[:, None] * step, flat[low])
+    return np.asarray(result.reshape(len(merged), *values.shape[1:]))
 
 
 def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> Telemetry:
@@ -510,12 +518,12 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     _leave(findings, "heading error", "yaw_deg_sigma is missing, 0 or negative", blank, telemetry)
     _leave(findings, "repeated heading", what, same, telemetry)
     yaw[blank | same] = np.nan
-    known = np.flatnonzero(np.isfinite(yaw))
-    if known.size < 2:
-        raise DataError(f"{telemetry.file}: {known.size} headings of use; side slip needs yaw_deg")
+    rows = np.flatnonzero(np.isfinite(yaw))
+    if rows.size < 2:
+        raise DataError(f"{telemetry.file}: {rows.size} headings of use; side slip needs yaw_deg")
     if not given.all():
         first = float(telemetry.time_s[int(np.argmin(given))])
         done = "found from the others"
         findings.add("missing headings", "rows without yaw_deg", done, count=int((~given).sum()), time_s=first)
-    yaw[known] = np.degrees(np.unwrap(np.radians(yaw[known])))
+    yaw[rows] = np.degrees(np.unwrap(np.radians(yaw[rows])))
     return dataclasses.replace(telemetry, yaw_deg=yaw)

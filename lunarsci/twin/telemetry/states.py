@@ -22,11 +22,12 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.telemetry.checks import (
     FAST,
     HALT,
-    MOST_FAST,
+    LEAST_ROW_M,
     WheelPace,
     by_the_plan,
     check_ends,
@@ -50,7 +51,7 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.reading import SHARED, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.reading import SHARED, STILL, SURE, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.readings import (
     as_meant,
     check_attitude,
@@ -60,6 +61,8 @@ from lunarsci.twin.telemetry.readings import (
     usable_positions,
 )
 from lunarsci.twin.telemetry.smoother import (
+    FAR,
+    FREEDOM,
     LATE_S,
     MEDIAN_OF_TWO,
     Hypothesis,
@@ -70,7 +73,7 @@ from lunarsci.twin.telemetry.smoother import (
     smooth,
 )
 from lunarsci.twin.telemetry.wheel_motion import (
-    STILL_SHARE,
+    ON_THE_SPOT,
     WheelMotion,
     body_twist,
     mean_speed,
@@ -81,12 +84,8 @@ from lunarsci.twin.telemetry.wheel_motion import (
 if TYPE_CHECKING:
     import pandas as pd
 
-LEAST_ROW_M = 0.3
-"""Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
 UNEVEN = 0.2
 """Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
-ON_THE_SPOT = 0.1
-"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,7 +142,7 @@ def state_rows(
     """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL_SHARE * wheels.usual_m_s)
+    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, findings)
@@ -228,17 +227,14 @@ def _chosen(
     if not result:
         what = "the rover does not drive between positions; it stands, or turns on the spot"
         findings.add("no slip", what, "there are no states; its motion is given")
-    nodes_found = np.array(sorted({*result, *halts}), dtype=np.intp)
-    return nodes_found, np.isin(nodes_found, halts)
+    chosen = np.array(sorted({*result, *halts}), dtype=np.intp)
+    return chosen, np.isin(chosen, halts)
 
 
 HELD = 0.5
 """Probability from which on a hypothesis is said: it is more probable than not."""
-SURE = 3.0
-"""Standard errors by which a rover must go too far for it to be sure; assumed."""
-HARDLY = 0.25
-"""Weight below which, beside the best one, a position or a heading is said to be left out; assumed. By Student's law it
-is then 4.5 standard errors off."""
+HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
+"""Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
 MOST_JUMPS = 8
 """Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
@@ -272,13 +268,13 @@ class Lag:
         return cls(lag_s=put_back_s + float(posterior.mean[LAG]), sigma_s=sigma, probable=probable)
 
     @property
-    def found(self) -> bool:
+    def likely(self) -> bool:
         """Whether a lag is more probable than none."""
         return self.probable > HELD
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""
-        return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.found}
+        return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.likely}
 
 
 def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
@@ -315,7 +311,7 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, fi
     }
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
         probable = lag.probable if one.name == "lag" else probable
-        if probable <= HELD or not one.said:
+        if probable <= HELD or not one.reported:
             continue
         if one.slide < 0:
             what, done = text[one.name]
@@ -366,11 +362,11 @@ def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
 
 def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     """Say positions and headings that hardly count."""
-    known = np.isfinite(nodes.yaw_rad)
-    odd = known & (smoothed.yaw_weight < HARDLY)
+    given = np.isfinite(nodes.yaw_rad)
+    odd = given & (smoothed.yaw_weight < HARDLY)
     if odd.any():
-        many, first = odd.sum() > MOST_LEFT_OUT * known.sum(), float(nodes.time_s[int(np.argmax(odd))])
-        what = f"{odd.sum()} of {known.sum()} headings fit no motion of the wheels"
+        many, first = odd.sum() > MOST_LEFT_OUT * given.sum(), float(nodes.time_s[int(np.argmax(odd))])
+        what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
         findings.add("odd heading", what, "they hardly count", count=int(odd.sum()), time_s=first, doubt=bool(many))
     left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
@@ -505,16 +501,16 @@ def states_of(
     if plan is not None and schedule is not None:
         check_ends(meant, schedule, longer_s, findings)
         pace = check_pace(sent.wheels.rim_m_s, sent.wheels.measured, meant, rover, plan, findings)
-    found = _along_the_ground(sent, rover, terrain, schedule, lag_s, findings)
-    return dataclasses.replace(found, pace=pace)
+    return dataclasses.replace(_along_the_ground(sent, rover, terrain, schedule, lag_s, findings), pace=pace)
 
 
 def _turned(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, gaps, findings)
-    angle, known = steering_angles(telemetry, rover, findings)
-    wheels, steering = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1]), np.radians(angle)
+    angle, steered = steering_angles(telemetry, rover, findings)
+    wheels = replace(wheels, trusted=wheels.trusted & steered[1:] & steered[:-1])
+    steering = np.radians(angle)
     middle, steps = 0.5 * (steering[1:] + steering[:-1]), np.diff(telemetry.time_s)
     return Rows(telemetry, of_one_motion(wheels, rover, middle, steps, findings), steering, gaps)
 
@@ -530,20 +526,20 @@ def _along_the_ground(
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     times = sent.telemetry.time_s
     between = np.column_stack([times[:-1][sent.gaps], times[1:][sent.gaps]])
-    found = _first_motion(sent, rover, schedule, lag_s)
-    if far_s := lag_of_turns(found.nodes):
+    begun = _first_motion(sent, rover, schedule, lag_s)
+    if far_s := lag_of_turns(begun.nodes):
         # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
         common = within(sent, far_s)
         late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))
         gain = late.smoothed.posterior.ln_likelihood - none.smoothed.posterior.ln_likelihood
         if gain > 0.5 * (far_s / LATE_S) ** 2:
-            found = _first_motion(sent, rover, schedule, lag_s + far_s)
+            begun = _first_motion(sent, rover, schedule, lag_s + far_s)
     for _ in range(MOST_LAGS):
-        if abs(left := float(found.smoothed.posterior.mean[LAG])) < LINEAR_S:
+        if abs(left := float(begun.smoothed.posterior.mean[LAG])) < LINEAR_S:
             break
-        found = _first_motion(sent, rover, schedule, found.lag_s + left)
-    bare, rows, first, priors = found.nodes, found.rows, found.smoothed, found.priors
-    dense, wheels, steering, gaps = found.sent
+        begun = _first_motion(sent, rover, schedule, begun.lag_s + left)
+    bare, rows, first, priors = begun.nodes, begun.rows, begun.smoothed, begun.priors
+    dense, wheels, steering, gaps = begun.sent
     if (tried := shifted(first, bare)).jumps:
         bare, priors = tried, _priors_of(tried, rover, wheels)
         first = smooth(bare, SlipProcess.coarse(), priors, first.reference.widened(bare))
@@ -554,7 +550,7 @@ def _along_the_ground(
     smoothed = smooth(nodes, None, priors, first.reference)
     motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
-    lag = Lag.of(smoothed.posterior, priors, found.lag_s - lag_s)
+    lag = Lag.of(smoothed.posterior, priors, begun.lag_s - lag_s)
     say_constants(smoothed, nodes, priors, lag, findings)
     say_left_out(smoothed, nodes, findings)
     say_scatter(smoothed, nodes, findings)
@@ -597,7 +593,7 @@ def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: fl
 
 
 def _priors_of(nodes: Nodes, rover: Rover, wheels: WheelMotion) -> Priors:
-    return Priors.of_drive(nodes, skids=not rover.steered_mask.any(), told_share=wheels.told_share)
+    return Priors.of_drive(nodes, skids=not rover.steered_mask.any(), obedience=wheels.obedience)
 
 
 def _way(rover: Rover, sent: Rows, schedule: Schedule | None) -> tuple[FloatArray, FloatArray]:
@@ -644,7 +640,7 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
 
 def _learned(drive: DriveStates) -> tuple[str, ...]:
     """Kinds of findings that leave the states right, and not a soil learned from them with the plan."""
-    many = drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum()
+    many = drive.rows.fast.sum() > MOST_BEYOND * drive.rows.measured.sum()
     return (HALT, FAST) if many else (HALT,)
 
 

@@ -24,18 +24,23 @@ from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
-from lunarsci.twin.telemetry.reading import TURNED_DEG, Findings, Telemetry, digit_of, held
+from lunarsci.twin.telemetry.reading import OBEYED, STILL, SURE, TURNED_DEG, Findings, Telemetry, digit_of, held
 
-SIGMA_DEG, RATE_SHARE, TOLD_SHARE = 1.0, 0.1, 0.2
-"""Standard errors of turns between rows: of all [deg], of rates and of commands as shares; assumed."""
+SIGMA_DEG, RATE_SHARE = 1.0, 0.1
+"""Standard errors of turns between rows, of all [deg] and of rates as a share; assumed. Of commands it is `OBEYED`."""
 STAMP_S = 0.5
 """By how much rows may be stamped off; assumed. [s]"""
-LN_NOTHING = {"angle": math.log(0.01), "rate": math.log(0.005), "told": math.log(0.02)}
+LN_NOTHING = {"angle": math.log(0.01), "rate": math.log(0.005), "command": math.log(0.02)}
 """Odds beforehand, of a step, that a witness says nothing of it; assumed."""
 LN_WRAP, LN_CLOCK = math.log(0.02), math.log(1e-4)
 """Odds beforehand, of a step, that an encoder begins anew after whole turns, and that the clock jumps; assumed."""
-STILL_SHARE = 0.05
-"""Share of the usual rim speed below which a wheel stands; assumed."""
+ON_THE_SPOT = 0.1
+"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
+UNDER_WAY = 0.3
+"""Share of the highest speed from which a wheel counts as under way; assumed."""
+PACE = 0.02
+"""Share by which a wheel may turn faster or slower than the plan or the others say, unsaid: it is a slip of as much;
+assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,19 +53,19 @@ class WheelMotion:
     measured : False where it is a command only. (n - 1, wheels)
     trusted : wheels and times whose own states can be given. (n - 1, wheels)
     usual_m_s : median speed of the rims while they turn. [m/s]
-    told_share : rim speed measured over commanded, 1 where there is no command.
+    obedience : rim speed measured over commanded, 1 where there is no command.
     """
 
     rim_m_s: FloatArray
     measured: BoolArray
     trusted: BoolArray
     usual_m_s: float
-    told_share: float = 1.0
+    obedience: float = 1.0
 
     @property
     def moving(self) -> BoolArray:
         """Whether any rim turns at more than a creep. (n - 1,)"""
-        return np.asarray((np.abs(np.nan_to_num(self.rim_m_s)) > STILL_SHARE * self.usual_m_s).any(axis=1))
+        return np.asarray((np.abs(np.nan_to_num(self.rim_m_s)) > STILL * self.usual_m_s).any(axis=1))
 
 
 def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: Findings) -> WheelMotion:
@@ -72,26 +77,26 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
-    told = between(telemetry.speed_m_s) / per_deg * steps
+    command = between(telemetry.speed_m_s) / per_deg * steps
     angle, rate = np.diff(telemetry.angle_deg, axis=0), between(telemetry.rate_deg_s) * steps
     # An encoder that hangs beside what its rate, else its command, says.
-    expected, digits = _since_start(np.where(np.isfinite(rate), rate, told)), _digits(telemetry)
+    expected, digits = _since_start(np.where(np.isfinite(rate), rate, command)), _digits(telemetry)
     hung = np.column_stack(
         [held(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
     )
     # The step at which an encoder that hung moves on holds all it missed.
     angle[hung[1:] | hung[:-1]] = np.nan
     # Noise of a wheel that stands is no motion: over hours it would add up to one.
-    for turn in (told, rate, angle):
+    for turn in (command, rate, angle):
         turn[resting] *= 0.0
-    turns = {"told": told, "rate": rate, "angle": angle}
-    rates = {"told": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
+    turns = {"command": command, "rate": rate, "angle": angle}
+    rates = {"command": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
     went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + STAMP_S), gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
     _say(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
-    rim, known = per_deg * np.where(np.isfinite(measured), measured, told / steps), np.isfinite(measured)
+    rim, given = per_deg * np.where(np.isfinite(measured), measured, command / steps), np.isfinite(measured)
     fast = np.abs(rim[np.isfinite(rim)])
-    usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
+    usual = float(np.median(fast[fast > STILL * fast.max()])) if fast.size and fast.max() > 0 else 0.0
     if usual == 0:
         raise DataError(f"{telemetry.file}: no wheel turns; there is no slip to find")
     if (blank := ~np.isfinite(rim).any(axis=1)).any():
@@ -102,10 +107,10 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
         )
     return WheelMotion(
         rim_m_s=rim,
-        measured=known,
-        trusted=known if known.any() else np.isfinite(rim),
+        measured=given,
+        trusted=given if given.any() else np.isfinite(rim),
         usual_m_s=usual,
-        told_share=_obedience(measured, told / steps),
+        obedience=_obedience(measured, command / steps),
     )
 
 
@@ -118,8 +123,8 @@ def between(values: FloatArray) -> FloatArray:
 
 def resting_steps(telemetry: Telemetry) -> BoolArray:
     """Steps over which the rover stands: all wheels are told so, and none gets any further. (n - 1,)"""
-    told = (telemetry.speed_m_s == 0).all(axis=1)
-    resting = told[1:] & told[:-1]
+    command = (telemetry.speed_m_s == 0).all(axis=1)
+    resting = command[1:] & command[:-1]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
     for begin, end in edges.reshape(-1, 2):
         turned = np.abs(telemetry.angle_deg[begin + 1 : end + 1] - telemetry.angle_deg[begin])
@@ -158,7 +163,7 @@ def _sigma(
 ) -> dict[str, FloatArray]:
     """Standard errors of turns: of rates and commands with what these change by over a step. (n - 1, wheels) [deg]"""
     sigma = {"angle": np.tile(digits, (len(step_s), 1))}
-    for name, share in (("rate", RATE_SHARE), ("told", TOLD_SHARE)):
+    for name, share in (("rate", RATE_SHARE), ("command", OBEYED)):
         changes = 0.5 * np.abs(np.nan_to_num(np.diff(rates_deg_s[name], axis=0))) * step_s
         sigma[name] = np.sqrt(SIGMA_DEG**2 + (share * np.nan_to_num(turns[name])) ** 2 + changes**2)
     return sigma
@@ -168,17 +173,17 @@ def _turns(
     turns: dict[str, FloatArray], sigma: dict[str, FloatArray], fastest_deg: FloatArray, gaps: BoolArray
 ) -> _Turns:
     """The most probable set of witnesses, of turns that commands, rates and encoders say. (n - 1, wheels) [deg]"""
-    told, rate, angle = turns.values()
-    known = np.isfinite(rate)
-    found = _likeliest(turns, sigma, fastest_deg, np.full(angle.shape[1], LN_WRAP))
+    command, rate, angle = turns.values()
+    given = np.isfinite(rate)
+    likeliest = _likeliest(turns, sigma, fastest_deg, np.full(angle.shape[1], LN_WRAP))
     # An encoder that wraps does so often; how many whole turns a gap hides nobody knows.
-    wraps = (found.wraps != 0).mean(axis=0)
+    wraps = (likeliest.wraps != 0).mean(axis=0)
     angle = np.where(gaps[:, None] & (wraps > 0), np.nan, angle)
-    expected = np.where(known, rate, told)
-    clock = _clock(angle, expected, np.hypot(sigma["angle"], np.where(known, sigma["rate"], sigma["told"])))
-    turns = {"told": clock[:, None] * told, "rate": clock[:, None] * rate, "angle": angle}
-    found = _likeliest(turns, sigma, fastest_deg, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
-    return found._replace(clock=clock, off_deg=angle - np.nan_to_num(clock[:, None] * expected))
+    expected = np.where(given, rate, command)
+    clock = _clock(angle, expected, np.hypot(sigma["angle"], np.where(given, sigma["rate"], sigma["command"])))
+    turns = {"command": clock[:, None] * command, "rate": clock[:, None] * rate, "angle": angle}
+    likeliest = _likeliest(turns, sigma, fastest_deg, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
+    return likeliest._replace(clock=clock, off_deg=angle - np.nan_to_num(clock[:, None] * expected))
 
 
 def _ln_agree(off_deg: FloatArray, variance: FloatArray, any_deg: FloatArray | float = 360.0) -> FloatArray:
@@ -199,9 +204,9 @@ def _likeliest(
         ln, mean, turned = np.zeros((3, *shape))
         precision = np.broadcast_to(fastest_deg**-2, shape)
         for (name, turn), true in zip(turns.items(), taken, strict=True):
-            known, value = np.isfinite(turn), np.nan_to_num(turn)
+            given, value = np.isfinite(turn), np.nan_to_num(turn)
             if not true:
-                ln += np.where(known, LN_NOTHING[name], 0.0)
+                ln += np.where(given, LN_NOTHING[name], 0.0)
                 continue
             variance, off = sigma[name] ** 2 + 1.0 / precision, value - mean
             agree = _ln_agree(off, variance, widest)
@@ -211,7 +216,7 @@ def _likeliest(
                 turned, agree = np.where(anew > agree, whole, 0.0), np.maximum(agree, anew)
             weight = sigma[name] ** -2
             mean = (precision * mean + weight * (value - 360.0 * turned)) / (precision + weight)
-            precision, ln = precision + weight, np.where(known, ln + agree, -np.inf)
+            precision, ln = precision + weight, np.where(given, ln + agree, -np.inf)
         better = ln > best
         best, wraps = np.where(better, ln, best), np.where(better, turned, wraps)
         counts, tells = np.where(better, taken[2], counts), np.where(better, taken[1], tells)
@@ -220,7 +225,7 @@ def _likeliest(
 
 def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatArray:
     """How much more time went by than the clock says, where most encoders together say so. (n - 1,)"""
-    turning = np.isfinite(angle) & (np.abs(expected) > 3.0 * SIGMA_DEG)
+    turning = np.isfinite(angle) & (np.abs(expected) > SURE * SIGMA_DEG)
     share = np.ones(angle.shape)
     share[turning] = angle[turning] / expected[turning]
     with warnings.catch_warnings():
@@ -245,13 +250,13 @@ def _say(
         done = "the commanded speeds are taken: slip holds as far as the wheels obeyed"
         findings.add("no encoders", "neither angles nor rates of the wheels", done, count=len(blank))
         return
-    jumps, known = "the angle of wheel {} jumps by {:+.4g} deg against its rate", np.isfinite(went.off_deg)
+    jumps, given = "the angle of wheel {} jumps by {:+.4g} deg against its rate", np.isfinite(went.off_deg)
     odd, rate = ~went.tells & went.counts, np.isfinite(between(telemetry.rate_deg_s))
     for kind, where, what, done in (
         ("stuck", hung, "the angle of wheel {} does not change while it is to turn: stuck wheel or sensor",
          "its rate is taken there; without one its states are not valid"),
         ("encoder wrap", went.counts & (went.wraps != 0), jumps, "whole turns added"),
-        ("encoder reset", ~went.counts & known, jumps, "its rate, else the command, is taken for these steps"),
+        ("encoder reset", ~went.counts & given, jumps, "its rate, else the command, is taken for these steps"),
         ("odd rate", odd & rate, "the rate of wheel {} is denied by its angle",
          "left out; its angle is taken"),
         ("missing readings", blank, "neither angle nor rate of wheel {}", "its states are not valid there"),
@@ -270,19 +275,19 @@ def _say(
         findings.add("clock step", what, done, count=int(jumped.sum()), time_s=first_s, doubt=True)
 
 
-def _obedience(measured: FloatArray, told: FloatArray) -> float:
+def _obedience(measured: FloatArray, command: FloatArray) -> float:
     """How fast wheels turn beside their commands, the median of the wheels; 1 where that is not known."""
-    both = np.isfinite(measured) & np.isfinite(told)
+    both = np.isfinite(measured) & np.isfinite(command)
     # Of sums: a coarse encoder has steps of many sizes.
-    sums = [(np.abs(measured[on, k]).sum(), np.abs(told[on, k]).sum()) for k, on in enumerate(both.T)]
-    return float(np.median([own / whole for own, whole in sums if own and whole] or [1.0]))
+    sums = [(np.abs(measured[on, k]).sum(), np.abs(command[on, k]).sum()) for k, on in enumerate(both.T)]
+    return float(np.median([turned / wanted for turned, wanted in sums if turned and wanted] or [1.0]))
 
 
 def mean_speed(rim_m_s: FloatArray) -> FloatArray:
     """Root mean square of the known rims. (n,)"""
-    known = np.isfinite(rim_m_s)
-    squares = np.where(known, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
-    return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
+    given = np.isfinite(rim_m_s)
+    squares = np.where(given, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(given.sum(axis=1), 1)))
 
 
 def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -319,8 +324,8 @@ def body_twist(rover: Rover, rim_m_s: FloatArray, steering_rad: FloatArray) -> t
     Ahead [m/s], left [m/s], turn [rad/s] (n, 3), and root mean square of what the wheels differ from it. (n,) [m/s]
     """
     along, across = wheel_rows(rover, steering_rad)
-    known = np.isfinite(rim_m_s)
-    rows = np.where(known[..., None], along, 0.0)
+    given = np.isfinite(rim_m_s)
+    rows = np.where(given[..., None], along, 0.0)
     right = np.nan_to_num(rim_m_s)
     twist = fitted_twist(rows, across, right, np.zeros_like(right))
     off = np.concatenate([right - np.einsum("nki,ni->nk", rows, twist), np.einsum("nki,ni->nk", across, twist)], axis=1)
@@ -355,9 +360,6 @@ def fitted_twist(
 
 DISAGREE = 0.03
 """Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
-SAID, UNDER_WAY = 0.01, 0.3
-"""How far an encoder's scale must be off to be said, and share of the highest speed from which a wheel tells it;
-assumed."""
 MOST_SCALE, TURNED_RAD = 1.5, 0.1
 """Farthest that an encoder's scale is off, as by another wheel or gear; change of steering beyond which steps are of
 two motions; assumed."""
@@ -377,17 +379,17 @@ def of_one_motion(
     ----------
     steering_rad, step_s : between rows. (n - 1, wheels) [rad], (n - 1,) [s]
     """
-    known = np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving
-    if not known.any() or not rover.steered_mask.any():
+    given = np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving
+    if not given.any() or not rover.steered_mask.any():
         return wheels
     # Steps without a halt between, or a change of steering as before a turn, that make a block.
-    way = np.cumsum(np.where(known, mean_speed(wheels.rim_m_s) * step_s, 0.0)) // BLOCK_M
+    way = np.cumsum(np.where(given, mean_speed(wheels.rim_m_s) * step_s, 0.0)) // BLOCK_M
     turned = np.append(False, (np.abs(np.diff(steering_rad, axis=0)) > TURNED_RAD).any(axis=1))
-    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~known[:-1]) | turned)[known]
-    begins, weight = np.flatnonzero(np.append(True, np.diff(block) > 0)), step_s[known, None]
+    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~given[:-1]) | turned)[given]
+    begins, weight = np.flatnonzero(np.append(True, np.diff(block) > 0)), step_s[given, None]
 
     def means(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(weight * values[known], begins) / np.add.reduceat(weight, begins))
+        return np.asarray(np.add.reduceat(weight * values[given], begins) / np.add.reduceat(weight, begins))
 
     rims, steering = means(wheels.rim_m_s), means(steering_rad)
     along, _ = wheel_rows(rover, steering)
@@ -410,7 +412,7 @@ def of_one_motion(
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
         return wheels
-    if abs(scale - 1.0) > SAID:
+    if abs(scale - 1.0) > PACE:
         what = f"wheel {rover.wheels[k]} turns {scale:.3f} times as far as the others say"
         done = "its angles and rates are taken to be in that scale" if trusted[:, k].any() else "it is left out"
         findings.add("encoder scale", what, done)

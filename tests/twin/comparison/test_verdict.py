@@ -187,7 +187,7 @@ def test_predicted_values_are_those_of_the_samples(forecast: Forecast, truths: P
     assert between == pytest.approx(expected[:-6], abs=1e-12)
     # What is before the second sample does not count; a clock that goes on after the end is not the plan's.
     second = forecast.time_s[1]
-    assert not matched.known[out.time_s <= second].any() and matched.known[out.time_s > second, 0].all()
+    assert not matched.counted[out.time_s <= second].any() and matched.counted[out.time_s > second, 0].all()
     with pytest.raises(ParameterError, match="later than the end of the drive"):
         match_observations(forecast, dataclasses.replace(out, time_s=out.time_s + 20.0))
 

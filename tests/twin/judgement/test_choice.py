@@ -68,7 +68,7 @@ def test_the_chance_is_a_count_member_by_member(driven: Prediction) -> None:
         failed += broken
     found = verdicts(driven)
     assert 0 < failed < driven.members
-    assert found.chance == Chance(failed, driven.members) and int((~found.kept).sum()) == failed
+    assert found.chance == Chance(failed, driven.members) and int((~found.keeps).sum()) == failed
 
 
 def test_the_bounds_are_those_of_the_beta_law_and_cover_as_often_as_they_say() -> None:
@@ -126,7 +126,7 @@ def test_a_wider_way_wins_where_the_tight_one_is_risky(conditions: Conditions) -
     wide = plan(Leg(1.2, 0.6), Leg(2.4, -0.6), Leg(1.2, 0.6), limits=LAX, zones=zone)
     found = choose([tight, wide], there, risk=0.3, members=24)
     assert [one.number for one in found.candidates] == [2, 1] and found.feasible
-    assert found.candidates[1].said.risk > 0.3 and found.candidates[1].weakest.quantity == "keep_out_m"
+    assert found.candidates[1].stated.risk > 0.3 and found.candidates[1].weakest.quantity == "keep_out_m"
     assert found.candidates[1].length_m < found.best.length_m
 
 
@@ -165,7 +165,7 @@ def test_none_on_the_front_is_beaten_and_all_others_are(conditions: Conditions) 
 
     def aims(number: int) -> tuple[float, float, float]:
         one = next(one for one in found.candidates if one.number == number)
-        return one.said.risk, round(one.length_m, 3), one.energy_j
+        return one.stated.risk, round(one.length_m, 3), one.energy_j
 
     numbers = [one.number for one in found.candidates]
     for number in numbers:
@@ -179,7 +179,7 @@ def test_none_on_the_front_is_beaten_and_all_others_are(conditions: Conditions) 
 def test_where_none_keeps_the_risk_it_says_what_stands_in_the_way(conditions: Conditions) -> None:
     steep = [dataclasses.replace(one, limits=(*LAX, limit("tilt_deg", 10.0, "deg"))) for one in ways()]
     found = choose(steep, conditions, risk=0.05, members=16)
-    assert not found.feasible and found.best.said.risk > 0.9
+    assert not found.feasible and found.best.stated.risk > 0.9
     assert found.obstacles == (("tilt_deg", 12),)
     both = [dataclasses.replace(one, limits=(*one.limits, limit("sinkage_m", 1e-4, "m"))) for one in steep]
     broken = choose(both[:2], conditions, risk=0.05, members=16).best.broken

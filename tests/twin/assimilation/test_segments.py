@@ -15,7 +15,7 @@ from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.segments import (
     FEWEST_BINS,
-    LEAST_SLIPS,
+    FEWEST_VALUES,
     TrackBins,
     Traverse,
     binned,
@@ -238,7 +238,7 @@ def test_each_stretch_is_learned_on_its_own(yutu2: Rover, ground: Terrain) -> No
     # Each is judged on its own slip: right on its soil, and said to be off where slip was 0.1 more than on it.
     for segment in segments:
         lean, stretch = segment.slip, f"{segment.from_m:.1f} to {segment.to_m:.1f} m: "
-        assert lean is not None and not lean.off and segment.slips >= LEAST_SLIPS
+        assert lean is not None and not lean.off and segment.slips >= FEWEST_VALUES
         assert segment.slip_text.startswith(f"{stretch}median slip ratio: {lean.measured:.3f} measured")
         off = dataclasses.replace(segment, slip=dataclasses.replace(lean, measured=lean.simulated + 0.1))
         parts: Any = {"found": found, "record": record, "pace": None, "slip": off.slip}
@@ -249,8 +249,8 @@ def test_each_stretch_is_learned_on_its_own(yutu2: Rover, ground: Terrain) -> No
         )  # type: ignore[attr-defined]
     # The sinkage of each zone's drive, its first or last metre, is the one measured there.
     for segment, row in zip(segments, (5, -5), strict=True):
-        assert segment.found is not None
-        driven = segment.found.prediction.states[0, row, :, 2].mean()
+        assert segment.update is not None
+        driven = segment.update.prediction.states[0, row, :, 2].mean()
         assert driven == pytest.approx(out.states[0, row, :, 2].mean(), rel=0.05)
 
 
@@ -271,7 +271,7 @@ def test_a_stretch_with_too_little_data_stays_as_it_was(yutu2: Rover, ground: Te
     assert changes and not segments[-1].learned and segments[-1].why_not == "too few values"
     assert segments[-1].belief.mean == pytest.approx(first_belief().mean)
     few = f"median slip not judged: {segments[-1].slips} states"
-    assert segments[-1].slip is None and few in segments[-1].slip_text and segments[-1].slips < LEAST_SLIPS
+    assert segments[-1].slip is None and few in segments[-1].slip_text and segments[-1].slips < FEWEST_VALUES
     slips = int(np.isfinite(record.values[:, OBSERVED.index("slip_ratio")]).sum())
     assert SlipLean.of(record, found, least=slips) is not None and SlipLean.of(record, found, least=slips + 1) is None
     assert segments[-1].to_dict()["slip_ratio"] is None

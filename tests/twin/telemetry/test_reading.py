@@ -75,7 +75,7 @@ def stood(drive: pd.DataFrame, rows: int, fixes: int = 0) -> pd.DataFrame:
 @pytest.fixture
 def in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is left out."""
-    monkeypatch.setattr(reading.RowsKept, "_leave_out", lambda self, before, rows, after: self._keep(rows))
+    monkeypatch.setattr(reading.RowsWithoutRests, "_leave_out", lambda self, before, rows, after: self._retain(rows))
 
 
 @pytest.mark.parametrize("fixes", [0, 3])
@@ -114,7 +114,7 @@ def test_a_wheel_that_turns_to_either_side_is_no_rest(
     form = {"angle": "angle_{}_deg", "rate": "rate_{}_deg_s", "speed": "speed_{}_m_s"}[column]
     rows = {form.format(wheel): np.zeros(count) for wheel in yutu2.wheels}
     rows[form.format("ML")] = turning
-    kept = reading.RowsKept("sent.csv", yutu2)
+    kept = reading.RowsWithoutRests("sent.csv", yutu2)
     kept.add({"time_s": 0.1 * np.arange(count), **rows})
     blocks = np.unique(np.rint(10.0 * kept.joined()["time_s"]).astype(int) // reading.BLOCK)
     assert blocks.tolist() == ([0, 1, 8] if stands else [0, 1, 3, 4, 5, 8])

@@ -723,12 +723,12 @@ def test_a_lag_is_said_with_its_number_and_put_back(later_s: float, yutu2: Rover
     drive = as_sent(yutu2, STEERS, later_s)
     with pytest.warns(LunarSciWarning, match=rf"lag: the rover moves .* {'later' if later_s > 0 else 'earlier'} than"):
         found = states(csv(drive.telemetry), yutu2, STEERS)
-    assert found.lag.found and abs(found.lag.lag_s - later_s) < 3.0 * found.lag.sigma_s < 0.5
+    assert found.lag.likely and abs(found.lag.lag_s - later_s) < 3.0 * found.lag.sigma_s < 0.5
     assert not found.findings.doubt
     findings = Findings("sent.csv")
     sent = read_telemetry(InputFile("sent.csv", csv(drive.telemetry)), yutu2, findings)
     mended = states_of(sent, yutu2, GROUND, findings, STEERS, later_s)
-    assert not mended.lag.found and not mended.findings.doubt
+    assert not mended.lag.likely and not mended.findings.doubt
     # Positions are at the time of their wheels.
     first = sent.time_s[sent.fixed][1]
     assert np.abs(mended.nodes.time_s[mended.nodes.fixed] - (first - later_s)).min() < 1e-9
@@ -736,17 +736,17 @@ def test_a_lag_is_said_with_its_number_and_put_back(later_s: float, yutu2: Rover
 
 def test_honest_clocks_have_no_lag_and_one_arc_does_not_tell(yutu2: Rover) -> None:
     honest = states(csv(as_sent(yutu2, STEERS, 0.0).telemetry), yutu2, STEERS)
-    assert not honest.lag.found and not honest.findings.entries and honest.lag.sigma_s < 0.2
+    assert not honest.lag.likely and not honest.findings.entries and honest.lag.sigma_s < 0.2
     straight = dataclasses.replace(STEERS, legs=(Leg(3.0, 0.0),))
     one_arc = states(csv(as_sent(yutu2, straight, 1.0).telemetry), yutu2, straight)
-    assert not one_arc.lag.found
+    assert not one_arc.lag.likely
 
 
 @pytest.mark.parametrize("later_s", [6.0, -8.0])
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 def test_a_lag_of_many_seconds_is_found_by_turns(later_s: float, yutu2: Rover) -> None:
     found = states(csv(as_sent(yutu2, BENDS, later_s).telemetry), yutu2, BENDS)
-    assert found.lag.found and not found.findings.doubt and abs(found.lag.lag_s - later_s) < 0.3
+    assert found.lag.likely and not found.findings.doubt and abs(found.lag.lag_s - later_s) < 0.3
 
 
 def test_positions_are_by_the_clock_of_the_wheels_and_without_the_one_that_is_wrong(yutu2: Rover) -> None:
