@@ -149,7 +149,7 @@ def test_mode_follows_wild_values_by_their_sign_alone_and_the_prior_whole() -> N
 def test_errors_are_widened_by_what_is_alike_and_not_by_noise() -> None:
     random = np.random.default_rng(2)
     wheels = WHEELS * 32
-    drive: Any = SimpleNamespace(known=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
+    drive: Any = SimpleNamespace(counted=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
     # By chance alone 1 in 100 quantities is widened: 2.4 of 240 are expected, 8 or more happen once in 300 times.
     nowhere = np.zeros(0)
     for alarm in (lambda *given: inflation_of(*given, nowhere), wheel_errors):

@@ -269,5 +269,5 @@ def test_of_drives_of_one_law_90_percent_lie_in_the_bands_of_the_others(members:
     """Drives scatter by 1, their measurement by 0.1: bands are those of Student's law of so few."""
     drawn = np.random.default_rng(0).standard_normal((members, 20_000, len(OBSERVED)))
     known, sigma = np.ones(drawn.shape[1:], dtype=bool), np.full(drawn.shape[1:], 0.1)
-    matched = SimpleNamespace(known=known, predicted=drawn, sigma=sigma)
+    matched = SimpleNamespace(counted=known, predicted=drawn, sigma=sigma)
     assert _shares(matched, OBSERVED[0], [1]).mean() == pytest.approx(0.9, abs=0.01)  # type: ignore[arg-type]
