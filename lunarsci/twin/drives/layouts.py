@@ -207,15 +207,14 @@ LAYOUTS: dict[str, Callable[[str, Path], PublicDrive]] = {PROCESSED: _captured, 
 
 def _rows(file: InputFile, columns: int) -> FloatArray:
     """Numbers of a table in the order of time, by place: its header is a comment, whose names hold commas."""
-    lines = [line for line in text(file).splitlines() if line.strip() and not line.lstrip().startswith("#")]
     try:
-        result = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+        rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2)
     except ValueError as error:
         raise DataError(f"{file.name}: {error}; a table of {columns} numbers a row is wanted") from error
-    if result.ndim != 2 or result.shape[1] != columns or len(result) < 2:
+    if rows.shape[1] != columns or len(rows) < 2:
         raise DataError(f"{file.name}: has no rows of {columns} numbers; is the file complete?")
-    _, first = np.unique(result[:, 0], return_index=True)
-    return np.asarray(result[first])
+    _, first = np.unique(rows[:, 0], return_index=True)
+    return np.asarray(rows[first])
 
 
 def _attitude(quaternion: FloatArray) -> FloatArray:

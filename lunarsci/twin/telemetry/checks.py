@@ -50,11 +50,10 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
     a gap are put into it; rows of one time are one, the first that has a value. All of it is said. Raises DataError
     where time runs backwards by more, and where fewer than five rows are left.
     """
-    timed = np.isfinite(telemetry.time_s)
-    if not timed.all():
-        lost = int((~timed).sum())
-        findings.add("no time", f"{lost} rows without a time_s", "left out", count=lost)
-        telemetry = taken(telemetry, timed)
+    lost = ~np.isfinite(telemetry.time_s)
+    if lost.any():
+        findings.add("no time", f"{lost.sum()} rows without a time_s", "left out", count=int(lost.sum()))
+        telemetry = taken(telemetry, ~lost)
     if (np.diff(telemetry.time_s) <= 0).any():
         telemetry = _in_order(telemetry, findings)
     if len(telemetry.time_s) < LEAST_ROWS:
@@ -67,10 +66,8 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
 
     content = np.column_stack([value.reshape(len(value), -1) for value in _arrays(telemetry).values()])
     again = pd.DataFrame(content).duplicated().to_numpy()
-    if again.any():
-        first, count = float(telemetry.time_s[int(np.argmax(again))]), int(again.sum())
-        findings.add("repeated rows", f"{count} rows repeat another one", "left out", count=count, time_s=first)
-        telemetry = taken(telemetry, ~again)
+    findings.of_rows("repeated rows", f"{again.sum()} rows repeat another one", "left out", again, telemetry.time_s)
+    telemetry = taken(telemetry, ~again)
     steps = np.diff(telemetry.time_s)
     if (back := np.flatnonzero(steps < 0)).size:
         row = int(back[0])
@@ -90,10 +87,8 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
         together = pd.DataFrame(value.reshape(len(value), -1)).groupby(telemetry.time_s)
         columns[name] = together.first().to_numpy(float).reshape(-1, *value.shape[1:])
         differ |= (together.transform("nunique") > 1).any(axis=1).to_numpy()
-    if differ.any():
-        first, count = float(telemetry.time_s[int(np.argmax(differ))]), int(differ.sum())
-        what, done = f"{count} rows share their time and differ", "the first one of each time is taken"
-        findings.add("rows of one time", what, done, count=count, time_s=first)
+    what, done = f"{differ.sum()} rows share their time and differ", "the first one of each time is taken"
+    findings.of_rows("rows of one time", what, done, differ, telemetry.time_s)
     return dataclasses.replace(telemetry, **columns)
 
 
@@ -102,15 +97,8 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     steps, rested = np.diff(telemetry.time_s), telemetry.rested
     usual = float(np.median(steps[~rested]))
     gaps = np.asarray((steps > GAP * usual) & ~rested)
-    if gaps.any():
-        first = int(np.argmax(gaps))
-        findings.add(
-            "gap",
-            f"nothing was sent for {steps[gaps].sum():.4g} s in all, {usual:.3g} s between rows being usual",
-            "there are no states within gaps",
-            count=int(gaps.sum()),
-            time_s=float(telemetry.time_s[first]),
-        )
+    what = f"nothing was sent for {steps[gaps].sum():.4g} s in all, {usual:.3g} s between rows being usual"
+    findings.of_rows("gap", what, "there are no states within gaps", gaps, telemetry.time_s)
     return gaps
 
 
@@ -133,13 +121,9 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
         if not rows.any():
             raise DataError(f"{telemetry.file}: no row has a steering angle of wheel {wheel}")
-        if not rows.all():
-            what, first = (
-                f"rows without a steering angle of wheel {wheel}",
-                float(telemetry.time_s[int(np.argmin(rows))]),
-            )
-            done = "found from the rows beside; its states are not valid there"
-            findings.add("missing steering", what, done, count=int((~rows).sum()), time_s=first)
+        what = f"rows without a steering angle of wheel {wheel}"
+        done = "found from the rows beside; its states are not valid there"
+        findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
         angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
     if np.abs(angle).max() > 90.0:
         raise DataError(f"{telemetry.file}: steering angles reach {np.abs(angle).max():.4g} deg; give -90 to 90 deg")
@@ -165,11 +149,9 @@ def _mend(
         ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change", True),
         ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command", obeyed),
     ):
-        if rows.any():
-            done = "the command is taken there" if mended else "the measured angle is taken"
-            first = float(telemetry.time_s[int(np.argmax(rows))])
-            findings.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=not mended)
-            measured[rows & mended, k] = commanded[rows & mended, k]
+        done = "the command is taken there" if mended else "the measured angle is taken"
+        findings.of_rows(kind, what, done, rows, telemetry.time_s, doubt=not mended)
+        measured[rows & mended, k] = commanded[rows & mended, k]
 
 
 FEWEST_RATES = 5
@@ -271,14 +253,6 @@ def check_pace(
     return pace
 
 
-def check_stands(stands: BoolArray, time_s: FloatArray, findings: Findings) -> None:
-    """Say states at which the rover does not stand on the terrain."""
-    if not stands.all():
-        what, done = "the rover does not stand on the terrain there", "states there are left blank, not valid"
-        count, first = int((~stands).sum()), float(time_s[int(np.argmin(stands))])
-        findings.add("off the terrain", what, done, count=count, time_s=first, doubt=True)
-
-
 def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> None:
     """Say where the rover rolls much farther than usual from one position to the next, or to either end."""
     ends = np.concatenate([[0], rows, [len(way_m) - 1]])
@@ -302,12 +276,10 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     `slip` and whether it is `measured` are of some times. (m, wheels), (m, wheels), (m,)
     """
     fast = measured & (np.abs(slip) > VALID_SLIP)
-    count, whole = int(fast.sum()), int(measured.sum())
-    if count:
-        what = f"{count} of {whole} states slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
-        done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
-        first = float(time_s[int(np.argmax(fast.any(axis=1)))])
-        findings.add(FAST, what, done, count=count, time_s=first)
+    count = f"{fast.sum()} of {measured.sum()} states"
+    what = f"{count} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
+    done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
+    findings.of_rows(FAST, what, done, fast, time_s)
 
 
 STEERING_DEG, SPEED_SHARE = 2.0, 0.25

@@ -428,6 +428,17 @@ class Findings:
         when = "" if time_s is None else f" at time_s {time_s:.6g}"
         warnings.warn(f"{self.file}: {kind}{when}: {what}; {done}", LunarSciWarning, stacklevel=3)
 
+    def of_rows(
+        self, kind: str, what: str, done: str, rows: BoolArray, time_s: FloatArray, *, doubt: bool = False
+    ) -> None:
+        """Note and say one finding of some rows, with their number and the time of the first; nothing of none.
+
+        `rows` are (n,) or (n, wheels).
+        """
+        if rows.any():
+            first = float(time_s[int(np.argmax(rows.reshape(len(rows), -1).any(axis=1)))])
+            self.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=doubt)
+
     @property
     def doubt(self) -> str:
         """Why the result should not be trusted, empty if it may be."""

@@ -497,9 +497,7 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
 
 
 def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:
-    if rows.any():
-        done, first = f"these {kind.split()[-1]}s are left out", float(telemetry.time_s[int(np.argmax(rows))])
-        findings.add(kind, what, done, count=int(rows.sum()), time_s=first)
+    findings.of_rows(kind, what, f"these {kind.split()[-1]}s are left out", rows, telemetry.time_s)
 
 
 def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
@@ -521,9 +519,6 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     rows = np.flatnonzero(np.isfinite(yaw))
     if rows.size < 2:
         raise DataError(f"{telemetry.file}: {rows.size} headings of use; side slip needs yaw_deg")
-    if not given.all():
-        first = float(telemetry.time_s[int(np.argmin(given))])
-        done = "found from the others"
-        findings.add("missing headings", "rows without yaw_deg", done, count=int((~given).sum()), time_s=first)
+    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", ~given, telemetry.time_s)
     yaw[rows] = np.degrees(np.unwrap(np.radians(yaw[rows])))
     return dataclasses.replace(telemetry, yaw_deg=yaw)

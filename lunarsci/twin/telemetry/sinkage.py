@@ -187,10 +187,9 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
     sigma = np.hypot(sigma, spread)
     odd = deepest & ((depth < -SURE * sigma) | (depth > rover.wheel.radius_m))
     if odd.any():
-        first = float(drive.nodes.time_s[rows.node[int(np.flatnonzero(odd)[0]) // len(rover.wheels)]])
         what = f"depths from {depth[odd].min():.3g} to {depth[odd].max():.3g} m, which no wheel of this radius leaves"
-        many, count = bool(odd.sum() > MOST_LEFT_OUT * deepest.sum()), int(odd.sum())
-        drive.findings.add("odd depth", what, "left blank", count=count, time_s=first, doubt=many)
+        many, times = bool(odd.sum() > MOST_LEFT_OUT * deepest.sum()), drive.nodes.time_s[rows.node]
+        drive.findings.of_rows("odd depth", what, "left blank", odd.reshape(len(times), -1), times, doubt=many)
     valid = deepest & ~odd & (rows.measured | _at_halt(drive)).ravel()
     shape = rows.slip_ratio.shape
     sinkage, error = (np.where(valid, value, np.nan).reshape(shape) for value in (depth, sigma))

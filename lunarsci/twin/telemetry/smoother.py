@@ -422,7 +422,6 @@ class Smoothed:
     effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
     squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
-    yaw_squared_distance : the same of each heading. (n,)
     fix_weight, yaw_weight : how much each position and heading counts, 1 for one that is as good as it says. (n,)
     reduced_chi_square : of the positions.
     posterior : of the constants.
@@ -435,7 +434,6 @@ class Smoothed:
     bend: FloatArray
     change: SlipProcess
     squared_distance: FloatArray
-    yaw_squared_distance: FloatArray
     fix_weight: FloatArray
     yaw_weight: FloatArray
     reduced_chi_square: float
@@ -514,7 +512,6 @@ def smooth(
         bend=at_nodes(nodes.bend),
         change=change,
         squared_distance=squared,
-        yaw_squared_distance=_yaw_squared_distances(nodes, off, spread, reference.yaw_weight),
         fix_weight=reference.fix_weight,
         yaw_weight=reference.yaw_weight,
         reduced_chi_square=chi_square / max(count, 1),

@@ -33,7 +33,6 @@ from lunarsci.twin.telemetry.checks import (
     check_ends,
     check_pace,
     check_slips,
-    check_stands,
     ordered,
     steering_angles,
     time_gaps,
@@ -151,7 +150,8 @@ def state_rows(
     low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
     sound = ~np.isin(held.outcome[chosen], (LEFT, HOLE, OVERTURNED, CLIFF))
-    check_stands(sound, nodes.time_s[chosen], findings)
+    what, done = "the rover does not stand on the terrain there", "states there are left blank, not valid"
+    findings.of_rows("off the terrain", what, done, ~sound, nodes.time_s[chosen], doubt=True)
     slip[halted], side[halted] = 0.0, 0.0
     result = StateRows(
         node=chosen,
@@ -364,10 +364,9 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     """Say positions and headings that hardly count."""
     given = np.isfinite(nodes.yaw_rad)
     odd = given & (smoothed.yaw_weight < HARDLY)
-    if odd.any():
-        many, first = odd.sum() > MOST_LEFT_OUT * given.sum(), float(nodes.time_s[int(np.argmax(odd))])
-        what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
-        findings.add("odd heading", what, "they hardly count", count=int(odd.sum()), time_s=first, doubt=bool(many))
+    many = bool(odd.sum() > MOST_LEFT_OUT * given.sum())
+    what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
+    findings.of_rows("odd heading", what, "they hardly count", odd, nodes.time_s, doubt=many)
     left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return

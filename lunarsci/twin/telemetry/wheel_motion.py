@@ -262,17 +262,14 @@ def _say(
         ("missing readings", blank, "neither angle nor rate of wheel {}", "its states are not valid there"),
     ):  # fmt: skip
         for k in np.flatnonzero(where.any(axis=0)):
-            row = int(np.argmax(where[:, k]))
-            text = what.format(rover.wheels[k], went.off_deg[row, k])
-            findings.add(kind, text, done, count=int(where[:, k].sum()), time_s=float(telemetry.time_s[row]))
-    if (jumped := went.clock != 1.0).any():
-        first, step_s = int(np.argmax(jumped)), np.diff(telemetry.time_s)
-        what = (
-            f"the clock counts {step_s[first]:.4g} s where the wheels turned for {(went.clock * step_s)[first]:.4g} s"
-        )
-        done = "slip rests on the wheels' angles, but times after it may not fit those before"
-        first_s = float(telemetry.time_s[first])
-        findings.add("clock step", what, done, count=int(jumped.sum()), time_s=first_s, doubt=True)
+            text = what.format(rover.wheels[k], went.off_deg[int(np.argmax(where[:, k])), k])
+            findings.of_rows(kind, text, done, where[:, k], telemetry.time_s)
+    jumped = went.clock != 1.0
+    first = int(np.argmax(jumped))
+    step_s = float(np.diff(telemetry.time_s)[first])
+    what = f"the clock counts {step_s:.4g} s where the wheels turned for {went.clock[first] * step_s:.4g} s"
+    done = "slip rests on the wheels' angles, but times after it may not fit those before"
+    findings.of_rows("clock step", what, done, jumped, telemetry.time_s, doubt=True)
 
 
 def _obedience(measured: FloatArray, command: FloatArray) -> float:
