@@ -19,13 +19,12 @@ Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
 from lunarsci.twin.assimilation.residuals import HUBER, OBSERVED, POSITION, DriveResiduals, cost_of, robust_cost
@@ -81,7 +80,9 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
         series[name] = [np.clip(part, -HUBER, HUBER) for part in parts]
     result = {}
     for name, parts in series.items():
-        means = _batch_means(parts)
+        # Sums over batches, over the root of their size: unit variance where values are independent.
+        batches = [batch for part in parts for batch in np.array_split(part, max(1, round(len(part) / BATCH)))]
+        means = np.array([batch.sum() / np.sqrt(batch.size) for batch in batches])
         if means.size < 2:
             continue
         variance = float((means**2).mean())
@@ -94,12 +95,6 @@ def _by_wheel(drive: DriveResiduals, values: FloatArray, k: int) -> list[FloatAr
     counted, wheels = drive.counted[:, k], np.array(drive.record.wheel)
     parts = [values[counted & (wheels == name)] for name in dict.fromkeys(drive.record.wheel)]
     return [part for part in parts if part.size]
-
-
-def _batch_means(parts: list[FloatArray]) -> FloatArray:
-    """Sums over batches, over the root of their size: unit variance where values are independent."""
-    batches = [batch for part in parts for batch in np.array_split(part, max(1, round(len(part) / BATCH)))]
-    return np.array([batch.sum() / np.sqrt(batch.size) for batch in batches])
 
 
 PRESSURE_PA = 5000.0
@@ -380,14 +375,8 @@ class Emulator:
 
 def monomials(scaled: FloatArray) -> FloatArray:
     """Of order 0, 1 and 2. (points, 1 + p + p (p + 1) / 2)"""
-    row, column = _pairs(scaled.shape[1])
+    row, column = np.triu_indices(scaled.shape[1])
     return np.hstack([np.ones((len(scaled), 1)), scaled, scaled[:, row] * scaled[:, column]])
-
-
-@cache
-def _pairs(count: int) -> tuple[IntArray, IntArray]:
-    """Both of each pair of so many, also of one with itself."""
-    return np.triu_indices(count)
 
 
 def fit_emulator(
@@ -467,7 +456,8 @@ def draw_particles(
     (particles, 8) coordinates, and the largest correlation of one of them with where the last moves began. [-]
     """
     report, total = progress or (lambda done, of: None), ROUNDS + PROPOSALS.most
-    weight = _huber_weight(posterior, mode)
+    here = np.abs(posterior.residuals(mode.point[None])[0][0])
+    weight = np.asarray(np.sqrt(HUBER / np.maximum(here, HUBER)))
     root: FloatArray = np.asarray(np.linalg.cholesky(mode.covariance), dtype=np.float64)
     noise = random.standard_normal((FIRST, len(root))) @ root.T
     spread = np.sqrt(random.chisquare(FREEDOM, FIRST) / FREEDOM)[:, None]
@@ -483,13 +473,10 @@ def draw_particles(
             break
     emulated = _Emulated(posterior, drives, mode, root)
     population = _Proposed(posterior, emulated, drives, particles, random)
-    return _moved(population, lambda done: report(ROUNDS + done, total))
-
-
-def _huber_weight(posterior: "DrivePosterior", mode: "PosteriorMode") -> FloatArray:
-    """Root of Huber's weight of each residual at the mode. (r,)"""
-    here = np.abs(posterior.residuals(mode.point[None])[0][0])
-    return np.asarray(np.sqrt(HUBER / np.maximum(here, HUBER)))
+    _, left = forget(population, 1.0, PROPOSALS, lambda done: report(ROUNDS + done, total))
+    report(total, total)
+    arrived = np.flatnonzero(np.isfinite(population.excess))
+    return population.points[arrived[np.arange(particles) % len(arrived)]], left
 
 
 def _simulated(posterior: "DrivePosterior", weight: FloatArray, points: FloatArray) -> _Drives:
@@ -512,7 +499,10 @@ class _Emulated:
 
     def chain(self, drives: _Drives, count: int, random: np.random.Generator) -> FloatArray:
         """Ends of as many random walks, begun at drives by their density. (count, p)"""
-        points = drives.points[_by_density(self.ln_density(drives.points), count, random)]
+        # By a flattened density, so that many of them differ.
+        ln_density = self.ln_density(drives.points)
+        power = largest_power(ln_density, DIFFERENT * min(count, len(ln_density)))
+        points = drives.points[random.choice(len(ln_density), count, p=weights(power * ln_density))]
         values, scale = self.ln_density(points), WALK / np.sqrt(points.shape[1])
         root = np.linalg.inv(self.emulator.inverse)
         for step in range(CHAIN):
@@ -525,12 +515,6 @@ class _Emulated:
             if step < TUNED:
                 scale *= np.exp(0.3 * (accepted.mean() - ACCEPTED))
         return points
-
-
-def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator) -> IntArray:
-    """Indices drawn by a flattened density, so that many of them differ. (count,)"""
-    power = largest_power(ln_density, DIFFERENT * min(count, len(ln_density)))
-    return random.choice(len(ln_density), count, p=weights(power * ln_density))
 
 
 class _Proposed:
@@ -562,10 +546,3 @@ class _Proposed:
         accepted = ~(np.log(self._random.random(len(trial))) >= best - self.excess)
         self.points = np.where(accepted[:, None], trial, self.points)
         self.excess = np.where(accepted, best, self.excess)
-
-
-def _moved(population: _Proposed, report: Callable[[int], None]) -> tuple[FloatArray, float]:
-    _, left = forget(population, 1.0, PROPOSALS, report)
-    report(PROPOSALS.most)
-    arrived = np.flatnonzero(np.isfinite(population.excess))
-    return population.points[arrived[np.arange(len(population.points)) % len(arrived)]], left

@@ -8,7 +8,7 @@ much less as it widens their errors.
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times, samples_a
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.prior import PARAMETERS, Law
+from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
@@ -69,14 +69,15 @@ class DriveRecord:
         shapes = (self.values.shape, self.sigmas.shape, self.fix_m.shape, self.fix_covariance_m2.shape)
         if shapes != ((n, 6), (n, 6), (f, 2), (f, 2, 2)) or len(self.wheel) != n:
             raise ParameterError(f"a record's states and positions have shapes {shapes}; they do not fit its times")
-        for name, times in (("time_s", self.time_s), ("fix_time_s", self.fix_time_s)):
-            if not (np.isfinite(times).all() and (times >= 0).all()):
-                raise ParameterError(f"a record's {name} must be 0 or more: it counts from the start of the plan")
-        measured = np.isfinite(self.values)
-        if not (np.isfinite(self.sigmas[measured]).all() and (self.sigmas[measured] >= 0).all()):
-            raise ParameterError("a record's sigmas must be 0 or more wherever a value is measured")
-        if not np.isfinite(self.fix_m).all() or not all(np.linalg.eigvalsh(c)[0] > 0 for c in self.fix_covariance_m2):
-            raise ParameterError("a record's positions need finite places and positive definite covariances")
+        times, sigmas = np.append(self.time_s, self.fix_time_s), self.sigmas[np.isfinite(self.values)]
+        places = [np.isfinite(self.fix_m).all(), *(np.linalg.eigvalsh(c)[0] > 0 for c in self.fix_covariance_m2)]
+        for sound, text in (
+            ((times >= 0) & (times < np.inf), "times must be 0 or more: they count from the start of the plan"),
+            ((sigmas >= 0) & (sigmas < np.inf), "sigmas must be 0 or more wherever a value is measured"),
+            (places, "positions need finite places and positive definite covariances"),
+        ):
+            if not np.all(sound):
+                raise ParameterError(f"a record's {text}")
 
     @property
     def fix_joint_m2(self) -> FloatArray:
@@ -356,11 +357,6 @@ def cost_of(drive: FloatArray, prior: FloatArray) -> FloatArray:
     return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
 
 
-@cache
-def _center_and_width(laws: tuple[Law, ...]) -> tuple[FloatArray, FloatArray]:
-    return np.array([law.center for law in laws]), np.array([law.width for law in laws])
-
-
 @dataclass(frozen=True, eq=False)
 class DriveResiduals:
     """Simulated drives beside a measured one.
@@ -465,7 +461,7 @@ class DriveResiduals:
 
     def near(self, transforms: FloatArray) -> BoolArray:
         """Soils that are no farther from the first laws than `HUBER`. (points,)"""
-        center, width = _center_and_width(tuple(self.belief.laws.values()))
+        center, width = np.array([(law.center, law.width) for law in self.belief.laws.values()]).T
         with np.errstate(invalid="ignore"):
             return np.asarray((np.abs(transforms - center) < HUBER * width).all(axis=1))
 

@@ -162,6 +162,8 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     Raises DataError for a folder without `prediction.json`, one of another version, and tables that are missing or not
     as they were written.
     """
+    import pandas as pd
+
     place = Path(folder)
     if not (place / FILE).is_file():
         raise DataError(f"{folder}: no {FILE} in it; name a folder of `lunarsci twin predict -o`")
@@ -169,7 +171,7 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     document = _document(source)
     files = {name: _table_file(place, name, document) for name in TABLES}
     try:
-        result = _forecast(str(folder), document, *(_frame(files[name]) for name in TABLES))
+        result = _forecast(str(folder), document, *(pd.read_csv(io.BytesIO(files[name].data)) for name in TABLES))
     except (KeyError, TypeError, IndexError, ValueError, ParameterError) as error:
         if isinstance(error, DataError):
             raise
@@ -194,13 +196,6 @@ def _table_file(place: Path, name: str, document: Any) -> InputFile:
     if not isinstance(tables, dict) or tables.get(name) != file.sha256:
         raise DataError(f"{file.name}: not as it was written with {FILE} (cut off, changed, or of another); {AGAIN}")
     return file
-
-
-def _frame(file: InputFile) -> "pd.DataFrame":
-
-    import pandas as pd
-
-    return pd.read_csv(io.BytesIO(file.data))
 
 
 def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.DataFrame") -> Forecast:

@@ -24,7 +24,8 @@ from lunarsci.twin.jobs.plan_request import PlanRequest, limits_at, made_for_on
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions
-from lunarsci.twin.judgement.keeping import Chance, keeps_limits, least_of_95
+from lunarsci.twin.judgement.keeping import Chance, keeps_limits
+from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, Pose, drive_mission
 from lunarsci.twin.mission.mission import Mission, MissionTarget, read_mission
 from lunarsci.twin.plans.path import poses_along

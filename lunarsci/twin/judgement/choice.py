@@ -26,10 +26,10 @@ from lunarsci.twin.judgement.keeping import (
     broken,
     extremes,
     least_drives,
-    least_of_95,
     limited,
     limits_judged,
 )
+from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule

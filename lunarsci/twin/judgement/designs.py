@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray
 from lunarsci.errors import LunarSciError, ParameterError
 from lunarsci.names import meant
 from lunarsci.regolith.soil import Soil
@@ -18,7 +18,8 @@ from lunarsci.regolith.traction import LoadedWheel, Traction, traction
 from lunarsci.rovers import RoverDescription
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.judgement.energy import charge_left, energy_use, power_use
-from lunarsci.twin.judgement.keeping import extremes, keeps_limits, least_of_95
+from lunarsci.twin.judgement.keeping import extremes, keeps_limits
+from lunarsci.twin.judgement.quantities import least_of_95, most_of_95
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import Plan, check_plan
 from lunarsci.twin.rover import Rover, build_rover
@@ -63,14 +64,13 @@ class Variation:
 def parse_variation(text: str) -> Variation:
     """Read `NAME=LOW:HIGH:N`, for example `wheel.radius_m=0.10:0.20:5`. Raises ParameterError."""
     name, _, rest = text.partition("=")
-    parts = rest.split(":")
     try:
-        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
-    except (IndexError, ValueError) as error:
+        low, high, count = rest.split(":")
+        return Variation(name.strip(), float(low), float(high), int(count))
+    except ValueError as error:
+        if isinstance(error, ParameterError):
+            raise
         raise ParameterError(f"vary '{text}' is not NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5") from error
-    if len(parts) != 3:
-        raise ParameterError(f"vary '{text}' is not NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5")
-    return Variation(name.strip(), low, high, count)
 
 
 def check_names(variations: Sequence[Variation], description: RoverDescription, plans: Sequence[Plan]) -> None:
@@ -79,27 +79,19 @@ def check_names(variations: Sequence[Variation], description: RoverDescription, 
     if len(set(names)) < len(names):
         raise ParameterError(f"a number is varied twice: {', '.join(names)}")
     given = varied_names(description)
-    for name in names:
-        if name == SPEED:
-            continue
-        if any(word in name for word in ("lug", "grouser_count", "grouser_number", "grouser_spacing")):
-            raise ParameterError(f"{name} changes nothing here: {LUGS}")
+    body = any(plan.exclusion_zones or any(limit.quantity == "clearance_m" for limit in plan.limits) for plan in plans)
+    for name in (one for one in names if one != SPEED):
         reason = UNUSED.get(name) or UNUSED.get(name.partition(".")[0])
+        if any(word in name for word in ("lug", "grouser_count", "grouser_number", "grouser_spacing")):
+            reason = LUGS
+        elif name.startswith("body.") and name in given and not body:
+            reason = "no plan limits clearance_m or has a [[keep_out]], and no force depends on it"
         if reason is not None:
             raise ParameterError(f"{name} changes nothing here: {reason}")
         if name not in given:
             raise ParameterError(
                 f"{name} is no number of {description.name}; {meant(name, given)}these are: {SPEED}, {', '.join(given)}"
             )
-        if name.startswith("body.") and not any(_judges_body(plan) for plan in plans):
-            raise ParameterError(
-                f"{name} changes nothing here: no plan limits clearance_m or has a [[keep_out]], and no force depends "
-                "on it"
-            )
-
-
-def _judges_body(plan: Plan) -> bool:
-    return bool(plan.exclusion_zones) or any(limit.quantity == "clearance_m" for limit in plan.limits)
 
 
 def varied_names(description: RoverDescription) -> list[str]:
@@ -279,9 +271,12 @@ def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionO
     return MissionOutcome(
         drives=predictions[0].members,
         kept_share=float(keeps.mean()),
-        **{name: _most(predictions, name) for name in ("slip_ratio", "sinkage_m", "motor_torque_nm")},
+        **{
+            name: most_of_95(np.max([extremes(one, name) for one in predictions], axis=0))
+            for name in ("slip_ratio", "sinkage_m", "motor_torque_nm")
+        },
         energy_p50_j=float(np.median(work)) if work.size else None,
-        energy_p95_j=_p95(work) if work.size else None,
+        energy_p95_j=most_of_95(work) if work.size else None,
         electrical_p50_wh=_electrical_wh(rover, predictions, done),
         least_charge=_least_charge(predictions),
         duration_s=math.fsum(float(prediction.time_s[-1]) for prediction in predictions),
@@ -312,14 +307,6 @@ def _electrical_wh(rover: Rover, predictions: Sequence[Prediction], done: BoolAr
     if rover.motors is None or rover.power is None or not done.any():
         return None
     return float(np.median(np.sum([power_use(prediction).drawn_wh for prediction in predictions], axis=0)[done]))
-
-
-def _most(predictions: Sequence[Prediction], name: str) -> float:
-    return _p95(np.max([extremes(prediction, name) for prediction in predictions], axis=0))
-
-
-def _p95(values: FloatArray) -> float:
-    return float(np.quantile(values, 0.95, method="inverted_cdf"))
 
 
 def median_soil(prediction: Prediction) -> Soil:

@@ -121,8 +121,6 @@ def limited(prediction: Prediction, quantity: str) -> FloatArray:
     what its motor gives for long at the wheel's rate, `battery_charge` is below 0 by what is drawn beyond an empty
     battery. Raises ParameterError for what cannot be limited, or not of this rover.
     """
-    if quantity not in QUANTITIES:
-        raise ParameterError(f"'{quantity}' cannot be limited; these can: {', '.join(QUANTITIES)}")
     if quantity == "endpoint_miss_m":
         values = np.zeros(prediction.reached.shape)
         values[:, -1] = prediction.miss_m
@@ -168,11 +166,6 @@ def extremes(prediction: Prediction, quantity: str) -> FloatArray:
         least = np.where(prediction.reached & ~np.isnan(values), values, np.inf).min(axis=1)
         return np.asarray(np.where(least == np.inf, np.nan, least))
     return np.asarray(np.where(prediction.reached, values, 0.0).max(axis=1))
-
-
-def least_of_95(values: FloatArray) -> float:
-    """The largest value that at least 95 % of the members reach."""
-    return float(-np.quantile(-values, 0.95, method="inverted_cdf"))
 
 
 def broken(limit: Limit, values: FloatArray) -> BoolArray:

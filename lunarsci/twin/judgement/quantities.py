@@ -269,3 +269,13 @@ def abscissa(prediction: Prediction) -> tuple[FloatArray, str]:
     if (np.diff(prediction.distance_m) > 0).all():
         return prediction.distance_m, "commanded distance [m]"
     return prediction.time_s, "time [s]"
+
+
+def most_of_95(values: FloatArray) -> float:
+    """The smallest value that at least 95 % of the members do not exceed."""
+    return float(np.quantile(values, 0.95, method="inverted_cdf"))
+
+
+def least_of_95(values: FloatArray) -> float:
+    """The largest value that at least 95 % of the members reach."""
+    return -most_of_95(-values)

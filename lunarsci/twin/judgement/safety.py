@@ -24,7 +24,7 @@ from lunarsci.twin.judgement.keeping import (
     limits_judged,
     not_judged,
 )
-from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters
+from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.limits import Limit, check_limits
 from lunarsci.twin.plans.plan import Plan
@@ -347,16 +347,15 @@ def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgemen
         return None
     values = values[members]
     sign = 1.0 if limit.sense == "at most" else -1.0
-    p95, p05 = (float(s * np.quantile(s * values, 0.95, method="inverted_cdf")) for s in (1.0, -1.0))
     held = float(sign * np.quantile(sign * values, share, method="inverted_cdf"))
     judgement = Judgement(
         quantity=limit.quantity,
         unit=limit.unit,
         sense=limit.sense,
         limit=limit.limit,
-        p05=p05,
+        p05=least_of_95(values),
         p50=float(np.median(values)),
-        p95=p95,
+        p95=most_of_95(values),
         min=float(values.min()),
         max=float(values.max()),
         share=share,
@@ -428,10 +427,6 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], states: Validi
     notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
     if touches:
         notes.append("the chassis would touch the ground; the drives go on as if it did not")
-    return (*notes, *validity_notes(states), *_broken(prediction, judged))
-
-
-def _broken(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
-    return [
-        f"{j.quantity}: {j.exceeding} of {prediction.members} drives break the limit" for j in judged if j.exceeding
-    ]
+    members = prediction.members
+    broken_limits = [f"{j.quantity}: {j.exceeding} of {members} drives break the limit" for j in judged if j.exceeding]
+    return (*notes, *validity_notes(states), *broken_limits)

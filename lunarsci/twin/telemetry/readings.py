@@ -213,9 +213,9 @@ def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, tu
     yaw_sigma = math.sqrt(2.0) * math.radians(float(np.nanmedian(telemetry.yaw_deg_sigma)))
     turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (TURNS_PER_M * way) ** 2 + yaw_sigma**2)
     parts = ((share[:, 0], sigma), (share[:, 1], sigma), (np.diff(yaw[rows]) - turn, turn_sigma))
-    return (
-        ln_mean + 2.0 * len(off) * math.log(reading.metres) + sum(_ln_student(value, sigma) for value, sigma in parts)
-    )
+    # Student's density, up to a constant.
+    student = [-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p((value / s) ** 2 / FREEDOM) for value, s in parts]
+    return ln_mean + 2.0 * len(off) * math.log(reading.metres) + float(np.sum(student))
 
 
 def _apart(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
@@ -224,11 +224,6 @@ def _apart(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
     rolled = np.append(0.0, np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * np.diff(telemetry.time_s)))
     some = rows[np.unique(np.floor(rolled[rows] / APART_M), return_index=True)[1]]
     return some if len(some) >= FEWEST else rows
-
-
-def _ln_student(off: FloatArray, sigma: FloatArray) -> float:
-    """ln of Student's density, up to a constant."""
-    return float((-np.log(sigma) - 0.5 * (FREEDOM + 1.0) * np.log1p((off / sigma) ** 2 / FREEDOM)).sum())
 
 
 FASTER, SLOWER = 0.25, 1.0
@@ -290,7 +285,11 @@ def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetr
         "speed_m_s": between(telemetry.speed_m_s) / per_deg,
     }
     ratios = {(a, b): _ratio(turns[a], turns[b]) for a, b in itertools.combinations(turns, 2)}
-    fastest = {name: _fastest(per_deg * rate) / rover.max_speed_m_s for name, rate in turns.items()}
+    fastest = {
+        name: _usual(per_deg * rate[np.isfinite(rate)]) / rover.max_speed_m_s
+        for name, rate in turns.items()
+        if np.isfinite(rate).any()
+    }
     telemetry = _taken(telemetry, _likeliest(units, ratios, fastest, telemetry.file), findings)
     ratio = {STEERING: _ratio(telemetry.steered_deg, telemetry.steering_deg, SIGMA_DEG)}
     return _taken(telemetry, _likeliest({name: units[name] for name in STEERING}, ratio, {}, telemetry.file), findings)
@@ -302,11 +301,6 @@ def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     given &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
     given &= np.abs(wanted) > UNDER_WAY * _usual(wanted[given])
     return float(np.median(values[given] / wanted[given])) if given.sum() >= FEWEST_ROWS else math.nan
-
-
-def _fastest(rim_m_s: FloatArray) -> float:
-    given = rim_m_s[np.isfinite(rim_m_s)]
-    return _usual(given) if given.size else math.nan
 
 
 def _usual(values: FloatArray) -> float:

@@ -57,14 +57,12 @@ class SensorErrors:
     track_m: float = 0.00033
 
     def __post_init__(self) -> None:
-        if not 0 < self.fix_distance_m < math.inf:
-            raise ParameterError(f"fix distance is {self.fix_distance_m}; give a distance above 0 m")
-        for name in self.__slots__[1:]:
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise ParameterError(f"sensor error {name} is {value}; give 0 or more")
-        if self.fix_sigma_m == 0:
-            raise ParameterError("sensor error fix_sigma_m is 0; positions need an error above 0 m")
+        for name in self.__slots__:
+            value, exact = getattr(self, name), not name.startswith("fix_")
+            if value is not None and not (0 < value < math.inf or (exact and value == 0)):
+                raise ParameterError(
+                    f"sensor error {name} is {value}; give {'0 or more' if exact else 'a number above 0'}"
+                )
 
     @property
     def position_m(self) -> float:

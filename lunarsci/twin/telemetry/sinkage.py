@@ -190,7 +190,8 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
         what = f"depths from {depth[odd].min():.3g} to {depth[odd].max():.3g} m, which no wheel of this radius leaves"
         many, times = bool(odd.sum() > MOST_LEFT_OUT * deepest.sum()), drive.nodes.time_s[rows.node]
         drive.findings.of_rows("odd depth", what, "left blank", odd.reshape(len(times), -1), times, doubt=many)
-    valid = deepest & ~odd & (rows.measured | _at_halt(drive)).ravel()
+    # At a halt states are not valid only for their slip.
+    valid = deepest & ~odd & (rows.measured | np.isfinite(rows.slip_ratio)).ravel()
     shape = rows.slip_ratio.shape
     sinkage, error = (np.where(valid, value, np.nan).reshape(shape) for value in (depth, sigma))
     reported = np.isin(rows.node, slipping) | np.isfinite(sinkage).any(axis=1)
@@ -224,11 +225,6 @@ def _with_rows_between(drive: DriveStates) -> StateRows:
 
 def _picked(rows: StateRows, numbers: IndexArray) -> StateRows:
     return StateRows(**{field.name: getattr(rows, field.name)[numbers] for field in dataclasses.fields(rows)})
-
-
-def _at_halt(drive: DriveStates) -> BoolArray:
-    """Rows whose states are not valid only for their slip: their sinkage counts all the same."""
-    return np.isfinite(drive.rows.slip_ratio)
 
 
 def _without_holes(values: FloatArray) -> FloatArray:

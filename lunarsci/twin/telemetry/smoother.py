@@ -354,7 +354,8 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
         weights[channel] = _normed(prior[channel] + likelihood(tried_a, tried_l, np.full(len(ln_a), walk)))
         amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
         length[channel] = math.exp(weights[channel] @ ln_l)
-    spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
+    spread = np.sqrt([weight @ (ln_a - weight @ ln_a) ** 2 for weight in weights])
+    beside = np.maximum(weights, 1e-300) / [_normed(row) for row in prior]
     drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
     picked = np.column_stack(drawn[:3])
     return SlipProcess(
@@ -365,7 +366,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
         usual_length_m=length,
         usual_walk=walk,
         spread=spread,
-        information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
+        information=(weights * np.log(beside)).sum(axis=1),
     )
 
 
@@ -383,14 +384,6 @@ def _believed(nodes: Nodes) -> FloatArray:
 def _normed(ln_weight: FloatArray) -> FloatArray:
     weight = np.exp(ln_weight - ln_weight.max())
     return np.asarray(weight / weight.sum())
-
-
-def _spread(weight: FloatArray, values: FloatArray) -> float:
-    return math.sqrt(weight @ (values - weight @ values) ** 2)
-
-
-def _divergence(weight: FloatArray, believed: FloatArray) -> float:
-    return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
 
 
 def _drawn(weight: FloatArray, stride: int) -> IndexArray:
@@ -422,6 +415,7 @@ class Smoothed:
     effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
     squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
+    yaw_squared_distance : the same of each heading. (n,)
     fix_weight, yaw_weight : how much each position and heading counts, 1 for one that is as good as it says. (n,)
     reduced_chi_square : of the positions.
     posterior : of the constants.
@@ -434,6 +428,7 @@ class Smoothed:
     bend: FloatArray
     change: SlipProcess
     squared_distance: FloatArray
+    yaw_squared_distance: FloatArray
     fix_weight: FloatArray
     yaw_weight: FloatArray
     reduced_chi_square: float
@@ -512,6 +507,7 @@ def smooth(
         bend=at_nodes(nodes.bend),
         change=change,
         squared_distance=squared,
+        yaw_squared_distance=_yaw_squared_distances(nodes, off, spread, reference.yaw_weight),
         fix_weight=reference.fix_weight,
         yaw_weight=reference.yaw_weight,
         reduced_chi_square=chi_square / max(count, 1),

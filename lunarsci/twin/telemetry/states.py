@@ -634,13 +634,9 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
         columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
     columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
     columns["valid"] = rows.valid.ravel()
-    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive, _learned(drive))
-
-
-def _learned(drive: DriveStates) -> tuple[str, ...]:
-    """Kinds of findings that leave the states right, and not a soil learned from them with the plan."""
-    many = drive.rows.fast.sum() > MOST_BEYOND * drive.rows.measured.sum()
-    return (HALT, FAST) if many else (HALT,)
+    # What leaves the states right, and not a soil learned from them with the plan.
+    kinds = (HALT, FAST) if rows.fast.sum() > MOST_BEYOND * rows.measured.sum() else (HALT,)
+    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive, kinds)
 
 
 def _named(table: "pd.DataFrame", drive: DriveStates, kinds: tuple[str, ...] = ()) -> "pd.DataFrame":

@@ -80,7 +80,10 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     command = between(telemetry.speed_m_s) / per_deg * steps
     angle, rate = np.diff(telemetry.angle_deg, axis=0), between(telemetry.rate_deg_s) * steps
     # An encoder that hangs beside what its rate, else its command, says.
-    expected, digits = _since_start(np.where(np.isfinite(rate), rate, command)), _digits(telemetry)
+    since_start = np.cumsum(np.nan_to_num(np.where(np.isfinite(rate), rate, command)), axis=0)
+    expected = np.vstack([np.zeros_like(since_start[:1]), since_start])
+    last = np.array([digit_of(column) for column in telemetry.angle_deg.T])
+    digits = np.hypot(SIGMA_DEG, 0.5 * np.where(np.isfinite(last), last, 0.0))
     hung = np.column_stack(
         [held(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
     )
@@ -130,16 +133,6 @@ def resting_steps(telemetry: Telemetry) -> BoolArray:
         turned = np.abs(telemetry.angle_deg[begin + 1 : end + 1] - telemetry.angle_deg[begin])
         resting[begin:end] = not (turned > TURNED_DEG).any()
     return np.asarray(resting | telemetry.rested)
-
-
-def _since_start(turn_deg: FloatArray) -> FloatArray:
-    return np.vstack([np.zeros_like(turn_deg[:1]), np.cumsum(np.nan_to_num(turn_deg), axis=0)])
-
-
-def _digits(telemetry: Telemetry) -> FloatArray:
-    """Standard error of the turn that each encoder says, by its last digit. (wheels,) [deg]"""
-    digits = np.array([digit_of(column) for column in telemetry.angle_deg.T])
-    return np.hypot(SIGMA_DEG, 0.5 * np.where(np.isfinite(digits), digits, 0.0))
 
 
 class _Turns(NamedTuple):

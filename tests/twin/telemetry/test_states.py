@@ -140,11 +140,11 @@ def test_what_cannot_be_simulated_is_refused(drive: SyntheticDrive, yutu2: Rover
     both = dataclasses.replace(prediction, outcome=np.zeros(2, dtype=np.int64))
     with pytest.raises(ParameterError, match="give one soil"):
         simulate_telemetry(both, drive.errors)
-    with pytest.raises(ParameterError, match="above 0 m"):
+    with pytest.raises(ParameterError, match="above 0"):
         SensorErrors(fix_distance_m=0.0)
     with pytest.raises(ParameterError, match="0 or more"):
         SensorErrors(yaw_deg=-1.0)
-    with pytest.raises(ParameterError, match="an error above 0"):
+    with pytest.raises(ParameterError, match="above 0"):
         SensorErrors(fix_sigma_m=0.0)
 
 
