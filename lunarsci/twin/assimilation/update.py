@@ -349,11 +349,11 @@ def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Predict
     way = float(exposed(planned, paths).mean())
     total = 0.0
     for k, name in enumerate(OBSERVED[:3]):
-        counted_here, factor = drive.counted[:, k], drive.inflation.get(name, 1.0)
-        if not counted_here.any() or factor <= 1.0:
+        rows, factor = drive.counted[:, k], drive.inflation.get(name, 1.0)
+        if not rows.any() or factor <= 1.0:
             continue
-        added = float(np.median(drive.sigma[counted_here, k])) * np.sqrt(1.0 - factor**-2)
-        size = float(np.abs(expected[counted_here, k]).mean()) if name == "sinkage_m" else way
+        added = float(np.median(drive.sigma[rows, k])) * np.sqrt(1.0 - factor**-2)
+        size = float(np.abs(expected[rows, k]).mean()) if name == "sinkage_m" else way
         total += ((np.radians(added) if name == "side_slip_deg" else added) / max(size, 1e-9)) ** 2
     return float(np.sqrt(total))
 
@@ -387,9 +387,9 @@ def _unexplained(drive: DriveResiduals, expected: FloatArray, best: Prediction) 
             result[name] = _rms(off) / max(UNEXPLAINED_OF_WAY * _rms(way), FIX_ERROR_M)
             continue
         k = OBSERVED.index(name)
-        counted_here = drive.counted[:, k]
-        values = drive.record.values[counted_here, k]
-        result[name] = _rms(values - expected[counted_here, k]) / max(UNEXPLAINED * _rms(values), SLIGHT[name])
+        rows = drive.counted[:, k]
+        values = drive.record.values[rows, k]
+        result[name] = _rms(values - expected[rows, k]) / max(UNEXPLAINED * _rms(values), SLIGHT[name])
     return result
 
 

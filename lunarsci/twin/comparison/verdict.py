@@ -191,9 +191,9 @@ def surprise(matched: MatchedObservations, seed: int = 0) -> Surprise | None:
         vector = _vector(matched, names, pieces)
         if vector is None or (vector[0].size * MEMBERS_EACH > len(matched.members) and pieces > 1):
             continue
-        result = standing(*vector[:3], seed, vector[3])
-        single = (*names, *(["position"] if len(matched.record.fix_time_s) else []))
-        return None if result is None else Surprise(result, pieces, single)
+        held = standing(*vector[:3], seed, vector[3])
+        quantities = (*names, *(["position"] if len(matched.record.fix_time_s) else []))
+        return None if held is None else Surprise(held, pieces, quantities)
     return None
 
 

@@ -95,12 +95,8 @@ class PrescribedLoads:
     def residual_share(self) -> float:
         """Root mean square of the missing force, as a share of the rover's weight. [-]"""
         weight = self.rover.mass_kg * self.rover.gravity_m_s2
-        with_forces = self.with_forces
-        return (
-            float(np.sqrt((self.residual_n[with_forces] ** 2).sum(axis=1).mean()) / weight)
-            if with_forces.any()
-            else np.nan
-        )
+        rows = self.with_forces
+        return float(np.sqrt((self.residual_n[rows] ** 2).sum(axis=1).mean()) / weight) if rows.any() else np.nan
 
 
 def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: FloatArray | None = None) -> PrescribedLoads:
@@ -118,7 +114,7 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     if motion.speed_m_s.shape != (count, wheels) or motion.steering_deg.shape != (count, wheels):
         raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
     override = np.full((GROUP, len(OVERRIDES)), np.nan) if soil is None else np.tile(soil, (GROUP, 1))
-    with_forces = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
+    scene = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
     poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
     paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
     outcome, frames = np.zeros(count, dtype=np.int64), np.zeros((count, wheels, 12))
@@ -127,7 +123,7 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
 
     def rest(number: int) -> None:
         lanes, work = groups[number], works[number]
-        _place(with_forces, motion, lanes, work)
+        _place(scene, motion, lanes, work)
         outcome[lanes] = work.code
         pose = np.concatenate([BODY.view(work.body, name) for name in ("position", "quaternion", "joints")])
         poses[lanes] = np.where(work.code == FINISHED, pose, np.nan).T
@@ -135,12 +131,12 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     def carry(number: int) -> None:
         lanes, work = groups[number], works[number]
         share = np.zeros((GROUP, 3))
-        balance(*with_forces, HELD, velocities[lanes], share, work)
+        balance(*scene, HELD, velocities[lanes], share, work)
         outcome[lanes], left[lanes] = np.maximum(outcome[lanes], work.code), share
         seen = [WHEEL.view(work.wheels, name) for name in ("forward", "across", "upward", "arm")]
         frames[lanes] = np.concatenate(seen, axis=1).transpose(2, 0, 1)
         for lane, row in enumerate(lanes):
-            record(work, lane, with_forces[1], paths[row], states[row])
+            record(work, lane, scene[1], paths[row], states[row])
 
     each_in_threads(rest, len(groups))
     moving = _velocities(motion.time_s, poses)
@@ -152,21 +148,21 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     return _results(rover, terrain, motion, (paths, states, left, frames), outcome)
 
 
-def _place(with_forces: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, work: Any) -> None:
+def _place(scene: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, work: Any) -> None:
     """Let a group of rovers rest on the ground at its poses."""
     start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[lanes]
     speed = np.where(motion.speed_m_s == 0, CREEP_M_S, motion.speed_m_s)
-    tread(with_forces[1], with_forces[3], work)
+    tread(scene[1], scene[3], work)
     take_commands(work, np.radians(motion.steering_deg[lanes])[:, None], speed[lanes][:, None], 0)
-    settle(*with_forces, start, work)
+    settle(*scene, start, work)
 
 
 def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
     """Generalised velocities by differences of the poses, NaN beside poses that are. (n, 9)"""
     from scipy.spatial.transform import Rotation
 
-    with_forces: Any = np.isfinite(poses).all(axis=1)
-    turned = Rotation.from_quat(np.where(with_forces[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
+    given: Any = np.isfinite(poses).all(axis=1)
+    turned = Rotation.from_quat(np.where(given[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
     steps = np.diff(time_s)[:, None]
     spins = (turned[1:] * turned[:-1].inv()).as_rotvec() / steps
     # Weighed as `np.gradient` does: the nearer step counts the more.
@@ -488,23 +484,23 @@ def _balanced(held: PrescribedLoads, drawn: list[_Drawn], error: FloatArray, cor
     levers = contact_jacobian(held)
     with_forces = held.with_forces & (carried.mean(axis=0) >= LEAST_CARRIED)
     for k in np.flatnonzero(with_forces):
-        lanes = [(part.forces[carried[:, k], k], part.residual[carried[:, k], k]) for part in drawn]
-        flat = lanes[0][0].reshape(len(lanes[0][0]), -1)
-        gain = _gain(flat, lanes[0][1], error)
+        per_draw = [(part.forces[carried[:, k], k], part.residual[carried[:, k], k]) for part in drawn]
+        flat = per_draw[0][0].reshape(len(per_draw[0][0]), -1)
+        gain = _gain(flat, per_draw[0][1], error)
         moved = [
-            (forces.reshape(len(flat), -1) - residual @ gain.T).reshape(forces.shape) for forces, residual in lanes
+            (forces.reshape(len(flat), -1) - residual @ gain.T).reshape(forces.shape) for forces, residual in per_draw
         ]
         noise = ((gain * error) ** 2).sum(axis=1).reshape(wheels, 3)
-        before[k], after[k] = lanes[0][0].mean(axis=0), moved[0].mean(axis=0)
-        parts[:, k] = _parts([forces for forces, _ in lanes], np.zeros((wheels, 3)))
+        before[k], after[k] = per_draw[0][0].mean(axis=0), moved[0].mean(axis=0)
+        parts[:, k] = _parts([forces for forces, _ in per_draw], np.zeros((wheels, 3)))
         # The gain was fitted to these draws: three numbers of their freedom are gone.
         used_parts[:, k] = _parts(moved, noise, (len(flat) - 1) / (len(flat) - 4))
         # What is missing shrinks by as much as the forces of all wheels grow.
         sums = np.einsum("twf,wfk->tk", levers[k], gain.reshape(wheels, 3, 3))
-        gap[k] = lanes[0][1].mean(axis=0)
+        gap[k] = per_draw[0][1].mean(axis=0)
         left[k] = gap[k] + sums @ gap[k]
-        surprise[k] = gap[k] @ np.linalg.solve(np.cov(lanes[0][1].T) + np.diag(error**2), gap[k]) / len(error)
-        total[k] = np.einsum("twf,dwf->dt", levers[k], lanes[0][0]).std(axis=0, ddof=1)
+        surprise[k] = gap[k] @ np.linalg.solve(np.cov(per_draw[0][1].T) + np.diag(error**2), gap[k]) / len(error)
+        total[k] = np.einsum("twf,dwf->dt", levers[k], per_draw[0][0]).std(axis=0, ddof=1)
         spread = np.einsum("twf,dwf->dt", levers[k], moved[0]).var(axis=0, ddof=1)
         rest[k] = np.sqrt(spread + ((sums * error) ** 2).sum(axis=1))
     return LoadEnsemble(
@@ -669,9 +665,9 @@ def balanced_states(forces: LoadEnsemble, states: PoseStates, balance_error: flo
     times, values, sigmas = states.by_pose(len(rover.wheels))
     load, load_sigma = (part[..., 0] for part in (forces.after, forces.after_sigma))
     levers = contact_jacobian(held)
-    report = (load, load_sigma, levers[..., 1:], net_wrench(held, levers))
-    used_parts = [np.where(forces.with_forces.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in report]
-    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part, beyond=False) for part in used_parts)
+    parts = (load, load_sigma, levers[..., 1:], net_wrench(held, levers))
+    masked = [np.where(forces.with_forces.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in parts]
+    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part, beyond=False) for part in masked)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     used = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).any(axis=(1, 2))
