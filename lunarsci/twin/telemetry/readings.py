@@ -26,12 +26,12 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
+from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.checks import check_far, ordered
 from lunarsci.twin.telemetry.reading import (
     DEG,
-    GAP,
     OBEYED,
     STILL,
     UNITS,
@@ -463,8 +463,6 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given, value = telemetry.fixed, telemetry.fix_covariance_m2
-    half = np.asarray(np.isfinite(telemetry.fix_m).any(axis=1)) & ~given
-    _leave(findings, "half a position", "only one of x_m and y_m", half, telemetry)
     complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
     least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
     bad = np.asarray(given & (least <= 0))

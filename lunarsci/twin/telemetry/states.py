@@ -63,7 +63,6 @@ from lunarsci.twin.telemetry.smoother import (
     FAR,
     FREEDOM,
     LATE_S,
-    MEDIAN_OF_TWO,
     Hypothesis,
     Posterior,
     Priors,
@@ -239,10 +238,8 @@ MOST_JUMPS = 8
 """Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
-WORST_SCATTER = 4.0
-"""Median square of what positions are off by over that of their errors beyond which it is said; assumed."""
-LEAST_SCATTER, FINEST_M = 0.05, 5e-4
-"""The same, and a standard error [m], below which errors of positions are not believed; assumed."""
+FINEST_M = 5e-4
+"""Standard error below which errors of positions are not believed; assumed. [m]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -361,12 +358,16 @@ def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
 
 
 def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say positions and headings that hardly count."""
+    """Say positions and headings that hardly count, and errors that nobody can believe."""
     given = np.isfinite(nodes.yaw_rad)
     odd = given & (smoothed.yaw_weight < HARDLY)
     many = bool(odd.sum() > MOST_LEFT_OUT * given.sum())
     what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
     findings.of_rows("odd heading", what, "they hardly count", odd, nodes.time_s, doubt=many)
+    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[nodes.fixed], axis1=1, axis2=2) / 2.0)))
+    if sigma < FINEST_M:
+        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
+        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
     left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return
@@ -377,25 +378,6 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
         done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
     doubt = "last" in ends or len(left) > MOST_LEFT_OUT * len(fixes)
     findings.add("position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt)
-
-
-def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say errors of positions that nobody can believe, and a scatter that they do not explain.
-
-    What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
-    """
-    fixed = nodes.fixed
-    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
-    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
-    if sigma < FINEST_M:
-        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
-        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    elif scatter < LEAST_SCATTER and nodes.chain is None and fixed.sum() > 5:
-        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
-        findings.add("errors too large", what, "kept; are they in another unit?")
-    if scatter > WORST_SCATTER:
-        what = f"positions scatter about the motion with {math.sqrt(scatter):.1f} times the errors that they say"
-        findings.add("positions scatter", what, "their errors are taken to be so much larger")
 
 
 def counted_positions(
@@ -552,7 +534,6 @@ def _along_the_ground(
     lag = Lag.of(smoothed.posterior, priors, begun.lag_s - lag_s)
     say_constants(smoothed, nodes, priors, lag, findings)
     say_left_out(smoothed, nodes, findings)
-    say_scatter(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
     left_out = left_out_of(smoothed, bare)
     return DriveStates(
