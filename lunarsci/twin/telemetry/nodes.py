@@ -33,9 +33,11 @@ SAME_S = 1e-3
 MOST_NODES = 30_000
 """That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
-"""Candidates for the stiffness of the ground against side slip, as a share of that against slip; assumed."""
+"""Candidates for the stiffness of the ground against side slip, as a share of that against slip. Twice as many move
+slips by 0.01 of their errors at most, as measured by `tests/benchmarks/telemetry_constants.py`."""
 AGREEMENT, LEAST_EFFECT = 0.4, 0.1
-"""How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; assumed."""
+"""How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; half or
+twice as much moves slips by 0.07 of their errors at most, as measured."""
 
 
 def turning(rim_m_s: FloatArray) -> BoolArray:

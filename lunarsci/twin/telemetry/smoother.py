@@ -229,9 +229,10 @@ def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Post
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
-it, to much more where the ground is smooth. Assumed. [m]"""
+it, to much more where the ground is smooth. Twice as many, or twice as many of `AMPLITUDES`, move slips by 0.06 of
+their errors at most, as measured by `tests/benchmarks/telemetry_constants.py`. [m]"""
 AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
-"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m. Assumed."""
+"""Candidates for the changing parts of ahead and left, as measured; times `SHARES`, the last in 1/m."""
 SHARES = np.array([1.0, 1.0, 0.3])
 """How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
 LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5

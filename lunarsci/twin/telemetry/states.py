@@ -63,6 +63,7 @@ from lunarsci.twin.telemetry.smoother import (
     FAR,
     FREEDOM,
     LATE_S,
+    MEDIAN_OF_TWO,
     Hypothesis,
     Posterior,
     Priors,
@@ -238,8 +239,9 @@ MOST_JUMPS = 8
 """Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
-FINEST_M = 5e-4
-"""Standard error below which errors of positions are not believed; assumed. [m]"""
+LEAST_SCATTER, FINEST_M = 0.05, 5e-4
+"""Median square of what positions are off by over that of their errors, and a standard error [m], below which their
+errors are not believed; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -368,6 +370,11 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     if sigma < FINEST_M:
         what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
         findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
+    # What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
+    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
+    if scatter < LEAST_SCATTER and sigma >= FINEST_M and nodes.chain is None and nodes.fixed.sum() > 5:
+        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
+        findings.add("errors too large", what, "kept; are they in another unit?")
     left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return
