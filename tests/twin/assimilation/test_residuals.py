@@ -149,6 +149,7 @@ def straight(x_m: np.ndarray, y_m: np.ndarray, time_s: np.ndarray) -> DriveRecor
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_positions_that_no_soil_explains_teach_nothing(yutu2: Rover, flat: Terrain) -> None:
     """A flat ground, a straight plan, and a frame that is turned by 90 degrees, or a clock in milliseconds."""
     time = np.linspace(8.0, 40.0, 5)

@@ -57,6 +57,7 @@ def test_ends_on_a_line_and_too_few_ends() -> None:
 SWEEP = (parse_sweep("friction_angle_deg=25:55:5"), parse_sweep("lateral_modulus_mm=15:45:5"))
 
 
+@pytest.mark.slow
 def test_one_parameter_at_a_time_moves_the_end_as_the_fit_says(yutu2: Rover) -> None:
     """Against two drives at the ends of each range, the other parameter at its middle."""
     terrain, plan = synthetic_longji(rms_m=0.0), read_plan()
@@ -72,10 +73,12 @@ def test_one_parameter_at_a_time_moves_the_end_as_the_fit_says(yutu2: Rover) -> 
     assert 0.9 < sum(share.share for share in found.values()) < 1.05
 
 
+@pytest.mark.slow
 def test_few_members_and_no_sweep_have_no_sensitivity(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
     assert endpoint_sensitivity(predict(yutu2, slope(), straight(0.5), sweep=())) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.2, 0.1])
 def test_the_stated_step_error_is_the_one_against_a_fine_step(yutu2: Rover, dt: float) -> None:
     terrain, plan = synthetic_longji(rms_m=0.0), read_plan()
@@ -84,6 +87,7 @@ def test_the_stated_step_error_is_the_one_against_a_fine_step(yutu2: Rover, dt: 
     assert step_error_m(coarse) == pytest.approx(error, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixes", [None, Fixes(0.005, 0.1)])
 def test_the_step_error_is_that_of_the_member_that_misses_most(yutu2: Rover, fixes: Fixes | None) -> None:
     """Of two soils the second; where it is fixed on the way, that fix counts as exact at every step."""
@@ -97,10 +101,12 @@ def test_the_step_error_is_that_of_the_member_that_misses_most(yutu2: Rover, fix
     assert step_error_m(driven) == pytest.approx(error[1], rel=0.2)
 
 
+@pytest.mark.slow
 def test_steps_too_fine_to_matter_are_not_halved(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
     assert step_error_m(predict(yutu2, slope(), straight(0.2), sweep=(), time_step_s=0.005)) is None
 
 
+@pytest.mark.slow
 def test_a_drive_that_did_not_finish_has_no_step_error(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
     lost = predict(yutu2, slope(), straight(15.0), sweep=())
     assert step_error_m(lost) is None

@@ -156,6 +156,7 @@ def test_errors_of_slips_are_those_of_drawn_velocities(rim_m_s: float) -> None:
     assert side_sigma[0] == pytest.approx(expected[1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_intervals_hold_on_waved_ground() -> None:
     """Four drives on four soils over waves of 2 m, with dense and usual positions; drives count, not states.
 
