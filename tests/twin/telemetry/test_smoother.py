@@ -199,6 +199,7 @@ def traverse_of(deviation: np.ndarray, sigma_m: float, every: int, seed: int = 0
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "wave_m"), [(0.06, 2.0), (0.06, 6.0), (0.006, 6.0)])
 def test_amplitude_and_length_are_found_where_positions_are_good(amplitude: float, wave_m: float) -> None:
     """A process of Matern 3/2 is about as smooth as a wave is long over 4; its amplitude is that of the wave, or, as a
@@ -211,6 +212,7 @@ def test_amplitude_and_length_are_found_where_positions_are_good(amplitude: floa
         assert 0.3 * wave_m < found.usual_length_m[0] < 0.5 * wave_m
 
 
+@pytest.mark.slow
 def test_amplitudes_of_drawn_processes_are_found_within_their_spread() -> None:
     """Of 10 processes of Matern 3/2: in ln the amplitudes scatter by 0.15, which is less than the spread says, as that
     covers the steps between candidates too."""
@@ -225,6 +227,7 @@ def test_amplitudes_of_drawn_processes_are_found_within_their_spread() -> None:
     assert 0.45 < np.sqrt((away**2).mean()) / np.sqrt((spread**2).mean()) < 1.15
 
 
+@pytest.mark.slow
 def test_what_is_not_known_of_the_change_stays_open() -> None:
     """Coarse positions tell nothing: the candidates are as far apart as was believed."""
     few = change_of(traverse_of(np.zeros(40), 0.5, 20))
@@ -236,6 +239,7 @@ def test_what_is_not_known_of_the_change_stays_open() -> None:
     assert many.usual[0] < few.usual[0]
 
 
+@pytest.mark.slow
 def test_where_positions_say_nothing_what_was_believed_remains() -> None:
     """Candidates under a normal law of width 1.7 in ln about 0.02: their mean and standard deviation."""
     found = change_of(traverse_of(np.zeros(40), 1e3, 20))
@@ -249,6 +253,7 @@ def test_where_positions_say_nothing_what_was_believed_remains() -> None:
     assert found.usual_length_m[:2] == pytest.approx(np.exp(np.log(LENGTHS_M).mean()), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_slip_follows_a_slope_between_positions(yutu2: Rover) -> None:
     """Up and down a wave between positions 2 m apart: the slope says what positions do not."""
     x = np.arange(-2.0, 10.01, 0.05)
@@ -264,6 +269,7 @@ def test_slip_follows_a_slope_between_positions(yutu2: Rover) -> None:
     assert np.corrcoef(middle, dense)[0, 1] > 0.85
 
 
+@pytest.mark.slow
 def test_rows_far_apart_see_the_ground_between_them() -> None:
     """Telemetry every 0.25 m has nodes as dense as any, and no more positions."""
     truth = truth_of("same", "1.2 m", 0)
