@@ -120,6 +120,15 @@ def test_a_wheel_that_turns_to_either_side_is_no_rest(
     assert blocks.tolist() == ([0, 1, 8] if stands else [0, 1, 3, 4, 5, 8])
 
 
+def test_a_wheel_that_creeps_on_through_all_blocks_is_no_rest(yutu2: Rover) -> None:
+    """By half of what a wheel that stands may turn, and a little more, in each of nine blocks."""
+    count = 9 * reading.BLOCK
+    rows = {f"angle_{wheel}_deg": 0.53 * 3.0 * np.arange(count) / reading.BLOCK for wheel in yutu2.wheels}
+    kept = reading.RowsWithoutRests("sent.csv", yutu2)
+    kept.add({"time_s": 0.1 * np.arange(count), **rows})
+    assert len(kept.joined()["time_s"]) == count and kept.rests_s == []
+
+
 def test_how_long_a_rover_stands_moves_no_state(drive: pd.DataFrame, yutu2: Rover) -> None:
     """Half an hour of noise between two drives, and none: headings may drift in it, and tell a little less."""
     long, short = (found(csv(table), yutu2).rows for table in (stood(drive, STOOD), drive))
