@@ -8,7 +8,7 @@ The choice among drives: all are driven on the same soils, hopeless ones stop ea
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -399,11 +399,7 @@ class DriveCandidate:
             "localisation_updates": 0 if self.plan.fixes is None else len(self.plan.legs) - 1,
             "screened": self.chance.to_dict(),
             "promised": None if self.promise is None else self.promise.to_dict(),
-            "worst": {
-                "quantity": worst.quantity, "unit": worst.unit, "value": worst.value, "limit": worst.limit,
-                "failed": worst.failed, "x_m": worst.x_m, "y_m": worst.y_m, "distance_m": worst.distance_m,
-                "why": worst.why,
-            },
+            "worst": asdict(worst) | {"why": worst.why},
             "least_charge": self.least_charge,
             "stopped_early": self.stopped,
             "pareto": self.pareto,
