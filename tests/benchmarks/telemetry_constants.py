@@ -5,12 +5,14 @@ Each constant of `TRIED` is made so many times as large, or a grid so many times
 """
 
 import warnings
+from functools import cache
 
 import numpy as np
 from faulty_drives import KINDS, telemetry_of, terrain_of, truth_of
 
 from lunarsci.arrays import FloatArray
 from lunarsci.io.inputs import InputFile
+from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.telemetry import filter as motion_filter
 from lunarsci.twin.telemetry import nodes, reading, smoother, states, wheel_motion
@@ -30,13 +32,19 @@ def finer(grid: tuple[float, ...], times: float) -> tuple[float, ...]:
     return tuple(np.exp(np.interp(steps, np.arange(len(grid)), np.log(grid))))
 
 
-def slips(number: int, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Slips and side slips of the valid states of a drive, and their errors."""
+@cache
+def sent(number: int, kind: str) -> tuple[InputFile, Plan]:
+    """Telemetry of a drive, and its plan."""
     rover, random = build_rover("yutu2"), np.random.default_rng([number, KINDS.index(kind), 5])
     table, _, plan, _ = telemetry_of(truth_of(number, kind, rover, None), kind, rover, random)
-    findings = reading.Findings("drive.csv")
-    sent = reading.read_telemetry(InputFile("drive.csv", table.to_csv(index=False).encode()), rover, findings)
-    rows = states.states_of(sent, rover, terrain_of(number), findings, plan).rows
+    return InputFile("drive.csv", table.to_csv(index=False).encode()), plan
+
+
+def slips(number: int, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Slips and side slips of the valid states of a drive, and their errors."""
+    (file, plan), rover, findings = sent(number, kind), build_rover("yutu2"), reading.Findings("drive.csv")
+    telemetry = reading.read_telemetry(file, rover, findings)
+    rows = states.states_of(telemetry, rover, terrain_of(number), findings, plan).rows
     pairs = ((rows.slip_ratio, rows.slip_ratio_sigma), (rows.side_slip_deg, rows.side_slip_deg_sigma))
     values, sigmas = (
         np.concatenate(part) for part in zip(*((v[rows.valid], s[rows.valid]) for v, s in pairs), strict=True)
