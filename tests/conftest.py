@@ -57,8 +57,11 @@ QUICK = {
     "simulation": "instrument",
     "origin": "catalogue composition ejecta exposure likelihood match mineral_map prior rock sphere",
     "readers": "astropy_tables dispatch envi libraries library likely reference solar_table table text",
-    "twin": "compare_parts drive_record ellipse illumination likely_terrain mission plan smoother state_tables "
-    "synthetic terrain terrain_files",
+    "twin": "illumination likely_terrain mission plan synthetic terrain terrain_files",
+    "telemetry": "smoother",
+    "assimilation": "residuals",
+    "comparison": "scores",
+    "judgement": "endpoint",
     "images": "cameras",
 }
 """Files of `make quick` by their folder, but for what is marked slow: truths by hand of every part, in plain Python,

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from lunarsci.twin.jobs import forces as job
+from lunarsci.twin.jobs.forces import DriveForces
 from lunarsci.twin.jobs.requests import DriveRequest
+from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output
@@ -18,7 +21,7 @@ from .options import DRIVE, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.forces import DriveForces
-    from lunarsci.twin.judgement.load_check import Spread, WheelLoads
+    from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 COLUMNS = {
     "normal_force_n": ("F_N [N]", 1.0),
@@ -46,8 +49,6 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     The drive has the soil of the terrain unless --sweep, --members or --soil name others. `lunarsci twin loads` gives
     the same along a measured motion.
     """
-
-    from lunarsci.twin.jobs import forces as job
 
     with progress("driving", quiet=output.quiet) as update:
         found = job.forces(plan, request, progress=update)

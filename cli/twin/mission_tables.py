@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lunarsci.twin.jobs.planned_mission import PlannedMission
+from lunarsci.twin.judgement.quantities import least_of_95
+from lunarsci.twin.mission.legs import MissionLeg
+
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
@@ -44,8 +48,6 @@ def _targets(found: PlannedMission) -> TextTable:
 
 
 def _legs(found: PlannedMission) -> TextTable:
-
-    from lunarsci.twin.judgement.keeping import least_of_95
 
     rows = [_row(leg) for leg in found.driven.legs]
     headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]

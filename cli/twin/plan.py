@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from lunarsci.heights.projections import lonlat_of
+from lunarsci.twin.jobs import plan as job
+from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+from lunarsci.twin.jobs.planned_mission import PlannedMission
 from lunarsci.twin.jobs.requests import PlanRequest
+from lunarsci.twin.jobs.terrain import TerrainSurvey
+from lunarsci.twin.judgement.choice import DriveCandidate
+from lunarsci.twin.plans.plan import Leg
+from lunarsci.twin.routes.planner import PlannedPath
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option
@@ -20,9 +28,9 @@ from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
-    from lunarsci.twin.choice.choice import DriveCandidate
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.terrain import TerrainSurvey
+    from lunarsci.twin.judgement.choice import DriveCandidate
     from lunarsci.twin.plans.plan import Leg
     from lunarsci.twin.routes.planner import PlannedPath
 
@@ -86,8 +94,6 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     the plans, legs.csv the timetable, mission.geojson the map.
     """
 
-    from lunarsci.twin.jobs import plan as job
-
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
@@ -99,7 +105,6 @@ def result_tables(found: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
 
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-    from lunarsci.twin.jobs.planned_mission import PlannedMission
 
     if isinstance(found, PlannedMission):
         return mission_tables(found)
@@ -118,7 +123,7 @@ def _choice_table(found: ChosenDrive) -> TextTable:
     notes = [
         *([found.soils.doubt] if found.soils.doubt else []),
         *([] if choice.feasible else [found.what_next]),
-        f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
+        f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
         *([held] if choice.feasible else []),
@@ -141,8 +146,8 @@ def _candidate_row(one: DriveCandidate) -> list[str]:
     return [
         f"{one.number}{'*' if one.pareto else ''}",
         one.plan.name,
-        f"{unsure}{_percent(one.said.risk)}",
-        _percent(one.said.high),
+        f"{unsure}{_percent(one.stated.risk)}",
+        _percent(one.stated.high),
         f"{one.length_m:.1f}",
         energy,
         SHORT[weak.quantity],
@@ -193,8 +198,6 @@ def _driven(leg: Leg) -> str:
 
 def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
-
-    from lunarsci.heights.projections import lonlat_of
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())
     notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []

@@ -13,8 +13,8 @@ from lunarsci.twin.jobs import predict as job
 from lunarsci.twin.jobs.predict import PredictedDrives
 from lunarsci.twin.jobs.requests import PredictRequest
 from lunarsci.twin.judgement.energy import energy_record, power_record
-from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.safety import Judgement, Verdict, headword
+from lunarsci.twin.judgement.tables import check_loads, load_notes
 
 from ..shared.command import command
 from ..shared.options import SPREAD, Output, option

@@ -139,7 +139,8 @@ def _notes(learned: LearnedSoil) -> list[str]:
 
     found = learned.found
     notes = [
-        f"learned from {found.told}; {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}",
+        f"learned from {found.learned_from}; {int(found.outliers.sum())} outliers, reduced chi-square "
+        f"{found.reduced:.2f}",
         f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
         f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
         *learned.doubts,

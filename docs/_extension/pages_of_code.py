@@ -177,7 +177,7 @@ def telemetry_text() -> str:
     """Columns of telemetry, from the names that the reader knows."""
     from lunarsci.result import unit_of
 
-    names = dict.fromkeys((*reading.KNOWN_PLACES, *reading.POSE_COLUMNS, *reading.WHEEL_COLUMNS.values()))
+    names = dict.fromkeys((*reading.POSITION_COLUMNS, *reading.POSE_COLUMNS, *reading.WHEEL_COLUMNS.values()))
     rows = [f"| `{name.replace('{}', 'WHEEL')}` | {unit_of(name.replace('_{}', ''))} | "
             f"{'needed' if name in reading.NEEDED else ''} | {MEANT[name].replace('`{}`', '`WHEEL`')} |"
             for name in names]  # fmt: skip

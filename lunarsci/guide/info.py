@@ -95,9 +95,9 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
 
 def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of telemetry and positions that are there by names of ROS, or in other units."""
-    from lunarsci.twin.telemetry.columns import named_columns, own_names
+    from lunarsci.twin.telemetry.reading import named_columns, ros_names
 
-    ros = own_names(list(columns))
+    ros = ros_names(list(columns))
     if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
         ros = [name for name in ros if name != "yaw_deg"]
     return ros + [name for name in named_columns(list(columns)) if name not in columns]
@@ -359,11 +359,10 @@ def _states(file: InputFile) -> Mapping[str, Any]:
 
 def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.telemetry.columns import own_names
-    from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+    from lunarsci.twin.telemetry.reading import Findings, read_telemetry, ros_names
 
     names = file.data if isinstance(file, InputFile) else _ends(file)
-    ros = own_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
+    ros = ros_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
     four = b"FL" in names and b"_ML_" not in names if not ros else "angle_ML_deg" not in ros
     rover = build_rover("small-four" if four else "yutu2")
     found = read_telemetry(file, rover, Findings(file.name))

@@ -29,8 +29,7 @@ from errands import TOLERANCE_M, Errand, errand, kept, other_truths, truths
 from result_lines import computed, rows_of
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.choice.choice import choose
-from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.judgement.choice import Conditions, choose
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.routes.candidates import candidate_plans
@@ -124,10 +123,10 @@ def by_risk(one: Errand, risk: float) -> Proposal:
     best = found.best
     return Proposal(
         plan=best.plan if found.feasible else None,
-        promised=1.0 - best.said.risk,
+        promised=1.0 - best.stated.risk,
         reason="" if found.feasible else best.weakest.why,
         others=tuple(
-            (a.plan, 1.0 - a.said.risk, a.promise is not None) for a in found.candidates if a is not found.best
+            (a.plan, 1.0 - a.stated.risk, a.promise is not None) for a in found.candidates if a is not found.best
         ),
     )
 

@@ -734,7 +734,7 @@ def drive_readers() -> dict[str, Reader]:
             with contextlib.suppress(DataError, RequestError):
                 check.tables([read_input(str(path))])
                 check.states(str(path), read_csv_table(str(path)))
-        return with_rover("twin.assimilation.drive_record:read_record")(path)
+        return with_rover("twin.assimilation.residuals:read_record")(path)
 
     def sent(path: Path) -> Any:
         from lunarsci.twin.telemetry.reading import Findings
@@ -758,7 +758,7 @@ def drive_readers() -> dict[str, Reader]:
                          [table(f"time_s,x_m,y_m,yaw_deg,{commands}")]),
         "start of a plan": Reader(lambda path: _function("twin.jobs.plan_request:last_pose")(str(path)), ["spoilt.csv"],
                                   [b"time_s,member,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,0,0.1,0,2\n"]),
-        "states of poses": Reader(with_rover("twin.loads.prescribed_motion:read_pose_states"), ["spoilt.csv"],
+        "states of poses": Reader(with_rover("twin.simulation.prescribed_motion:read_pose_states"), ["spoilt.csv"],
                                   [states]),
         "record": Reader(record, ["spoilt.csv"], [states]),
         "prediction": Reader(lambda path: _function("twin.comparison.forecast:read_forecast")(path.parent),

@@ -35,10 +35,8 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.rovers import read_rover
-from lunarsci.twin.assimilation.change_point import traverse_of
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, pace_of, read_record, states_at
-from lunarsci.twin.assimilation.residuals import POSITION
-from lunarsci.twin.assimilation.segments import FEWEST_VALUES, LEAST_SLIPS, record_within
+from lunarsci.twin.assimilation.residuals import OBSERVED, POSITION, DriveRecord, pace_of, read_record, states_at
+from lunarsci.twin.assimilation.segments import FEWEST_VALUES, record_within, traverse_of
 from lunarsci.twin.assimilation.update import WIDENED, SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.comparison.forecast import forecast_of, match_observations
 from lunarsci.twin.comparison.scores import ALL
@@ -236,7 +234,7 @@ def halves(task: tuple[str, int, int]) -> dict[str, Any]:
         slips = int(np.isfinite(own.values[:, SLIP]).sum())
         lean = None
         if np.isfinite(own.values).sum() >= FEWEST_VALUES:
-            lean = SlipLean.of(own, assimilate(rover, told, out.plan, own, first()), least=LEAST_SLIPS)
+            lean = SlipLean.of(own, assimilate(rover, told, out.plan, own, first()), least=FEWEST_VALUES)
         row["halves"].append({"slips": slips, "lean": lean.to_dict() if lean else None})
     return row
 

@@ -42,7 +42,7 @@ from true_drives import DRIVEN_BY, Case, chain, terrains
 from lunarsci.regolith.belief import first_belief, ground_moments
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.keeping import extremes

@@ -11,7 +11,7 @@ import pytest
 from lunarsci.cli import main
 
 from lunarsci.io.inputs import read_input
-from lunarsci.twin.assimilation.drive_record import pace_of, read_record
+from lunarsci.twin.assimilation.residuals import pace_of, read_record
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.rover import build_rover
 

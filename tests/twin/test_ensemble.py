@@ -12,8 +12,8 @@ from lunarsci.twin.figures.prediction import path_fan
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import covering_circle
-from lunarsci.twin.judgement.keeping import extremes, least_of_95
-from lunarsci.twin.judgement.quantities import tilt_deg
+from lunarsci.twin.judgement.keeping import extremes
+from lunarsci.twin.judgement.quantities import least_of_95, tilt_deg
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.plans.limits import Limit

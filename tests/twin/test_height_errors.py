@@ -14,7 +14,7 @@ from lunarsci.twin.ground.height_errors import GRAIN_NODES, likely_ground, relie
 from lunarsci.twin.ground.terrain import Terrain, build_terrain, height_of
 from lunarsci.twin.ground.terrain_files import read_terrain_file, terrain_bytes
 from lunarsci.twin.jobs.terrain import terrain
-from lunarsci.twin.judgement.terrain_share import likely_drives, terrain_shares
+from lunarsci.twin.judgement.endpoint import likely_drives, terrain_shares
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict

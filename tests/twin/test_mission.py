@@ -9,7 +9,7 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.electrics import Motors, PowerSupply
-from lunarsci.twin.judgement.keeping import kept
+from lunarsci.twin.judgement.keeping import keeps_limits
 from lunarsci.twin.mission.legs import DrivenMission, drive_mission, first_leg
 from lunarsci.twin.mission.mission import CommWindow, Mission, MissionStart, MissionTarget, read_mission
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
@@ -148,7 +148,7 @@ def powered(rover: Rover, battery_wh: float, least: float = 0.0, **mission: floa
     equipped = dataclasses.replace(rover, power=supply, motors=motors)
     world = Slides(equipped, np.zeros(MEMBERS))
     given = dataclasses.replace(MISSION, localisation_s=600.0, **mission)
-    return drive_mission(given, equipped, straight, world.drive, kept, power=PowerState(charge=1.0))
+    return drive_mission(given, equipped, straight, world.drive, keeps_limits, power=PowerState(charge=1.0))
 
 
 def test_the_battery_goes_on_from_leg_to_leg(yutu2: Rover) -> None:

@@ -9,8 +9,7 @@ import quasi_static
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, VarianceLaw
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.assimilation.drive_record import DriveRecord
-from lunarsci.twin.assimilation.residuals import DriveBias, DriveResiduals
+from lunarsci.twin.assimilation.residuals import DriveBias, DriveRecord, DriveResiduals
 from lunarsci.twin.comparison.forecast import forecast_of, match_observations, miss_of, taught
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.judgement.endpoint import endpoint_spread

@@ -12,7 +12,7 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.figures.maps import soil_pages
 from lunarsci.twin.ground.soil_layers import drawn_grounds, soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes

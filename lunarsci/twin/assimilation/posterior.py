@@ -19,22 +19,21 @@ Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
-from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.residuals import HUBER, POSITION, DriveResiduals, cost_of, robust_cost
+from lunarsci.twin.assimilation.residuals import HUBER, OBSERVED, POSITION, DriveResiduals, cost_of, robust_cost
 
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
 CHANCE = 0.01
-"""That a variance as large as found comes from the errors alone; below it, errors are widened. Assumed."""
+"""Of a false alarm of a test of an update: that a variance as large comes from the errors alone, below which these are
+widened, and that a soil changes; assumed."""
 MEDIAN_VARIANCE = np.pi / 2
 """Of the median of n normal values, times n over theirs."""
 
@@ -81,7 +80,9 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
         series[name] = [np.clip(part, -HUBER, HUBER) for part in parts]
     result = {}
     for name, parts in series.items():
-        means = _batch_means(parts)
+        # Sums over batches, over the root of their size: unit variance where values are independent.
+        batches = [batch for part in parts for batch in np.array_split(part, max(1, round(len(part) / BATCH)))]
+        means = np.array([batch.sum() / np.sqrt(batch.size) for batch in batches])
         if means.size < 2:
             continue
         variance = float((means**2).mean())
@@ -91,15 +92,9 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
 
 
 def _by_wheel(drive: DriveResiduals, values: FloatArray, k: int) -> list[FloatArray]:
-    known, wheels = drive.known[:, k], np.array(drive.record.wheel)
-    parts = [values[known & (wheels == name)] for name in dict.fromkeys(drive.record.wheel)]
+    counted, wheels = drive.counted[:, k], np.array(drive.record.wheel)
+    parts = [values[counted & (wheels == name)] for name in dict.fromkeys(drive.record.wheel)]
     return [part for part in parts if part.size]
-
-
-def _batch_means(parts: list[FloatArray]) -> FloatArray:
-    """Sums over batches, over the root of their size: unit variance where values are independent."""
-    batches = [batch for part in parts for batch in np.array_split(part, max(1, round(len(part) / BATCH)))]
-    return np.array([batch.sum() / np.sqrt(batch.size) for batch in batches])
 
 
 PRESSURE_PA = 5000.0
@@ -178,8 +173,8 @@ class DrivePosterior:
         """Whitened distance from the belief's mean. (points, 8)"""
         off = transforms - self.drive.belief.mean
         white = np.full(off.shape, np.inf)
-        known = np.isfinite(off).all(axis=1)
-        white[known] = np.linalg.solve(self.root, off[known].T).T
+        counted = np.isfinite(off).all(axis=1)
+        white[counted] = np.linalg.solve(self.root, off[counted].T).T
         return white
 
     def cost(self, points: FloatArray) -> FloatArray:
@@ -190,18 +185,18 @@ class DrivePosterior:
         """Whitened residuals of the drive (points, r), and ln of the density of the coordinates up to a constant, -inf
         where there is no soil. (points,)"""
         rows = self.residuals(points)[0]
-        known = np.isfinite(rows[:, 0])
+        counted = np.isfinite(rows[:, 0])
         density = np.full(len(points), -np.inf)
-        density[known] = self.ln_prior(points[known]) - 0.5 * robust_cost(rows[known]).sum(axis=1)
+        density[counted] = self.ln_prior(points[counted]) - 0.5 * robust_cost(rows[counted]).sum(axis=1)
         return rows, density
 
     def ln_prior(self, points: FloatArray) -> FloatArray:
         """ln of the prior density of the coordinates up to a constant; -inf where there is no soil. (points,)"""
         transforms = self.coordinates.transforms(points)
-        known = self.drive.near(transforms)
+        counted = self.drive.near(transforms)
         density = np.full(len(points), -np.inf)
-        inside = transforms[known]
-        density[known] = self.coordinates.ln_volume(inside) - 0.5 * (self.of_prior(inside) ** 2).sum(axis=1)
+        inside = transforms[counted]
+        density[counted] = self.coordinates.ln_volume(inside) - 0.5 * (self.of_prior(inside) ** 2).sum(axis=1)
         return density
 
     def draw_prior(self, count: int, random: np.random.Generator) -> FloatArray:
@@ -213,7 +208,7 @@ class DrivePosterior:
 
 def posterior_of(drive: DriveResiduals) -> DrivePosterior:
     """The posterior in the coordinates of its typical sinkage, 1 cm where none was measured."""
-    sinkage = drive.record.values[drive.known[:, 0], 0]
+    sinkage = drive.record.values[drive.counted[:, 0], 0]
     typical = float(np.median(sinkage)) if sinkage.size else 0.01
     root = np.asarray(np.linalg.cholesky(drive.belief.covariance), dtype=np.float64)
     return DrivePosterior(drive, SoilCoordinates(max(typical, SHALLOW_M)), root)
@@ -264,9 +259,9 @@ def find_mode(
             break
         if step >= PATIENCE:
             here = here.part(here.costs < here.costs[first] + BEHIND)
-    found = here.part(here.best_first()[:1])
-    curvature, _ = _local(posterior, found, width)
-    return PosteriorMode(found.points[0], float(found.costs[0]), np.asarray(np.linalg.inv(curvature[0])))
+    lowest = here.part(here.best_first()[:1])
+    curvature, _ = _local(posterior, lowest, width)
+    return PosteriorMode(lowest.points[0], float(lowest.costs[0]), np.asarray(np.linalg.inv(curvature[0])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,7 +348,8 @@ def _best_trials(
 
 
 SPARE, MOST_SHARED = 1.5, 0.9
-"""Effective number of drives for each coefficient of the fit, at least, but for this share of all drives; assumed."""
+"""Effective number of drives for each coefficient of the fit, at least, but for this share of all drives. A worse fit
+is accepted less often, and changes no law of the draws."""
 RIDGE = 1e-8
 
 
@@ -379,14 +375,8 @@ class Emulator:
 
 def monomials(scaled: FloatArray) -> FloatArray:
     """Of order 0, 1 and 2. (points, 1 + p + p (p + 1) / 2)"""
-    row, column = _pairs(scaled.shape[1])
+    row, column = np.triu_indices(scaled.shape[1])
     return np.hstack([np.ones((len(scaled), 1)), scaled, scaled[:, row] * scaled[:, column]])
-
-
-@cache
-def _pairs(count: int) -> tuple[IntArray, IntArray]:
-    """Both of each pair of so many, also of one with itself."""
-    return np.triu_indices(count)
 
 
 def fit_emulator(
@@ -405,27 +395,27 @@ def fit_emulator(
     q = monomials((points - center) @ inverse.T)
     power = largest_power(-0.5 * cost, min(SPARE * q.shape[1], MOST_SHARED * len(cost)))
     weight = np.sqrt(weights(-0.5 * power * cost))[:, None]
-    own = weight * q
-    matrix = own.T @ own
+    weighted = weight * q
+    matrix = weighted.T @ weighted
     matrix[np.diag_indices(len(matrix))] *= 1.0 + RIDGE
-    coefficients = np.linalg.solve(matrix, own.T @ (weight * rows))
+    coefficients = np.linalg.solve(matrix, weighted.T @ (weight * rows))
     return Emulator(center, inverse, coefficients @ coefficients.T)
 
 
 FIRST, EACH, ROUNDS = 192, 128, 4
 """Drives of the first round and of each later one, and rounds at most."""
 GOOD = 0.3
-"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough; assumed."""
+"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
 FREEDOM = 6.0
-"""Degrees of freedom of the Student law of the first round; assumed: tails heavier than a posterior's."""
+"""Degrees of freedom of the Student law of the first round: tails heavier than a posterior's."""
 CHAIN, TUNED = 600, 200
 """Steps of a chain on the emulator, of which so many tune it."""
 DIFFERENT = 0.25
-"""Effective number of drives that chains begin at, as a share of the chains or the drives; assumed."""
+"""Effective number of drives that chains begin at, as a share of the chains or the drives."""
 PROPOSALS = Moves(3, 12, 0.1)
 """Proposals to the population."""
 TOGETHER = 512
-"""Chains that walk side by side, so that few particles cost no more steps than many; assumed."""
+"""Chains that walk side by side, so that few particles cost no more steps than many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -465,14 +455,15 @@ def draw_particles(
     -------
     (particles, 8) coordinates, and the largest correlation of one of them with where the last moves began. [-]
     """
-    told, total = progress or (lambda done, of: None), ROUNDS + PROPOSALS.most
-    weight = _huber_weight(posterior, mode)
+    report, total = progress or (lambda done, of: None), ROUNDS + PROPOSALS.most
+    here = np.abs(posterior.residuals(mode.point[None])[0][0])
+    weight = np.asarray(np.sqrt(HUBER / np.maximum(here, HUBER)))
     root: FloatArray = np.asarray(np.linalg.cholesky(mode.covariance), dtype=np.float64)
     noise = random.standard_normal((FIRST, len(root))) @ root.T
     spread = np.sqrt(random.chisquare(FREEDOM, FIRST) / FREEDOM)[:, None]
     drives = _simulated(posterior, weight, np.vstack([mode.point, mode.point + noise / spread]))
     for number in range(ROUNDS):
-        told(number, total)
+        report(number, total)
         emulated = _Emulated(posterior, drives, mode, root)
         chain = emulated.chain(drives, EACH, random)
         fresh = _simulated(posterior, weight, chain)
@@ -482,13 +473,10 @@ def draw_particles(
             break
     emulated = _Emulated(posterior, drives, mode, root)
     population = _Proposed(posterior, emulated, drives, particles, random)
-    return _moved(population, lambda done: told(ROUNDS + done, total))
-
-
-def _huber_weight(posterior: "DrivePosterior", mode: "PosteriorMode") -> FloatArray:
-    """Root of Huber's weight of each residual at the mode. (r,)"""
-    here = np.abs(posterior.residuals(mode.point[None])[0][0])
-    return np.asarray(np.sqrt(HUBER / np.maximum(here, HUBER)))
+    _, left = forget(population, 1.0, PROPOSALS, lambda done: report(ROUNDS + done, total))
+    report(total, total)
+    arrived = np.flatnonzero(np.isfinite(population.excess))
+    return population.points[arrived[np.arange(particles) % len(arrived)]], left
 
 
 def _simulated(posterior: "DrivePosterior", weight: FloatArray, points: FloatArray) -> _Drives:
@@ -511,25 +499,22 @@ class _Emulated:
 
     def chain(self, drives: _Drives, count: int, random: np.random.Generator) -> FloatArray:
         """Ends of as many random walks, begun at drives by their density. (count, p)"""
-        points = drives.points[_by_density(self.ln_density(drives.points), count, random)]
+        # By a flattened density, so that many of them differ.
+        ln_density = self.ln_density(drives.points)
+        power = largest_power(ln_density, DIFFERENT * min(count, len(ln_density)))
+        points = drives.points[random.choice(len(ln_density), count, p=weights(power * ln_density))]
         values, scale = self.ln_density(points), WALK / np.sqrt(points.shape[1])
         root = np.linalg.inv(self.emulator.inverse)
         for step in range(CHAIN):
             if step % (TUNED // 4) == 0 and 0 < step <= TUNED:
                 root = np.linalg.cholesky(np.cov(points.T) + 1e-9 * root @ root.T)
             trial = points + scale * random.standard_normal(points.shape) @ root.T
-            found = self.ln_density(trial)
-            accepted = np.log(random.random(count)) < found - values
-            points, values = np.where(accepted[:, None], trial, points), np.where(accepted, found, values)
+            best = self.ln_density(trial)
+            accepted = np.log(random.random(count)) < best - values
+            points, values = np.where(accepted[:, None], trial, points), np.where(accepted, best, values)
             if step < TUNED:
                 scale *= np.exp(0.3 * (accepted.mean() - ACCEPTED))
         return points
-
-
-def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator) -> IntArray:
-    """Indices drawn by a flattened density, so that many of them differ. (count,)"""
-    power = largest_power(ln_density, DIFFERENT * min(count, len(ln_density)))
-    return random.choice(len(ln_density), count, p=weights(power * ln_density))
 
 
 class _Proposed:
@@ -557,14 +542,7 @@ class _Proposed:
         return points, self._posterior.with_density(points)[1] - self._emulated.ln_density(points)
 
     def move(self, beta: float) -> None:
-        trial, found = self._drawn(len(self.points))
-        accepted = ~(np.log(self._random.random(len(trial))) >= found - self.excess)
+        trial, best = self._drawn(len(self.points))
+        accepted = ~(np.log(self._random.random(len(trial))) >= best - self.excess)
         self.points = np.where(accepted[:, None], trial, self.points)
-        self.excess = np.where(accepted, found, self.excess)
-
-
-def _moved(population: _Proposed, told: Callable[[int], None]) -> tuple[FloatArray, float]:
-    _, left = forget(population, 1.0, PROPOSALS, told)
-    told(PROPOSALS.most)
-    arrived = np.flatnonzero(np.isfinite(population.excess))
-    return population.points[arrived[np.arange(len(population.points)) % len(arrived)]], left
+        self.excess = np.where(accepted, best, self.excess)

@@ -1,33 +1,212 @@
-"""How far simulated drives are from a measured one: residuals over their errors, the twin's own errors marginalised.
+"""What was measured of a drive, and how far simulated drives are from it: residuals over their errors.
 
-What the twin's physics may be off by, alike for all wheels or for one of them throughout a drive, is a bias of known
-size: residuals along it count as much less as it widens their errors.
+Of a drive states of the wheels are measured at times, and positions from localisation. What the twin's physics may be
+off by, alike for all wheels or for one of them throughout a drive, is a bias of known size: residuals along it count as
+much less as it widens their errors.
 """
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times
-from lunarsci.errors import ParameterError
+from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times, samples_about
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.prior import PARAMETERS, Law
-from lunarsci.twin.assimilation.drive_record import (
-    OBSERVED,
-    DriveRecord,
-    check_clock,
-    check_wheels,
-    states_at,
-    wheel_numbers,
-)
+from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, predict
+from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, UNDER_WAY, Prediction, predict
 from lunarsci.twin.simulation.turn_discrepancy import exposed_turns, turn_lever
+from lunarsci.twin.telemetry.checks import WheelPace
+from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+OBSERVED = COLUMNS
+"""Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriveRecord:
+    """Measured states and positions.
+
+    Attributes
+    ----------
+    time_s, wheel : when, since the start of the plan, and of which wheel each state is. (n,) [s]
+    values, sigmas : columns `OBSERVED`, NaN where not measured. (n, 6) [m, -, deg, N, N, N]
+    fix_time_s, fix_m, fix_covariance_m2 : positions of the rover's origin, and their errors. (f,), (f, 2), (f, 2, 2)
+    fix_shared_m2 : covariance of each position's error with that of the one before; None where they are independent.
+        (f, 2, 2)
+    rim_m_s : measured speed of each state's rim, NaN where it is not, None where no state has it. (n,) [m/s]
+    doubt : why the states are doubtful, as `twin states` says in their column of that name; empty where they are not.
+
+    Raises ParameterError for shapes that do not fit, times that are no numbers or negative, and sigmas below 0.
+    """
+
+    time_s: FloatArray
+    wheel: tuple[str, ...]
+    values: FloatArray
+    sigmas: FloatArray
+    fix_time_s: FloatArray
+    fix_m: FloatArray
+    fix_covariance_m2: FloatArray
+    fix_shared_m2: FloatArray | None = None
+    rim_m_s: FloatArray | None = None
+    doubt: str = ""
+
+    def __post_init__(self) -> None:
+        n, f = len(self.time_s), len(self.fix_time_s)
+        shapes = (self.values.shape, self.sigmas.shape, self.fix_m.shape, self.fix_covariance_m2.shape)
+        if shapes != ((n, 6), (n, 6), (f, 2), (f, 2, 2)) or len(self.wheel) != n:
+            raise ParameterError(f"a record's states and positions have shapes {shapes}; they do not fit its times")
+        times, sigmas = np.append(self.time_s, self.fix_time_s), self.sigmas[np.isfinite(self.values)]
+        places = [np.isfinite(self.fix_m).all(), *(np.linalg.eigvalsh(c)[0] > 0 for c in self.fix_covariance_m2)]
+        for sound, text in (
+            ((times >= 0) & (times < np.inf), "times must be 0 or more: they count from the start of the plan"),
+            ((sigmas >= 0) & (sigmas < np.inf), "sigmas must be 0 or more wherever a value is measured"),
+            (places, "positions need finite places and positive definite covariances"),
+        ):
+            if not np.all(sound):
+                raise ParameterError(f"a record's {text}")
+
+    @property
+    def fix_joint_m2(self) -> FloatArray:
+        """Covariance of all positions. (2 f, 2 f)"""
+        return joint_m2(self.fix_covariance_m2, self.fix_shared_m2)
+
+
+def read_drive_states(states: InputFile, rover: Rover, errors: MeasurementErrors | None = None) -> StateTable:
+    """The wheel states of one drive of a rover, as `read_record` takes them. Raises DataError."""
+    return read_state_table(states, rover.wheel, wheels=rover.wheels, rover=rover.name, errors=errors)
+
+
+def read_record(
+    states: InputFile | StateTable,
+    rover: Rover,
+    *,
+    positions: InputFile | None = None,
+    errors: MeasurementErrors | None = None,
+) -> DriveRecord:
+    """Read a record from CSV, or take a table of `read_drive_states`.
+
+    States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions are those of
+    `read_positions`. Where no sigma is given it is that of `errors`. States with `valid` false are left out with a
+    warning. With positions, slip and side slip of states whose `slip_basis` is `positions` are left out with a warning:
+    they would count what the positions say a second time. Rows that are there twice count once, with a warning. Raises
+    DataError, also for rows that contradict each other, several members, columns that are nearly known ones, and
+    sinkages of a wrong sign or unit.
+
+    Errors of slip are without the part that all states share (`slip_ratio_shared`): it is that of the wheels' radius,
+    which an update finds.
+    """
+    table = _valid_rows(read_drive_states(states, rover, errors) if isinstance(states, InputFile) else states)
+    values, sigmas = table.values.copy(), _without_shared(table)
+    if positions is not None:
+        _forget_slips(table.file, table.table, values)
+    fixes = Positions.none() if positions is None else read_positions(positions)
+    try:
+        return DriveRecord(
+            time_s=table.numbers("time_s"),
+            wheel=table.wheels,
+            values=values,
+            sigmas=sigmas,
+            fix_time_s=fixes.time_s,
+            fix_m=fixes.place_m,
+            fix_covariance_m2=fixes.covariance_m2,
+            fix_shared_m2=fixes.shared_m2,
+            rim_m_s=table.numbers("rim_m_s") if "rim_m_s" in table.table else None,
+            doubt="; ".join(table.table["doubt"].dropna().unique()) if "doubt" in table.table else "",
+        )
+    except ParameterError as error:
+        raise DataError(f"{table.file}: {error}") from error
+
+
+def _without_shared(table: StateTable) -> FloatArray:
+    """Errors of the values, that of slip without what all states share. (n, 6)"""
+    sigmas = table.sigmas.copy()
+    if "slip_ratio_shared" in table.table:
+        shared, k = np.nan_to_num(table.numbers("slip_ratio_shared")), OBSERVED.index("slip_ratio")
+        sigmas[:, k] = np.sqrt(np.maximum(sigmas[:, k] ** 2 - shared**2, 0.0))
+    return sigmas
+
+
+def _valid_rows(table: StateTable) -> StateTable:
+    if table.valid.all():
+        return table
+    out = ~table.valid
+    text = f"{table.file}: {int(out.sum())} of {len(out)} states left out, marked not valid"
+    if fast := int((np.abs(table.values[out, OBSERVED.index("slip_ratio")]) > VALID_SLIP).sum()):
+        text += f": {fast} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
+    warnings.warn(text, LunarSciWarning, stacklevel=3)
+    return table.subset(table.valid)
+
+
+def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
+    """Blank slip and side slip that were derived from the positions which are given too."""
+    if "slip_basis" not in table:
+        return
+    derived = np.asarray(table["slip_basis"].fillna("").str.strip().str.lower() == "positions")
+    columns = np.array([OBSERVED.index(name) for name in ("slip_ratio", "side_slip_deg")])
+    used = int((np.isfinite(values[:, columns]) & derived[:, None]).any(axis=1).sum())
+    if used:
+        text = f"{file}: slip and side slip of {used} states derive from positions, which are given too; left out"
+        warnings.warn(f"{text}, so that nothing counts twice", LunarSciWarning, stacklevel=3)
+        values[np.ix_(derived, columns)] = np.nan
+
+
+LATE = 0.05
+"""Share of states or positions after the end of a drive beyond which the clock is not its own; assumed."""
+
+
+def pace_of(record: DriveRecord, rover: Rover, plan: Plan) -> WheelPace | None:
+    """How fast the wheels of a record turned beside a plan; None where it does not say."""
+    if record.rim_m_s is None or not len(record.time_s):
+        return None
+    times, row = np.unique(record.time_s, return_inverse=True)
+    rims = np.full((len(times), len(rover.wheels)), np.nan)
+    rims[row, wheel_numbers(record, rover.wheels)] = record.rim_m_s
+    return WheelPace.of(rims, times, rover, plan)
+
+
+def check_clock(record: DriveRecord, end_s: float, spacing_s: float) -> None:
+    """Raises ParameterError for a record that goes on more than a sample after the end of the drive."""
+    for what, times in (("states", record.time_s), ("positions", record.fix_time_s)):
+        late = int((times > end_s + spacing_s).sum())
+        if late > LATE * len(times):
+            raise ParameterError(
+                f"{late} of {len(times)} {what} are later than the end of the drive at {end_s:.0f} s; is it the plan "
+                "that was driven, and time_s in seconds from its start?"
+            )
+
+
+def check_wheels(record: DriveRecord, wheels: Sequence[str], rover: str) -> None:
+    """Raises ParameterError for wheels that the rover has not."""
+    if strange := set(record.wheel) - set(wheels):
+        raise ParameterError(f"'{min(strange)}' is no wheel of {rover}; it has {', '.join(wheels)}")
+
+
+def wheel_numbers(record: DriveRecord, wheels: Sequence[str]) -> IntArray:
+    """Which of the wheels each state is of. (n,)"""
+    return np.array([wheels.index(name) for name in record.wheel], dtype=np.int64)
+
+
+def states_at(record: DriveRecord, times_s: FloatArray, states: FloatArray, wheels: Sequence[str]) -> FloatArray:
+    """Columns `OBSERVED` of states (members, samples, wheels, 10) at times and wheels of a record. (members, n, 6)"""
+    columns, wheel = [STATE_COLUMNS.index(name) for name in OBSERVED], wheel_numbers(record, wheels)
+    low, share = samples_about(times_s, record.time_s)
+    before, after = states[:, low, wheel][..., columns], states[:, low + 1, wheel][..., columns]
+    return np.asarray((1.0 - share[:, None]) * before + share[:, None] * after)
+
 
 MODEL_SHARES = {
     "sinkage_m": 0.06,
@@ -91,16 +270,16 @@ class DriveBias:
         """
         columns = []
         for k, name in enumerate(OBSERVED):
-            known, measured = np.isfinite(values[:, k]), np.isfinite(expected[:, k])
+            counted, measured = np.isfinite(values[:, k]), np.isfinite(expected[:, k])
             if self.common.get(name) and measured.any():
                 sizes = SHARED * self.common[name] * np.where(measured, expected[:, k], 0.0)
-                for own in (np.full(len(sizes), np.abs(sizes[measured]).mean()), sizes):
-                    states = _column(values.shape, k, known * own / sigma[:, k])
-                    moved = own[measured].mean() * _moved(name, way)
+                for part in (np.full(len(sizes), np.abs(sizes[measured]).mean()), sizes):
+                    states = _column(values.shape, k, counted * part / sigma[:, k])
+                    moved = part[measured].mean() * _moved(name, way)
                     columns.append(np.append(states, whitening @ moved.ravel()))
             if self.wheels.get(name):
                 for w in np.unique(wheel):
-                    states = _column(values.shape, k, self.wheels[name] * (known & (wheel == w)))
+                    states = _column(values.shape, k, self.wheels[name] * (counted & (wheel == w)))
                     columns.append(np.append(states, np.zeros(way.size)))
         if self.turns and turned is not None:
             columns.append(np.append(np.zeros(values.size), whitening @ (self.turns * turned).ravel()))
@@ -110,9 +289,9 @@ class DriveBias:
         return MarginalisedBias(left, sizes)
 
 
-def _column(shape: tuple[int, ...], k: int, own: FloatArray) -> FloatArray:
+def _column(shape: tuple[int, ...], k: int, part: FloatArray) -> FloatArray:
     column = np.zeros(shape)
-    column[:, k] = own
+    column[:, k] = part
     return column.ravel()
 
 
@@ -161,12 +340,10 @@ FIX_ERROR_M = 0.0015
 between samples does; over obstacles it is more. [m]"""
 STEP_S, SAMPLE_M = 0.1, 0.1
 """Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
-FARTHEST = 4.0
-"""Standard deviations of the first laws that a soil may be from their centre; assumed."""
 POSITION = "position"
 HUBER = 4.0
-"""Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance;
-assumed."""
+"""Standard deviations beyond which a value counts by size, not square, and as an outlier, and a soil as none of the
+first laws: 1 in 16 000 by chance; assumed."""
 
 
 def robust_cost(white: FloatArray) -> FloatArray:
@@ -178,11 +355,6 @@ def robust_cost(white: FloatArray) -> FloatArray:
 def cost_of(drive: FloatArray, prior: FloatArray) -> FloatArray:
     """-2 ln of likelihood times prior of whitened residuals (points, r), (points, p), up to a constant. (points,)"""
     return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
-
-
-@cache
-def _center_and_width(laws: tuple[Law, ...]) -> tuple[FloatArray, FloatArray]:
-    return np.array([law.center for law in laws]), np.array([law.width for law in laws])
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +387,7 @@ class DriveResiduals:
     def __post_init__(self) -> None:
         check_wheels(self.record, self.rover.wheels, self.rover.name)
         check_clock(self.record, self.schedule.duration_s, self.spacing_s)
-        if (values := int(self.known.sum()) + self.record.fix_m.size) < len(PARAMETERS):
+        if (values := int(self.counted.sum()) + self.record.fix_m.size) < len(PARAMETERS):
             raise ParameterError(
                 f"{values} values can be compared with a drive of the plan, fewer than a soil has parameters, "
                 f"{len(PARAMETERS)}; are there states under way, and in time?"
@@ -237,7 +409,7 @@ class DriveResiduals:
         return wheel_numbers(self.record, self.rover.wheels)
 
     @cached_property
-    def known(self) -> BoolArray:
+    def counted(self) -> BoolArray:
         """Values that count: measured, under way, and from the second sample on. (n, 6)
 
         States between two samples are interpolated, and at the first one the simulated rover has not found its speed.
@@ -252,7 +424,7 @@ class DriveResiduals:
         """Their errors, 1 elsewhere. (n, 6)"""
         floor = self.floor * np.array([MODEL_ERRORS[name] for name in OBSERVED])
         factor = np.array([self.inflation.get(name, 1.0) for name in OBSERVED])
-        return np.where(self.known, factor * np.hypot(self.record.sigmas, floor), 1.0)
+        return np.where(self.counted, factor * np.hypot(self.record.sigmas, floor), 1.0)
 
     @cached_property
     def whitening(self) -> FloatArray:
@@ -263,7 +435,7 @@ class DriveResiduals:
     @cached_property
     def marginalised(self) -> MarginalisedBias:
         """What whitens the errors that stay the same throughout the drive."""
-        values = np.where(self.known, self.record.values, np.nan)
+        values = np.where(self.counted, self.record.values, np.nan)
         way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
         expected = values if self.expected is None else self.expected
         return self.bias.marginalised(values, self.sigma, self.wheel, way, self.whitening, expected, self.turned)
@@ -288,10 +460,10 @@ class DriveResiduals:
         return predict(*drive, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts)
 
     def near(self, transforms: FloatArray) -> BoolArray:
-        """Soils that are no farther from the first laws than `FARTHEST`. (points,)"""
-        center, width = _center_and_width(tuple(self.belief.laws.values()))
+        """Soils that are no farther from the first laws than `HUBER`. (points,)"""
+        center, width = np.array([(law.center, law.width) for law in self.belief.laws.values()]).T
         with np.errstate(invalid="ignore"):
-            return np.asarray((np.abs(transforms - center) < FARTHEST * width).all(axis=1))
+            return np.asarray((np.abs(transforms - center) < HUBER * width).all(axis=1))
 
     def residuals(self, transforms: FloatArray) -> FloatArray:
         """Whitened residuals, simulated less measured, of states, then of positions. (points, r)
@@ -320,7 +492,7 @@ class DriveResiduals:
 
     def _of(self, drives: Prediction) -> FloatArray:
         record, count = self.record, len(drives.outcome)
-        states = np.where(self.known, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
+        states = np.where(self.counted, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
         places = at_times(record.fix_time_s, drives.time_s, drives.paths[..., :2], axis=-2)
         white = (places - record.fix_m).reshape(count, -1) @ self.whitening.T
         rows = self.marginalised.applied(np.concatenate([states.reshape(count, -1), white], axis=1))

@@ -22,7 +22,6 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, strange
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.posterior import (
     DrivePosterior,
     PosteriorMode,
@@ -36,11 +35,14 @@ from lunarsci.twin.assimilation.residuals import (
     FIX_ERROR_M,
     HUBER,
     MODEL_SHARES,
+    OBSERVED,
     POSITION,
     SAMPLE_M,
     STEP_S,
     DriveBias,
+    DriveRecord,
     DriveResiduals,
+    states_at,
 )
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
@@ -132,11 +134,11 @@ class SoilUpdate:
         return self.autocorrelation <= SETTLED
 
     @property
-    def told(self) -> str:
+    def learned_from(self) -> str:
         """How many values the soil was learned from, and of what."""
-        kept = (np.isfinite(self.residuals) & ~self.outliers).sum(axis=0)
-        parts = [f"{count} of {name}" for name, count in zip(OBSERVED, kept, strict=True) if count]
-        places = self.values - int(kept.sum())
+        inliers = (np.isfinite(self.residuals) & ~self.outliers).sum(axis=0)
+        parts = [f"{count} of {name}" for name, count in zip(OBSERVED, inliers, strict=True) if count]
+        places = self.values - int(inliers.sum())
         parts += [f"{places} of {places // 2} positions (x and y)"] if places else []
         return f"{self.values} values: {', '.join(parts)}"
 
@@ -160,16 +162,16 @@ class SoilUpdate:
         if self.refused:
             return ""
         belief = self.belief
-        told = [
+        learned_from = [
             f"{text}: no soil or wheel of the priors has that; look for a wrong rover, terrain or track depth"
             for text in strange(belief.laws, belief.mean, np.sqrt(np.diag(belief.covariance)))
         ]
         if worst and self.inflation[worst] > MOST_INFLATION:
-            told.append(
+            learned_from.append(
                 f"one soil explains {worst} only with {self.inflation[worst]:.1f} times its errors: the ground may "
                 "change along the way or carry ruts, so predictions from this belief are doubtful"
             )
-        return "; ".join(told)
+        return "; ".join(learned_from)
 
     @property
     def caution(self) -> str:
@@ -237,9 +239,9 @@ def assimilate(
     posterior, mode = _best_soil(drive, random, ruts)
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.drive.parts(residual)
-    known, inflation = posterior.drive.known, posterior.drive.inflation
-    outliers = known & (np.abs(states) > HUBER)
-    kept = known & ~outliers
+    counted, inflation = posterior.drive.counted, posterior.drive.inflation
+    outliers = counted & (np.abs(states) > HUBER)
+    inliers = counted & ~outliers
     wheels = _in_units(posterior.drive)
     expected = posterior.drive.states_at(posterior.coordinates.transforms(mode.point))
     best = posterior.drive.simulated(posterior.coordinates.transforms(mode.point[None]))
@@ -256,12 +258,12 @@ def assimilate(
     return SoilUpdate(
         belief=learned,
         prediction=best,
-        residuals=np.where(known, posterior.drive.states_as_measured(residual), np.nan),
+        residuals=np.where(counted, posterior.drive.states_as_measured(residual), np.nan),
         outliers=outliers,
         inflation=inflation,
         wheel_errors=wheels,
-        chi_square=float((states[kept] ** 2).sum() + (places**2).sum()),
-        values=int(kept.sum() + places.size),
+        chi_square=float((states[inliers] ** 2).sum() + (places**2).sum()),
+        values=int(inliers.sum() + places.size),
         prior_shift=float(np.sqrt(moved @ np.linalg.solve(belief.soil.covariance, moved) / len(moved))),
         autocorrelation=left,
         refused=refused,
@@ -272,7 +274,7 @@ def _best_soil(
     drive: DriveResiduals, random: np.random.Generator, ruts: bool | None
 ) -> tuple[DrivePosterior, PosteriorMode]:
     """The most probable soil, with or without ruts, and with errors widened to what it leaves."""
-    posterior, mode = _found(replace(drive, ruts=bool(ruts)), random)
+    posterior, mode = _mode_of(replace(drive, ruts=bool(ruts)), random)
     if ruts is None:
         posterior, mode = _with_ruts_if_better(posterior, mode, random)
     drive = posterior.drive
@@ -283,18 +285,18 @@ def _best_soil(
         grown = any(size > STILL * drive.bias.wheels.get(name, 0.0) for name, size in wheels.items())
         if not grown and all(factor < STILL for factor in wider.values()) and drive.expected is not None:
             break
-        known = dict(drive.inflation)
+        counted = dict(drive.inflation)
         drive = replace(
             drive,
             expected=drive.states_at(posterior.coordinates.transforms(mode.point)),
-            inflation=known | {name: factor * known.get(name, 1.0) for name, factor in wider.items()},
+            inflation=counted | {name: factor * counted.get(name, 1.0) for name, factor in wider.items()},
             bias=replace(drive.bias, wheels={name: size / wider.get(name, 1.0) for name, size in wheels.items()}),
         )
-        posterior, mode = _found(drive, random, mode.point[None])
+        posterior, mode = _mode_of(drive, random, mode.point[None])
     return posterior, mode
 
 
-def _found(
+def _mode_of(
     drive: DriveResiduals, random: np.random.Generator, starts: FloatArray | None = None
 ) -> tuple[DrivePosterior, PosteriorMode]:
     posterior = posterior_of(drive)
@@ -309,13 +311,13 @@ def _with_ruts_if_better(
 ) -> tuple[DrivePosterior, PosteriorMode]:
     """The same, or the most probable soil with ruts where that explains the drive better, by errors not yet widened."""
     other = posterior_of(replace(posterior.drive, ruts=True))
-    found = find_mode(other, random, mode.point[None])
-    return (posterior, mode) if found is None or found.cost >= mode.cost else (other, found)
+    result = find_mode(other, random, mode.point[None])
+    return (posterior, mode) if result is None or result.cost >= mode.cost else (other, result)
 
 
 def _in_units(drive: DriveResiduals) -> dict[str, float]:
     """Errors that wheels have of their own, in the unit of the quantity."""
-    sigma = {name: drive.sigma[drive.known[:, k], k] for k, name in enumerate(OBSERVED)}
+    sigma = {name: drive.sigma[drive.counted[:, k], k] for k, name in enumerate(OBSERVED)}
     return {name: float(size * np.median(sigma[name])) for name, size in drive.bias.wheels.items()}
 
 
@@ -324,7 +326,7 @@ def _taught(
 ) -> PhysicsDiscrepancy:
     """The discrepancy after a drive, by what the soil that explains it best leaves of its states and of its end."""
     law = before
-    if drive.known[:, :3].any():
+    if drive.counted[:, :3].any():
         law = law.with_states(unexplained_share(drive, expected, best))
     times = drive.record.fix_time_s
     if not len(times):
@@ -332,10 +334,10 @@ def _taught(
     last = int(times.argmax())
     place = at_times(times[last : last + 1], best.time_s, best.paths[..., :2], axis=-2)[0, 0]
     so_far = slice(0, int(np.searchsorted(best.time_s, times[last])) + 1)
-    known = drive.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
-    known += turn_matrix(drive.plan, best.planned[so_far], best.distance_m[so_far], best.paths[:, so_far])
+    counted = drive.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
+    counted += turn_matrix(drive.plan, best.planned[so_far], best.distance_m[so_far], best.paths[:, so_far])
     miss = FOLLOWED * (drive.record.fix_m[last] - place)
-    return law.with_miss(miss, known, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
+    return law.with_miss(miss, counted, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
 
 
 def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Prediction) -> float:
@@ -347,11 +349,11 @@ def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Predict
     way = float(exposed(planned, paths).mean())
     total = 0.0
     for k, name in enumerate(OBSERVED[:3]):
-        own, factor = drive.known[:, k], drive.inflation.get(name, 1.0)
-        if not own.any() or factor <= 1.0:
+        rows, factor = drive.counted[:, k], drive.inflation.get(name, 1.0)
+        if not rows.any() or factor <= 1.0:
             continue
-        added = float(np.median(drive.sigma[own, k])) * np.sqrt(1.0 - factor**-2)
-        size = float(np.abs(expected[own, k]).mean()) if name == "sinkage_m" else way
+        added = float(np.median(drive.sigma[rows, k])) * np.sqrt(1.0 - factor**-2)
+        size = float(np.abs(expected[rows, k]).mean()) if name == "sinkage_m" else way
         total += ((np.radians(added) if name == "side_slip_deg" else added) / max(size, 1e-9)) ** 2
     return float(np.sqrt(total))
 
@@ -360,7 +362,7 @@ def _refusal(
     drive: DriveResiduals, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction
 ) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
-    if outliers > MOST_OUTLIERS * (values := int(drive.known.sum())):
+    if outliers > MOST_OUTLIERS * (values := int(drive.counted.sum())):
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
     left = _unexplained(drive, expected, best)
     worst = max(left, key=lambda name: left[name], default="")
@@ -385,9 +387,9 @@ def _unexplained(drive: DriveResiduals, expected: FloatArray, best: Prediction) 
             result[name] = _rms(off) / max(UNEXPLAINED_OF_WAY * _rms(way), FIX_ERROR_M)
             continue
         k = OBSERVED.index(name)
-        own = drive.known[:, k]
-        values = drive.record.values[own, k]
-        result[name] = _rms(values - expected[own, k]) / max(UNEXPLAINED * _rms(values), SLIGHT[name])
+        rows = drive.counted[:, k]
+        values = drive.record.values[rows, k]
+        result[name] = _rms(values - expected[rows, k]) / max(UNEXPLAINED * _rms(values), SLIGHT[name])
     return result
 
 
@@ -421,24 +423,24 @@ class SlipLean:
     stretch: str = ""
 
     @classmethod
-    def of(cls, record: DriveRecord, found: SoilUpdate, stretch: str = "", least: int = 1) -> "SlipLean | None":
+    def of(cls, record: DriveRecord, result: SoilUpdate, stretch: str = "", least: int = 1) -> "SlipLean | None":
         """Of a record with the slips that positions tell, too; None for fewer slips than `least`."""
-        column, best = OBSERVED.index("slip_ratio"), found.prediction
-        known = np.isfinite(record.values[:, column])
-        if known.sum() < least or found.refused:
+        column, best = OBSERVED.index("slip_ratio"), result.prediction
+        counted = np.isfinite(record.values[:, column])
+        if counted.sum() < least or result.refused:
             return None
-        soils = found.belief.draws(LEAN_SOILS)
+        soils = result.belief.draws(LEAN_SOILS)
         driven = predict(
             best.rover, best.terrain, best.plan, samples=soils, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=best.ruts
         )
 
         states = states_at(record, driven.time_s, driven.states[driven.finished], best.rover.wheels)
-        slips = np.median(states[:, known, column], axis=1)
+        slips = np.median(states[:, counted, column], axis=1)
         return cls(
-            measured=float(np.median(record.values[known, column])),
+            measured=float(np.median(record.values[counted, column])),
             simulated=float(np.median(slips)),
             spread=float(slips.std(ddof=1)) if slips.size > 1 else 0.0,
-            sigma=float(np.median(record.sigmas[known, column])),
+            sigma=float(np.median(record.sigmas[counted, column])),
             stretch=stretch,
         )
 
@@ -469,8 +471,8 @@ class SlipLean:
     @property
     def text(self) -> str:
         """Both medians and the error of their difference."""
-        found = f"{self.measured:.3f} measured, {self.simulated:.3f} simulated on the soil found"
-        return f"{self.stretch}median slip ratio: {found}; standard error of the difference {self.error:.3f}"
+        result = f"{self.measured:.3f} measured, {self.simulated:.3f} simulated on the soil found"
+        return f"{self.stretch}median slip ratio: {result}; standard error of the difference {self.error:.3f}"
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""

@@ -16,14 +16,15 @@ from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
-from lunarsci.twin.assimilation.drive_record import (
+from lunarsci.twin.assimilation.residuals import (
+    FIX_ERROR_M,
+    MODEL_ERRORS,
     OBSERVED,
     DriveRecord,
     check_clock,
     check_wheels,
     states_at,
 )
-from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, MODEL_ERRORS
 from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
@@ -161,6 +162,8 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     Raises DataError for a folder without `prediction.json`, one of another version, and tables that are missing or not
     as they were written.
     """
+    import pandas as pd
+
     place = Path(folder)
     if not (place / FILE).is_file():
         raise DataError(f"{folder}: no {FILE} in it; name a folder of `lunarsci twin predict -o`")
@@ -168,12 +171,12 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     document = _document(source)
     files = {name: _table_file(place, name, document) for name in TABLES}
     try:
-        found = _forecast(str(folder), document, *(_frame(files[name]) for name in TABLES))
+        result = _forecast(str(folder), document, *(pd.read_csv(io.BytesIO(files[name].data)) for name in TABLES))
     except (KeyError, TypeError, IndexError, ValueError, ParameterError) as error:
         if isinstance(error, DataError):
             raise
         raise DataError(f"{source.name}: not as it was written ({error}); {AGAIN}") from error
-    return found, {file.name: file.sha256 for file in (source, *files.values())}
+    return result, {file.name: file.sha256 for file in (source, *files.values())}
 
 
 def _document(source: InputFile) -> Any:
@@ -195,13 +198,6 @@ def _table_file(place: Path, name: str, document: Any) -> InputFile:
     return file
 
 
-def _frame(file: InputFile) -> "pd.DataFrame":
-
-    import pandas as pd
-
-    return pd.read_csv(io.BytesIO(file.data))
-
-
 def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.DataFrame") -> Forecast:
     rover, times = document["rover"], np.array(document["time_s"], dtype=float)
     wheels = tuple(map(str, rover["wheels"]))
@@ -209,7 +205,7 @@ def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.Dat
     shape = (len(recorded), len(times))
     plan = parse_plan(document["plan"], origin)
     reached = np.arange(len(times)) < recorded[:, None]
-    found = document.get("discrepancy")
+    result = document.get("discrepancy")
     return Forecast(
         origin=origin,
         rover=str(rover["name"]),
@@ -231,16 +227,16 @@ def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.Dat
         recorded=recorded,
         outcome=np.array([OUTCOMES.index(name) for name in document["outcome"]], dtype=np.int64),
         discrepancy=None
-        if found is None
-        else _drawn(found, _spread_out(paths[list(OFFSET_COLUMNS)].to_numpy(float), reached, (2,))),
+        if result is None
+        else _drawn(result, _spread_out(paths[list(OFFSET_COLUMNS)].to_numpy(float), reached, (2,))),
     )
 
 
 def _checked(values: Any, shape: tuple[int, ...]) -> FloatArray:
-    found = np.array(values, dtype=float)
-    if found.shape != shape:
-        raise ParameterError(f"shape {found.shape} where {shape} is wanted")
-    return found
+    result = np.array(values, dtype=float)
+    if result.shape != shape:
+        raise ParameterError(f"shape {result.shape} where {shape} is wanted")
+    return result
 
 
 def _spread_out(rows: FloatArray, reached: BoolArray, each: tuple[int, ...]) -> FloatArray:
@@ -260,7 +256,7 @@ class MatchedObservations:
     members : their numbers. (M,)
     predicted : values of the members at the record's times and wheels, columns `OBSERVED`. (M, n, 6)
     sigma : errors of the measured values with those of the model. (n, 6)
-    known : values that compare: measured, after the first second, before the plan ends, not at a halt. (n, 6)
+    counted : values that compare: measured, after the first second, before the plan ends, not at a halt. (n, 6)
     independent : values that are no second reading of the positions. (n, 6)
     distance_m : commanded distance of each state. (n,) [m]
     places : predicted places at the times of the positions. (M, f, 2) [m]
@@ -273,7 +269,7 @@ class MatchedObservations:
     members: IntArray
     predicted: FloatArray
     sigma: FloatArray
-    known: BoolArray
+    counted: BoolArray
     independent: BoolArray
     distance_m: FloatArray
     places: FloatArray
@@ -283,7 +279,7 @@ class MatchedObservations:
 
     def measured_quantities(self) -> list[str]:
         """Those with a value that compares."""
-        return [name for k, name in enumerate(OBSERVED) if self.known[:, k].any()]
+        return [name for k, name in enumerate(OBSERVED) if self.counted[:, k].any()]
 
 
 def match_observations(
@@ -302,9 +298,9 @@ def match_observations(
     low, _ = samples_about(forecast.time_s, record.time_s)
     moving = ~(forecast.halted[low] | forecast.halted[low + 1])
     timely = moving & (record.time_s > forecast.time_s[1]) & (record.time_s <= forecast.time_s[-1])
-    known = np.isfinite(record.values) & timely[:, None]
+    counted = np.isfinite(record.values) & timely[:, None]
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
-    if not known.any() and not len(record.fix_time_s):
+    if not counted.any() and not len(record.fix_time_s):
         raise ParameterError("no measured value falls into the time of the predicted drive; compare the clocks")
     courses = np.concatenate([forecast.paths[members][..., :2], forecast.planned[None, :, :2]])
     places = at_times(record.fix_time_s, forecast.time_s, courses, axis=-2)
@@ -313,9 +309,9 @@ def match_observations(
         record=record,
         members=members,
         predicted=states_at(record, forecast.time_s, forecast.states[members], forecast.wheels),
-        sigma=np.where(known, np.hypot(record.sigmas, floor), np.nan),
-        known=known,
-        independent=np.ones(known.shape, dtype=bool) if independent is None else independent,
+        sigma=np.where(counted, np.hypot(record.sigmas, floor), np.nan),
+        counted=counted,
+        independent=np.ones(counted.shape, dtype=bool) if independent is None else independent,
         distance_m=np.interp(record.time_s, forecast.time_s, forecast.distance_m),
         places=places[:-1],
         place_error_m2=record.fix_covariance_m2 + FIX_ERROR_M**2 * np.eye(2),
@@ -389,10 +385,10 @@ def _miss_parts(matched: MatchedObservations) -> _MissParts | None:
 
 def miss_of(matched: MatchedObservations) -> Miss | None:
     """How the last position was missed; None without positions, or with fewer than four drives."""
-    found = _miss_parts(matched)
-    if found is None:
+    result = _miss_parts(matched)
+    if result is None:
         return None
-    miss, last = found.miss, found.last
+    miss, last = result.miss, result.last
     chord = matched.planned[last] - matched.forecast.planned[0, :2]
     ahead = chord / max(float(np.hypot(*chord)), 1e-12)
     along, across = float(miss @ ahead), float(ahead[0] * miss[1] - ahead[1] * miss[0])
@@ -403,20 +399,20 @@ def miss_of(matched: MatchedObservations) -> Miss | None:
         across_m=across,
         along_share=along / max(way, 1e-12),
         across_share=across / max(way, 1e-12),
-        soil_m=float(np.sqrt(np.trace(found.soil))),
-        position_m=float(np.sqrt(np.trace(found.place))),
-        physics_m=0.0 if law is None else float(np.sqrt(np.trace(law.law.covariance_m2(found.way) + found.turns))),
+        soil_m=float(np.sqrt(np.trace(result.soil))),
+        position_m=float(np.sqrt(np.trace(result.place))),
+        physics_m=0.0 if law is None else float(np.sqrt(np.trace(law.law.covariance_m2(result.way) + result.turns))),
     )
 
 
 def taught(matched: MatchedObservations, before: PhysicsDiscrepancy) -> PhysicsDiscrepancy:
     """The discrepancy after the drive: the way's shares by the last position, those of wheel states by their means."""
-    after, found = before, _miss_parts(matched)
-    if found is not None:
-        after = after.with_miss(found.miss, found.soil + found.place + found.turns, found.way)
+    after, result = before, _miss_parts(matched)
+    if result is not None:
+        after = after.with_miss(result.miss, result.soil + result.place + result.turns, result.way)
     for name in SHARED:
         column = OBSERVED.index(name)
-        rows = matched.known[:, column]
+        rows = matched.counted[:, column]
         if rows.any() and len(matched.members) > 3:
             after = _by_mean(matched, name, rows, after)
     return after

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
 from lunarsci.twin.comparison.forecast import MatchedObservations
 from lunarsci.twin.judgement.endpoint import ErrorEllipse
 
@@ -169,13 +168,13 @@ def worst_of(
     count, vectors, size = members.shape
     if count < size + 3:
         return None
-    own, each = np.zeros(vectors), np.zeros((vectors, count))
+    of_wheel, each = np.zeros(vectors), np.zeros((vectors, count))
     for k in range(vectors):
         off = observed[k] - members[:, k].mean(axis=0)
-        own[k] = _squared(off, spread_of(members[:, k], errors[k]))
+        of_wheel[k] = _squared(off, spread_of(members[:, k], errors[k]))
         each[k] = squared_distances(members[:, k], errors[k], np.random.default_rng([seed, k]), free)
-    most = int(own.argmax())
-    return most, float(own[most]), _probability(float(own[most]), each.max(axis=0), size)
+    most = int(of_wheel.argmax())
+    return most, float(of_wheel[most]), _probability(float(of_wheel[most]), each.max(axis=0), size)
 
 
 def crps(observed: FloatArray, members: FloatArray) -> FloatArray:
@@ -249,7 +248,7 @@ def correlation_length(series: FloatArray, taken: int = 0) -> float:
 
 
 REGIONS = (0.5, 0.9, 0.95, 0.99)
-"""Shares of a prediction that regions hold; assumed."""
+"""Shares of a prediction that regions are given for."""
 LATE_S = 1.0
 """A position this long before the plan ends still counts as one of its end: the rover slows down there. Assumed."""
 
@@ -387,7 +386,7 @@ def region_ellipse(members: FloatArray, error: FloatArray, probability: float) -
 
 ALL = "all"
 NOMINAL = 0.9
-"""Share of drives that the region of a check should hold; assumed."""
+"""Share of values that the bands and the region of a check hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,13 +428,13 @@ def standardised(matched: MatchedObservations, column: int, rows: BoolArray) -> 
 def check_bands(matched: MatchedObservations) -> list[BandCheck]:
     """Each quantity that was measured, of all wheels together and of each that has values."""
     wheel = np.array(matched.record.wheel)
-    found = []
+    checks = []
     for name in matched.measured_quantities():
-        known = matched.known[:, OBSERVED.index(name)]
-        found.append(_check(matched, name, ALL, known))
-        wheels = (w for w in matched.forecast.wheels if known[wheel == w].any())
-        found += [_check(matched, name, w, known & (wheel == w)) for w in wheels]
-    return found
+        counted = matched.counted[:, OBSERVED.index(name)]
+        checks.append(_check(matched, name, ALL, counted))
+        wheels = (w for w in matched.forecast.wheels if counted[wheel == w].any())
+        checks += [_check(matched, name, w, counted & (wheel == w)) for w in wheels]
+    return checks
 
 
 def _check(matched: MatchedObservations, name: str, wheel: str, rows: BoolArray) -> BandCheck:
@@ -443,7 +442,7 @@ def _check(matched: MatchedObservations, name: str, wheel: str, rows: BoolArray)
     members, measured = matched.predicted[:, rows, column], matched.record.values[rows, column]
     off, several = measured - members.mean(axis=0), len(members) > 2
     bias = float(off.mean())
-    own = members.mean(axis=1).var(ddof=1) * (1.0 + 1.0 / len(members)) if several else 0.0
+    of_wheel = members.mean(axis=1).var(ddof=1) * (1.0 + 1.0 / len(members)) if several else 0.0
     error = float((matched.sigma[rows, column] ** 2).mean()) / len(off) + MODEL_ERRORS[name] ** 2
     standard = standardised(matched, column, rows)
     return BandCheck(
@@ -453,7 +452,7 @@ def _check(matched: MatchedObservations, name: str, wheel: str, rows: BoolArray)
         effective=effective_values(matched, column, rows) if several else float(len(off)),
         bias=bias,
         rms=float(np.sqrt((off**2).mean())),
-        bias_standard=bias / float(np.sqrt(own + error)) if several else None,
+        bias_standard=bias / float(np.sqrt(of_wheel + error)) if several else None,
         rms_standard=float(np.sqrt((standard**2).mean())) if several else None,
         coverage_90=float((np.abs(standard) <= half_band(len(members))).mean()) if several else None,
         crps=float(crps(measured, members).mean()),
@@ -474,9 +473,9 @@ def effective_values(matched: MatchedObservations, column: int, rows: BoolArray)
     """
     total, wheel = 0.0, np.array(matched.record.wheel)
     for one in sorted(set(wheel[rows])):
-        own = rows & (wheel == one)
-        order = np.argsort(matched.record.time_s[own], kind="stable")
-        series = standardised(matched, column, own)[order]
+        of_wheel = rows & (wheel == one)
+        order = np.argsort(matched.record.time_s[of_wheel], kind="stable")
+        series = standardised(matched, column, of_wheel)[order]
         total += len(series) / correlation_length(series)
     return total
 
@@ -484,7 +483,7 @@ def effective_values(matched: MatchedObservations, column: int, rows: BoolArray)
 def ranks(matched: MatchedObservations, name: str) -> FloatArray:
     """Predictive rank of each value of a quantity, 0 to 1. (n,)"""
     column = OBSERVED.index(name)
-    rows = matched.known[:, column]
+    rows = matched.counted[:, column]
     return predictive_rank(
         matched.record.values[rows, column], matched.sigma[rows, column], matched.predicted[:, rows, column]
     )

@@ -21,8 +21,7 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.assimilation.drive_record import OBSERVED
-from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
 from lunarsci.twin.comparison.forecast import Forecast, MatchedObservations
 from lunarsci.twin.comparison.scores import (
     ALL,
@@ -40,6 +39,7 @@ from lunarsci.twin.comparison.scores import (
     worst_of,
 )
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND
 
 STEPS, MODES = 6, 3
 """Places where the smooth course may step, ends included, and shapes that the members' differences give it."""
@@ -47,9 +47,6 @@ LEAST_TIMES = 4
 """In a piece, below which its mean says little of its own."""
 BY_WHEEL = ("sinkage_m",)
 """Measured of each wheel by itself; slip and forces follow from the motion of the one body, and share its errors."""
-CLEARLY = 2.0
-"""Times the variance of independent errors: from 16 values, an estimate is that large by chance in 1 of 100.
-Assumed."""
 LEAST_FREE = 8
 """Values beyond those that the smooth course takes, below which their scatter is not asked."""
 
@@ -73,7 +70,7 @@ class PieceMeans:
 
 def _times(matched: MatchedObservations, name: str) -> FloatArray:
     column = OBSERVED.index(name)
-    return np.unique(matched.record.time_s[matched.known[:, column]])
+    return np.unique(matched.record.time_s[matched.counted[:, column]])
 
 
 def most_pieces(matched: MatchedObservations, names: list[str], wanted: int) -> int:
@@ -91,8 +88,10 @@ def piece_edges(matched: MatchedObservations, names: list[str], pieces: int) -> 
 
 def piece_means(matched: MatchedObservations, name: str, edges: FloatArray) -> PieceMeans | None:
     """Means of a quantity over all wheels and the times between edges; None where a piece has no value."""
+    from scipy.special import chdtri
+
     column = OBSERVED.index(name)
-    rows = matched.known[:, column]
+    rows = matched.counted[:, column]
     piece = np.searchsorted(edges, matched.record.time_s[rows]) - 1
     count = len(edges) - 1
     size = np.bincount(piece, minlength=count)
@@ -108,9 +107,9 @@ def piece_means(matched: MatchedObservations, name: str, edges: FloatArray) -> P
     enough = free >= LEAST_FREE
     independent = (average**2) @ stated if name in BY_WHEEL and enough else average @ stated / moments
     shared = of_one / moments if enough else np.zeros(count)
-    own = np.where(shared > CLEARLY * independent, shared, independent)
-    known_from = float(free) if (own > independent).any() else np.inf
-    return PieceMeans(average @ measured, members @ average.T, own + floor, known_from)
+    single = np.where(shared > chdtri(max(free, 1), ALARM) / max(free, 1) * independent, shared, independent)
+    rests_on = float(free) if (single > independent).any() else np.inf
+    return PieceMeans(average @ measured, members @ average.T, single + floor, rests_on)
 
 
 def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple[float, int]:
@@ -128,8 +127,8 @@ def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple
         return 0.0, free
     rests = []
     for step in np.linspace(0, len(moments), STEPS + 1).astype(np.int64)[1:-1]:
-        known = np.column_stack([np.ones(len(moments)), np.arange(len(moments)) >= step, modes[:MODES].T])
-        rests.append(series - known @ np.linalg.lstsq(known, series, rcond=None)[0])
+        counted = np.column_stack([np.ones(len(moments)), np.arange(len(moments)) >= step, modes[:MODES].T])
+        rests.append(series - counted @ np.linalg.lstsq(counted, series, rcond=None)[0])
     rest = min(rests, key=lambda one: float(one @ one))
     return float(rest @ rest) / free * correlation_length(rest, len(moments) - free), free
 
@@ -179,7 +178,7 @@ class GroundChange:
 def _names(matched: MatchedObservations) -> list[str]:
     """Quantities that are measured, and are no second reading of the positions."""
     columns = {name: OBSERVED.index(name) for name in matched.measured_quantities()}
-    return [name for name, k in columns.items() if matched.independent[matched.known[:, k], k].all()]
+    return [name for name, k in columns.items() if matched.independent[matched.counted[:, k], k].all()]
 
 
 def surprise(matched: MatchedObservations, seed: int = 0) -> Surprise | None:
@@ -189,12 +188,12 @@ def surprise(matched: MatchedObservations, seed: int = 0) -> Surprise | None:
     """
     names = _names(matched)
     for pieces in range(most_pieces(matched, names, PIECES) if names else PIECES, 0, -1):
-        found = _vector(matched, names, pieces)
-        if found is None or (found[0].size * MEMBERS_EACH > len(matched.members) and pieces > 1):
+        vector = _vector(matched, names, pieces)
+        if vector is None or (vector[0].size * MEMBERS_EACH > len(matched.members) and pieces > 1):
             continue
-        result = standing(*found[:3], seed, found[3])
-        own = (*names, *(["position"] if len(matched.record.fix_time_s) else []))
-        return None if result is None else Surprise(result, pieces, own)
+        held = standing(*vector[:3], seed, vector[3])
+        quantities = (*names, *(["position"] if len(matched.record.fix_time_s) else []))
+        return None if held is None else Surprise(held, pieces, quantities)
     return None
 
 
@@ -238,12 +237,12 @@ def mean_bias(matched: MatchedObservations, seed: int = 0) -> Bias | None:
     means = {name: one for name in names if (one := piece_means(matched, name, whole)) is not None}
     if not means:
         return None
-    own = {name: standing(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
-    found = {name: one for name, one in own.items() if one is not None}
-    if not found:
+    single = {name: standing(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
+    result = {name: one for name, one in single.items() if one is not None}
+    if not result:
         return None
-    worst = min(found, key=lambda name: found[name].p)
-    return Bias(found, worst, min(1.0, len(found) * found[worst].p))
+    worst = min(result, key=lambda name: result[name].p)
+    return Bias(result, worst, min(1.0, len(result) * result[worst].p))
 
 
 def find_change(matched: MatchedObservations, seed: int = 0) -> GroundChange | None:
@@ -257,11 +256,11 @@ def find_change(matched: MatchedObservations, seed: int = 0) -> GroundChange | N
     if pieces < 2:
         return None
     edges = piece_edges(matched, names, pieces)
-    found = [piece_means(matched, name, edges) for name in names]
+    result = [piece_means(matched, name, edges) for name in names]
     parts = np.array([[0.0] * pieces] * (pieces - 1))
     for split in range(1, pieces):
         parts[split - 1, :split], parts[split - 1, split:] = -1.0 / split, 1.0 / (pieces - split)
-    means = [one for one in found if one is not None]
+    means = [one for one in result if one is not None]
     observed = np.stack([parts @ one.observed for one in means], axis=-1)
     members = np.stack([one.members @ parts.T for one in means], axis=-1)
     errors = np.stack([parts**2 @ one.variance for one in means], axis=-1)
@@ -303,10 +302,10 @@ def check_coverage(matched: MatchedObservations, bands: Sequence[BandCheck], see
     if not checks or len(matched.members) < 4:
         return None
     members = np.stack([_shares(matched, check.quantity, [seed, k]) for k, check in enumerate(checks)])
-    own = np.array([check.coverage_90 for check in checks], dtype=float)
+    single = np.array([check.coverage_90 for check in checks], dtype=float)
     count = members.shape[1]
-    fewer = (members <= own[:, None] + 1e-12).sum(axis=1)
-    falls = [_fall(check, *pair) for check, *pair in zip(checks, own, members.min(axis=1), strict=True)]
+    fewer = (members <= single[:, None] + 1e-12).sum(axis=1)
+    falls = [_fall(check, *pair) for check, *pair in zip(checks, single, members.min(axis=1), strict=True)]
     each = (1 + fewer) / (count + 1) * np.where(fewer > 0, 1.0, falls)
     ranked = (members[:, None, :] <= members[:, :, None] + 1e-12).sum(axis=2) / (count + 1)
     worst = int(each.argmin())
@@ -321,14 +320,14 @@ def _fall(check: BandCheck, share: float, least: float) -> float:
     from scipy.special import bdtr
 
     values = max(int(check.effective), 1)
-    own, other = (bdtr(np.floor(one * values), values, NOMINAL) for one in (share, least))
-    return min(float(own / max(other, 1e-300)), 1.0)
+    single, other = (bdtr(np.floor(one * values), values, NOMINAL) for one in (share, least))
+    return min(float(single / max(other, 1e-300)), 1.0)
 
 
 def _shares(matched: MatchedObservations, name: str, seed: Sequence[int]) -> FloatArray:
     """Share of each member's values in the bands of the others."""
     column = OBSERVED.index(name)
-    rows = matched.known[:, column]
+    rows = matched.counted[:, column]
     members, sigma = matched.predicted[:, rows, column], matched.sigma[rows, column]
     count, random, mean = len(members), np.random.default_rng(seed), members.mean(axis=0)
     scatter = ((members - mean) ** 2).sum(axis=0)
@@ -350,14 +349,14 @@ Assumed."""
 BORDERLINE = 0.1
 """Probability below which something of a drive lies near the edge of what was predicted: nothing speaks against the
 prediction, nor much for it. Right predictions come near in 20 to 30 of 100 drives, measured with the drives of
-`tests/twin/test_compare.py`."""
+`tests/twin/comparison/test_verdict.py`."""
 FAR, SELDOM = 5.0, 0.05
 """Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
 hides more than it says, and how seldom it must be among the members; assumed."""
 LEAST_MEMBERS = 20
 """Drives that finished, below which a region of 90 % is not known; assumed."""
-MOST_INVALID, LEAST_FINISHED = 0.05, 0.5
-"""Shares: of measured states where the wheel model does not hold, and of predicted drives that finish; assumed."""
+LEAST_FINISHED = 0.5
+"""Share of predicted drives that finish; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -414,7 +413,7 @@ def compare(matched: MatchedObservations, seed: int = 0) -> DriveComparison:
         *_state_reasons(bands, bias, coverage),
         *_whole_reasons(whole, change),
     ]
-    if invalid > MOST_INVALID:
+    if invalid > MOST_BEYOND:
         reasons.append(f"{100 * invalid:.0f} % of the measured states lie outside of what the wheel model holds for")
     near = [] if reasons else _near(bands, bias, coverage, end, whole)
     return DriveComparison(
@@ -439,7 +438,7 @@ def compare(matched: MatchedObservations, seed: int = 0) -> DriveComparison:
 
 def _invalid_share(matched: MatchedObservations) -> float:
     """Measured states with |s| beyond 0.6, or a sinkage below 0 or beyond 0.9 radii."""
-    values, rows = matched.record.values, matched.known.any(axis=1)
+    values, rows = matched.record.values, matched.counted.any(axis=1)
     if not rows.any():
         return 0.0
     sinkage, slip = (values[rows, OBSERVED.index(name)] for name in ("sinkage_m", "slip_ratio"))
@@ -479,9 +478,9 @@ def _state_reasons(bands: Sequence[BandCheck], bias: Bias | None, coverage: Cove
     reasons = []
     for check in (band for band in bands if band.wheel == ALL):
         name = check.quantity
-        own = None if bias is None else bias.quantities.get(name)
-        if own is not None and bias is not None and _improbable(own, len(bias.quantities) * own.p):
-            away = f"{own.distance:.1f} standard deviations"
+        single = None if bias is None else bias.quantities.get(name)
+        if single is not None and bias is not None and _improbable(single, len(bias.quantities) * single.p):
+            away = f"{single.distance:.1f} standard deviations"
             reasons.append(f"{name} is off by {check.bias:+.3g} in the mean, {away}")
         if coverage is not None and coverage.worst_p < ALARM and (name == coverage.worst or coverage.p[name] < ALARM):
             share = 100 * (check.coverage_90 or 0.0)
@@ -497,24 +496,24 @@ def _near(
     whole: Surprise | None,
 ) -> list[str]:
     """What of the drive is improbable, though not so much that it contradicts the prediction."""
-    told = []
+    near = []
     for check in (band for band in bands if band.wheel == ALL):
         name = check.quantity
-        own = None if bias is None else bias.quantities.get(name)
-        least = min(1.0 if own is None else own.p, 1.0 if coverage is None else coverage.p.get(name, 1.0))
+        single = None if bias is None else bias.quantities.get(name)
+        least = min(1.0 if single is None else single.p, 1.0 if coverage is None else coverage.p.get(name, 1.0))
         if least < BORDERLINE and check.bias_standard is not None:
-            told.append(
+            near.append(
                 f"{name} is off by {check.bias:+.3g} in the mean ({check.bias_standard:+.2f} sd), "
                 f"{100 * (check.coverage_90 or 0.0):.0f} % in 90 % bands, by chance {_small(least)}"
             )
     if end is not None and end.standing is not None and end.standing.p < BORDERLINE:
-        told.append(
+        near.append(
             f"the end is {end.error_m:.3f} m from the middle ({end.standing.distance:.2f} sd), "
             f"by chance {_small(end.standing.p)}"
         )
-    if not told and whole is not None and whole.standing.p < BORDERLINE:
-        told.append(f"the drive as a whole, {whole.standing.distance:.2f} sd, by chance {_small(whole.standing.p)}")
-    return told
+    if not near and whole is not None and whole.standing.p < BORDERLINE:
+        near.append(f"the drive as a whole, {whole.standing.distance:.2f} sd, by chance {_small(whole.standing.p)}")
+    return near
 
 
 def _whole_reasons(whole: Surprise | None, change: GroundChange | None) -> list[str]:
@@ -554,15 +553,17 @@ def _notes(matched: MatchedObservations, end: EndCheck | None, whole: Surprise |
         notes.append(f"{late} of {len(matched.record.time_s)} states are later than the end of the plan and left out")
     if whole is None:
         notes.append("too few drives or values for a surprise of the whole drive")
-    if not matched.independent[matched.known].all():
+    if not matched.independent[matched.counted].all():
         notes.append("slip that was derived from the positions does not count a second time in the surprise")
     return notes
 
 
 def _not_compared(matched: MatchedObservations, end: EndCheck | None) -> dict[str, str]:
-    found = {} if end else {"position": "not measured"}
+    result = {} if end else {"position": "not measured"}
     for k, name in enumerate(OBSERVED):
-        if not matched.known[:, k].any():
+        if not matched.counted[:, k].any():
             measured = np.isfinite(matched.record.values[:, k]).any()
-            found[name] = "measured only at halts, in the first second or after the end" if measured else "not measured"
-    return found
+            result[name] = (
+                "measured only at halts, in the first second or after the end" if measured else "not measured"
+            )
+    return result

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes, numbers_of, read_csv_table
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import GAP
+from lunarsci.twin.telemetry.reading import yaw_roll_pitch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +44,7 @@ ANTENNA_M = (-0.260, 0.0, 0.340)
 HEIGHT_SIGMA_M, ATTITUDE_SIGMA = 0.01, 0.035
 """How far heights of a drive are off a plane, and slopes that follow from the attitude, 2 deg; assumed. [m, -]"""
 MARGIN_M, MARGIN_SHARE, NODES = 3.0, 0.25, 200
-"""Ground about the places of a drive, and more of it by its extent, in so many spacings; assumed. [m, -, -]"""
+"""Ground about the places of a drive, and more of it by its extent, in so many spacings: of a plane. [m, -, -]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,8 +81,8 @@ class PublicDrive:
         Slopes follow from places by their spread and from the attitude by its error: a straight drive tells its grade
         by heights, and the slope across by the roll.
         """
-        known = np.isfinite(self.place_m).all(axis=1)
-        place = self.place_m[known]
+        given = np.isfinite(self.place_m).all(axis=1)
+        place = self.place_m[given]
         middle = place.mean(axis=0)
         off = place - middle
         spread = off[:, :2].T @ off[:, :2] / len(off) / HEIGHT_SIGMA_M**2
@@ -118,15 +119,15 @@ def read_public_drive(source: Any) -> PublicDrive | None:
 def trials_in(path: str) -> list[str]:
     """The drives below a folder or a pattern, sorted; a file, or a folder that is a drive, is one. Raises DataError."""
     if glob.has_magic(path) and not Path(path).exists():
-        found = sorted(glob.glob(path, recursive=True))  # noqa: PTH207
-        if not found:
+        result = sorted(glob.glob(path, recursive=True))  # noqa: PTH207
+        if not result:
             raise DataError(f"{path}: matches nothing; check the pattern")
-        return [trial for one in found for trial in trials_in(one)]
+        return [trial for one in result for trial in trials_in(one)]
     folder = Path(path)
     if not folder.is_dir() or any((folder / file).is_file() for file in LAYOUTS):
         return [path]
-    files = [found for file in LAYOUTS for found in folder.rglob(file)]
-    below = sorted(str(found.parent) for found in files if not OFF_NOMINAL & {*found.relative_to(folder).parts})
+    files = [result for file in LAYOUTS for result in folder.rglob(file)]
+    below = sorted(str(result.parent) for result in files if not OFF_NOMINAL & {*result.relative_to(folder).parts})
     if not below:
         raise DataError(f"{path}: no drive in it: neither {' nor '.join(LAYOUTS)}; name folders or files of drives")
     return below
@@ -150,10 +151,10 @@ def _captured(name: str, path: Path) -> PublicDrive:
     place = np.column_stack([values[f"pos_{axis}"] for axis in "xyz"])
     attitude = _attitude(np.column_stack([values[f"quat_{axis}"] for axis in "xyzw"]))
     angles, how = _captured_angles(file.name, table)
-    told = (f"a trial of Rover Mobility (motion capture): wheels by {how}, positions of its body",)
+    read_as = (f"a trial of Rover Mobility (motion capture): wheels by {how}, positions of its body",)
     return _drive(
         name, "rosey", values["time_s"], place, attitude, angles,
-        (CAPTURE_SIGMA_M, CAPTURE_YAW_SIGMA_DEG), [file], told, synthetic="synthetic" in table,
+        (CAPTURE_SIGMA_M, CAPTURE_YAW_SIGMA_DEG), [file], read_as, synthetic="synthetic" in table,
     )  # fmt: skip
 
 
@@ -179,11 +180,11 @@ def _with_gps(name: str, path: Path) -> PublicDrive:
     files.append(read_input(folder / POSES))
     poses = _rows(files[1], 8)
     attitude = _attitude(poses[:, 4:8])
-    time, place, sigma, told = poses[:, 0], poses[:, 1:4], POSE_SIGMA_M, f"positions of {POSES}"
+    time, place, sigma, source = poses[:, 0], poses[:, 1:4], POSE_SIGMA_M, f"positions of {POSES}"
     if (folder / GPS).is_file():
         files.append(read_input(folder / GPS))
         fixes = _rows(files[2], 4)
-        time, sigma, told = fixes[:, 0], GPS_SIGMA_M, f"positions of {GPS}, moved from the antenna to the base"
+        time, sigma, source = fixes[:, 0], GPS_SIGMA_M, f"positions of {GPS}, moved from the antenna to the base"
         place = fixes[:, 1:] - _turned(_between(time, poses[:, 0], attitude), ANTENNA_M)
     rows = np.unique(np.concatenate([encoders[:, 0], time]))
     where = np.full((len(rows), 3), np.nan)
@@ -193,7 +194,7 @@ def _with_gps(name: str, path: Path) -> PublicDrive:
     used = np.isfinite(angles).all(axis=1) & (rows >= poses[0, 0]) & (rows <= poses[-1, 0])
     if not used.any():
         raise DataError(f"{name}: {ENCODERS} and {POSES} have no time in common; are they of one run?")
-    read_as = (f"a run of the energy-aware navigation data set: {told}, headings of {POSES}",)
+    read_as = (f"a run of the energy-aware navigation data set: {source}, headings of {POSES}",)
     return _drive(
         name, "husky", rows[used] - rows[used][0], where[used], heading[used], angles[used],
         (sigma, POSE_YAW_SIGMA_DEG), files, read_as, synthetic=b"synthetic" in files[0].data[:4096],
@@ -206,53 +207,44 @@ LAYOUTS: dict[str, Callable[[str, Path], PublicDrive]] = {PROCESSED: _captured, 
 
 def _rows(file: InputFile, columns: int) -> FloatArray:
     """Numbers of a table in the order of time, by place: its header is a comment, whose names hold commas."""
-    lines = [line for line in text(file).splitlines() if line.strip() and not line.lstrip().startswith("#")]
     try:
-        found = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+        rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2)
     except ValueError as error:
         raise DataError(f"{file.name}: {error}; a table of {columns} numbers a row is wanted") from error
-    if found.ndim != 2 or found.shape[1] != columns or len(found) < 2:
+    if rows.shape[1] != columns or len(rows) < 2:
         raise DataError(f"{file.name}: has no rows of {columns} numbers; is the file complete?")
-    _, first = np.unique(found[:, 0], return_index=True)
-    return np.asarray(found[first])
+    _, first = np.unique(rows[:, 0], return_index=True)
+    return np.asarray(rows[first])
 
 
 def _attitude(quaternion: FloatArray) -> FloatArray:
-    """Yaw, roll, pitch of quaternions x, y, z, w; NaN where they are none. (n, 3) [deg]
-
-    Body axes x ahead, y left, z up, as ROS has them (REP 103), so that pitch is positive nose down.
-    """
-    from scipy.spatial.transform import Rotation
-
-    found = np.full((len(quaternion), 3), np.nan)
-    norm = np.linalg.norm(quaternion, axis=1)
-    known: BoolArray = np.isfinite(norm) & (norm > 0)
-    if known.any():
-        found[known] = Rotation.from_quat(quaternion[known]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
-        found[known, 0] = np.unwrap(found[known, 0], period=360.0)
-    return found
+    """As of `yaw_roll_pitch`, without full turns of the heading between rows. (n, 3) [deg]"""
+    attitude = yaw_roll_pitch(quaternion)
+    given = np.isfinite(attitude[:, 0])
+    attitude[given, 0] = np.unwrap(attitude[given, 0], period=360.0)
+    return attitude
 
 
 def _turned(attitude_deg: FloatArray, arm_m: tuple[float, float, float]) -> FloatArray:
     """An arm of the body in the world. (n, 3) [m]"""
     from scipy.spatial.transform import Rotation
 
-    found = np.full((len(attitude_deg), 3), np.nan)
-    known = np.isfinite(attitude_deg).all(axis=1)
-    yaw, roll, pitch = attitude_deg[known].T
-    if known.any():
-        found[known] = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll]), degrees=True).apply(arm_m)
-    return found
+    result = np.full((len(attitude_deg), 3), np.nan)
+    given = np.isfinite(attitude_deg).all(axis=1)
+    yaw, roll, pitch = attitude_deg[given].T
+    if given.any():
+        result[given] = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll]), degrees=True).apply(arm_m)
+    return result
 
 
-def _between(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+def _between(time_s: FloatArray, given_s: FloatArray, values: FloatArray) -> FloatArray:
     """Values at some times, linear between the known ones; NaN before, after, and over gaps. (n, columns)"""
-    found = np.column_stack([np.interp(time_s, known_s, column, np.nan, np.nan) for column in values.T])
-    steps = np.diff(known_s)
-    number = np.clip(np.searchsorted(known_s, time_s, side="right") - 1, 0, len(steps) - 1)
-    lost = (steps[number] > GAP * np.median(steps)) & ~np.isin(time_s, known_s)
-    found[lost] = np.nan
-    return found
+    result = np.column_stack([np.interp(time_s, given_s, column, np.nan, np.nan) for column in values.T])
+    steps = np.diff(given_s)
+    number = np.clip(np.searchsorted(given_s, time_s, side="right") - 1, 0, len(steps) - 1)
+    lost = (steps[number] > GAP * np.median(steps)) & ~np.isin(time_s, given_s)
+    result[lost] = np.nan
+    return result
 
 
 def _drive(
@@ -278,8 +270,8 @@ def _drive(
     for k, wheel in enumerate(WHEELS):
         columns |= {f"angle_{wheel}_deg": angle_deg[:, k], f"steered_{wheel}_deg": 0.0}
     table = pd.DataFrame(columns | ({"synthetic": True} if synthetic else {}))
-    told = (*read_as, f"rover {rover} and Earth's gravity, where no other is named")
+    read_as = (*read_as, f"rover {rover} and Earth's gravity, where no other is named")
     inputs = {file.name: file.sha256 for file in files}
     return PublicDrive(
-        name=name, rover=rover, table=table, place_m=place_m, attitude_deg=attitude_deg, inputs=inputs, read_as=told
+        name=name, rover=rover, table=table, place_m=place_m, attitude_deg=attitude_deg, inputs=inputs, read_as=read_as
     )

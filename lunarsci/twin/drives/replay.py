@@ -14,7 +14,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.comparison.forecast import MatchedObservations, forecast_of, match_observations
 from lunarsci.twin.comparison.scores import ALL, check_bands, check_end, region_ellipse
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
@@ -28,8 +28,8 @@ from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.drives import drive_all, drive_finer
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, for_people
 from lunarsci.twin.simulation.members import SLOW, DriveSetup
-from lunarsci.twin.telemetry.odometry import fitted_twist, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.wheel_motion import fitted_twist, wheel_rows
 
 STEP_S, STEP_M = 0.1, 0.01
 """Longest step, in time and in way of the fastest rim; assumed, as the embedded plan has 0.1 s and 5 mm. [s, m]"""
@@ -77,18 +77,18 @@ class WheelTurns:
 
 def _filled(time_s: FloatArray, values: FloatArray) -> FloatArray:
     """With what is missing between values; 0 where there are none."""
-    known = np.isfinite(values)
-    return np.interp(time_s, time_s[known], values[known]) if known.any() else 0.0 * time_s
+    counted = np.isfinite(values)
+    return np.interp(time_s, time_s[counted], values[counted]) if counted.any() else 0.0 * time_s
 
 
 def _rolled_m(telemetry: Telemetry, rover: Rover, wheel: int) -> FloatArray:
     """Way of a rim since the first row. (n,) [m]"""
     time, radius = telemetry.time_s, rover.wheel.shearing_radius_m
     angle, rate = np.radians(telemetry.angle_deg[:, wheel]), np.radians(telemetry.rate_deg_s[:, wheel])
-    if (known := np.isfinite(angle)).any():
+    if (counted := np.isfinite(angle)).any():
         # Angles that begin anew after each turn stay within one.
-        anew = np.ptp(angle[known]) <= 2.0 * math.pi
-        angle[known] = np.unwrap(angle[known]) if anew else angle[known]
+        anew = np.ptp(angle[counted]) <= 2.0 * math.pi
+        angle[counted] = np.unwrap(angle[counted]) if anew else angle[counted]
         return np.asarray(radius * _filled(time, angle))
     speed = radius * rate if np.isfinite(rate).any() else telemetry.speed_m_s[:, wheel]
     speed = _filled(time, speed)
@@ -280,13 +280,13 @@ class TrialScore:
 
     def row(self) -> dict[str, Any]:
         """One row of a table of trials."""
-        found: dict[str, Any] = {"trial": self.trial, **self.about}
+        result: dict[str, Any] = {"trial": self.trial, **self.about}
         for name, score in self.scores.items():
             if name != END:
-                found |= {f"{name}_measured": score.measured, f"{name}_predicted": score.predicted}
-            found |= {f"{name}_error": _rms(score.off), f"{name}_error_wheels_alone": _rms(score.off_alone)}
-            found[f"{name}_in_90"] = score.in_90
-        return found | {"end_radius_90_m": self.end_radius_m, "doubt": self.doubt or None, "synthetic": self.synthetic}
+                result |= {f"{name}_measured": score.measured, f"{name}_predicted": score.predicted}
+            result |= {f"{name}_error": _rms(score.off), f"{name}_error_wheels_alone": _rms(score.off_alone)}
+            result[f"{name}_in_90"] = score.in_90
+        return result | {"end_radius_90_m": self.end_radius_m, "doubt": self.doubt or None, "synthetic": self.synthetic}
 
 
 def score_trial(
@@ -317,7 +317,7 @@ def score_trial(
         "ground": terrain.name,
         "duration_s": float(turns.time_s[-1]),
         "way_m": float(prediction.distance_m[-1]),
-        "states": int(matched.known[:, [OBSERVED.index(column) for column in SCORED]].any(axis=1).sum()),
+        "states": int(matched.counted[:, [OBSERVED.index(column) for column in SCORED]].any(axis=1).sum()),
         "members": prediction.members,
         "finished": int(prediction.finished.sum()),
     }
@@ -334,7 +334,7 @@ def score_trial(
 
 
 def _state_scores(matched: MatchedObservations, rover: Rover, turns: WheelTurns) -> dict[str, QuantityScore]:
-    record, found = matched.record, {}
+    record, result = matched.record, {}
     whole = {check.quantity: check.coverage_90 for check in check_bands(matched) if check.wheel == ALL}
     wheel = np.array([rover.wheels.index(name) for name in record.wheel], dtype=int)
     times, row = np.unique(record.time_s, return_inverse=True)
@@ -342,17 +342,17 @@ def _state_scores(matched: MatchedObservations, rover: Rover, turns: WheelTurns)
     alone = np.array(still).reshape(len(times), 2, len(rover.wheels))
     for number, name in enumerate(SCORED):
         column = OBSERVED.index(name)
-        known: BoolArray = matched.known[:, column]
-        if known.any():
-            measured, predicted = record.values[known, column], matched.predicted[:, known, column].mean(axis=0)
-            found[name] = QuantityScore(
+        counted: BoolArray = matched.counted[:, column]
+        if counted.any():
+            measured, predicted = record.values[counted, column], matched.predicted[:, counted, column].mean(axis=0)
+            result[name] = QuantityScore(
                 measured=float(np.median(measured)),
                 predicted=float(np.median(predicted)),
                 off=predicted - measured,
-                off_alone=alone[row, number, wheel][known] - measured,
+                off_alone=alone[row, number, wheel][counted] - measured,
                 in_90=whole.get(name),
             )
-    return found
+    return result
 
 
 def _moved(prediction: Prediction, law: PhysicsDiscrepancy, seed: int) -> Prediction:
@@ -382,14 +382,14 @@ def summary_of(trials: Sequence[TrialScore]) -> list[dict[str, Any]]:
     """Over all trials, a row for each quantity: all values of all trials count alike, and each end as one."""
     rows = []
     for name in (*SCORED, END):
-        found = [trial.scores[name] for trial in trials if name in trial.scores]
-        if not found:
+        result = [trial.scores[name] for trial in trials if name in trial.scores]
+        if not result:
             continue
-        off, alone = (np.concatenate([getattr(score, part) for score in found]) for part in ("off", "off_alone"))
-        held = [(score.in_90, len(score.off)) for score in found if score.in_90 is not None]
+        off, alone = (np.concatenate([getattr(score, part) for score in result]) for part in ("off", "off_alone"))
+        held = [(score.in_90, len(score.off)) for score in result if score.in_90 is not None]
         rows.append({
             "quantity": name,
-            "trials": len(found),
+            "trials": len(result),
             "values": len(off),
             "median_error": float(np.median(np.abs(off))),
             "rms": _rms(off),

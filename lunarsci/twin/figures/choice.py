@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, name_points, page, wrapped
-from lunarsci.twin.choice.chances import Weakest
-from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
 from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, draw_relief
 from lunarsci.twin.figures.panels import GOLD, LABELS
 from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.judgement.choice import DriveCandidate, DriveChoice, Weakest
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Plan
 
@@ -64,7 +63,7 @@ def _scale() -> Any:
 
 def _headline(choice: DriveChoice) -> str:
     best = choice.best
-    share = f"{100 * best.said.risk:.1f} % (at most {100 * best.said.high:.1f} %) fail"
+    share = f"{100 * best.stated.risk:.1f} % (at most {100 * best.stated.high:.1f} %) fail"
     if choice.feasible:
         return f"drive {best.number}: {as_label(best.plan.name)}; {share}, {100 * choice.risk:g} % accepted"
     safest = f"the safest is {best.number}, {as_label(best.plan.name)}: {share}"
@@ -83,7 +82,7 @@ def _frame(surface: Traversability, choice: DriveChoice) -> tuple[tuple[float, f
 
 def _draw_way(axes: "Axes", one: DriveCandidate, scale: Any, *, best: bool) -> None:
     x, y, _ = poses_along(one.plan, 0.05).T
-    color = scale.to_rgba(min(max(one.said.risk, LEAST_SHOWN), MOST_SHOWN))
+    color = scale.to_rgba(min(max(one.stated.risk, LEAST_SHOWN), MOST_SHOWN))
     if best:
         axes.plot(x, y, color="white", linewidth=6.0, zorder=6)
         axes.plot(x, y, color=INK, linewidth=4.6, zorder=6)
@@ -140,7 +139,7 @@ def front_page(choice: DriveChoice) -> "Figure":
         (panels[1], "length_m", "length of the drive [m]"),
     ):
         _draw_risks(axes, choice, name)
-        named[axes] = [(str(one.number), getattr(one, name), one.said.risk) for one in choice.front]
+        named[axes] = [(str(one.number), getattr(one, name), one.stated.risk) for one in choice.front]
         axes.set_xlabel(label)
         axes.axhline(choice.risk, color=INK, linewidth=1.0, linestyle="--")
         axes.set_yscale("log")
@@ -168,14 +167,14 @@ def _draw_risks(axes: "Axes", choice: DriveChoice, name: str) -> None:
     _bars(axes, promised, name, "#D55E00", "D", "on fresh soils")
     front = sorted(choice.front, key=lambda one: float(getattr(one, name)))
     axes.plot(
-        [getattr(one, name) for one in front], [one.said.risk for one in front], "-", color=INK, linewidth=0.8,
+        [getattr(one, name) for one in front], [one.stated.risk for one in front], "-", color=INK, linewidth=0.8,
         zorder=2, label="not beaten in risk, length and energy",
     )  # fmt: skip
 
 
 def _bars(axes: "Axes", group: list[DriveCandidate], name: str, color: str, marker: str, label: str) -> None:
     x = [getattr(one, name) for one in group]
-    risk = np.array([one.said.risk for one in group])
-    low, high = (np.array([getattr(one.said, end) for one in group]) for end in ("low", "high"))
+    risk = np.array([one.stated.risk for one in group])
+    low, high = (np.array([getattr(one.stated, end) for one in group]) for end in ("low", "high"))
     spread = np.maximum(np.array([risk - low, high - risk]), 0.0)
     axes.errorbar(x, risk, spread, fmt=marker, color=color, markersize=4, elinewidth=0.7, capsize=1.5, label=label)

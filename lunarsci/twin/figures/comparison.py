@@ -7,7 +7,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.figure import COLORS, INK, as_label, headline, legend_below, page
-from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.assimilation.residuals import OBSERVED
 from lunarsci.twin.comparison.forecast import MatchedObservations
 from lunarsci.twin.comparison.scores import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.verdict import DriveComparison
@@ -137,7 +137,7 @@ def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
     low, middle, high = _percentiles(values)
     axes.fill_between(forecast.time_s, low, high, color=ACCENT, alpha=0.22, linewidth=0)
     axes.plot(forecast.time_s, middle, color=ACCENT, linewidth=1.4)
-    rows = matched.known[:, column]
+    rows = matched.counted[:, column]
     outside = np.abs(standardised(matched, column, rows)) > half_band(len(matched.members))
     time, measured = matched.record.time_s[rows], factor * matched.record.values[rows, column]
     wheel = np.array([forecast.wheels.index(one) for one in matched.record.wheel])[rows]
@@ -157,7 +157,7 @@ def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
 
 def _together(matched: MatchedObservations, name: str) -> list[str]:
     column = OBSERVED.index(name)
-    standard = standardised(matched, column, matched.known[:, column])
+    standard = standardised(matched, column, matched.counted[:, column])
     share = float((np.abs(standard) <= half_band(len(matched.members))).mean())
     return [f"{100 * share:.0f} % of {len(standard)} values in their {100 * NOMINAL:.0f} % bands"]
 
@@ -191,7 +191,7 @@ def _draw_standard(axes: "Axes", matched: MatchedObservations, names: list[str])
     edges = np.linspace(-5.0, 5.0, 26)
     for number, name in enumerate(names):
         column = OBSERVED.index(name)
-        values = np.clip(standardised(matched, column, matched.known[:, column]), -4.99, 4.99)
+        values = np.clip(standardised(matched, column, matched.counted[:, column]), -4.99, 4.99)
         look: Any = {"histtype": "step", "linewidth": 1.5, "color": COLORS[number % 6], "linestyle": DASHES[number % 6]}
         axes.hist(values, bins=list(edges), density=True, label=_short(name), **look)
     x = np.linspace(-5.0, 5.0, 200)

@@ -7,8 +7,8 @@ import numpy as np
 
 from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page
 from lunarsci.result import UNITS, unit_of
-from lunarsci.twin.designs.trade import Design
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LIMIT
+from lunarsci.twin.judgement.designs import Design
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

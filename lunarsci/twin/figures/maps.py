@@ -10,9 +10,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, page
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places
-from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.assimilation.segments import SoilChange
+from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.segments import SoilChange, traverse_of, wheel_places
 from lunarsci.twin.assimilation.update import SoilUpdate
 from lunarsci.twin.figures.panels import GOLD, LABELS
 from lunarsci.twin.ground.hazards import Traversability

@@ -8,8 +8,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, as_label, headline, legend_below, page
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, draw_ground, wheel_dots, wheel_line
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.loads.load_ensemble import LoadEnsemble
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.simulation.prescribed_motion import LoadEnsemble
 from lunarsci.twin.telemetry.states import DriveStates
 
 if TYPE_CHECKING:

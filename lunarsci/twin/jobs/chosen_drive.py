@@ -10,9 +10,7 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom
-from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.choice import DriveChoice, choose
-from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
@@ -33,6 +31,7 @@ from lunarsci.twin.jobs.plan_request import (
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose
 from lunarsci.twin.judgement.keeping import least_drives
 from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.plan import Plan, read_plan
@@ -95,8 +94,8 @@ class ChosenDrive(TerrainSurvey):
         broken = ", ".join(one.short for one in best.broken)
         return (
             f"no drive keeps a risk of {choice.risk:.3g}, so there is no plan.toml: drive {best.number}, the safest of "
-            f"{len(choice.candidates)}, fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}): "
-            f"{broken}"
+            f"{len(choice.candidates)}, fails with {best.stated.risk:.2g} ({best.stated.low:.2g} to "
+            f"{best.stated.high:.2g}): {broken}"
         )
 
     @property

@@ -20,7 +20,7 @@ from lunarsci.regolith.prior import Question, asked_in
 from lunarsci.regolith.states import StateTable
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, read_rover, rover_names
-from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
+from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
 from lunarsci.twin.comparison.forecast import (
     Forecast,

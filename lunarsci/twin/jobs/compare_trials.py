@@ -13,7 +13,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.twin.assimilation.drive_record import read_drive_states
+from lunarsci.twin.assimilation.residuals import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
 from lunarsci.twin.ground.driven_soil import read_soil_samples

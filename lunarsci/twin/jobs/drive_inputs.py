@@ -16,7 +16,7 @@ from lunarsci.regolith.prior import Question, asked_in, prior_hash
 from lunarsci.regolith.soil import read_soil, soil_hash, soil_tables, unusual
 from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
-from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
 from lunarsci.twin.ground.synthetic import synthetic_longji

@@ -14,9 +14,8 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inp
 from lunarsci.twin.jobs.predict import predict_drives
 from lunarsci.twin.jobs.requests import DriveRequest
 from lunarsci.twin.jobs.soils import Soils
-from lunarsci.twin.judgement.load_check import WheelLoads, wheel_loads
 from lunarsci.twin.judgement.quantities import abscissa
-from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.judgement.tables import WheelLoads, state_table, wheel_loads
 from lunarsci.twin.lanes import outcome_texts
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.ensemble import Prediction

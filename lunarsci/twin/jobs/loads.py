@@ -19,28 +19,25 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inp
 from lunarsci.twin.jobs.forces import load_record
 from lunarsci.twin.jobs.given_soil import doubt_of
 from lunarsci.twin.jobs.requests import LoadsRequest
-from lunarsci.twin.judgement.load_check import WheelLoads, force_table, wheel_loads
-from lunarsci.twin.judgement.tables import held_table
+from lunarsci.twin.judgement.tables import WheelLoads, force_table, held_table, wheel_loads
 from lunarsci.twin.lanes import FINISHED
-from lunarsci.twin.loads.load_ensemble import (
+from lunarsci.twin.plans.motion import Motion, read_motion
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.simulation.prescribed_motion import (
     BALANCE_ERROR,
     DRAWS,
+    FORCES,
     TOTALS,
     AlternatingEstimate,
     LoadEnsemble,
-    alternate,
-    draw_loads,
-)
-from lunarsci.twin.loads.prescribed_motion import (
-    FORCES,
     PoseStates,
     PrescribedLoads,
+    alternate,
     correlation_length,
+    draw_loads,
     prescribed_loads,
     read_pose_states,
 )
-from lunarsci.twin.plans.motion import Motion, read_motion
-from lunarsci.twin.plans.plan import Plan
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -160,7 +157,7 @@ class UncertainLoads(Result):
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        poses = f"{int(self.found.known.sum())} of {len(self.found.known)} poses"
+        poses = f"{int(self.found.with_forces.sum())} of {len(self.found.with_forces)} poses"
         return f"Wheel forces along {self.given['motion'].name}, {poses}, on {self.known.terrain.name}"
 
     @property
@@ -188,12 +185,12 @@ class UncertainLoads(Result):
             "of": "uncertain motion",
             "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
             "draws": self.draws,
-            "poses": {"known": int(found.known.sum()), "all": len(found.known)},
+            "poses": {"known": int(found.with_forces.sum()), "all": len(found.with_forces)},
             "motion_errors": {"correlation_m": self.correlation_m, "basis": self.basis} if uncertain else None,
             "balance_error": self.balance_error,
             "wheels": _wheels(found),
-            "shares": _shares(found) if found.known.any() else None,
-            "totals": _totals(found) if found.known.any() else None,
+            "shares": _shares(found) if found.with_forces.any() else None,
+            "totals": _totals(found) if found.with_forces.any() else None,
             "iteration": None if self.turned is None else _iteration(self.turned),
             "soil": soil_record(driven, known.terrain, PARAMETERS),
         }
@@ -297,7 +294,7 @@ def _shares(found: LoadEnsemble) -> dict[str, Any]:
 
 def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
 
-    known = found.known
+    known = found.with_forces
     if not known.any():
         return []
     return [
@@ -317,7 +314,7 @@ def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
 
 def _totals(found: LoadEnsemble) -> dict[str, dict[str, float]]:
 
-    known = found.known
+    known = found.with_forces
     return {
         name: {
             "missing_before": _rms(found.residual_before[known, k]),

@@ -6,7 +6,7 @@ from typing import Any
 from lunarsci.errors import RequestError
 from lunarsci.options import request_of
 from lunarsci.result import job
-from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.jobs.chosen_drive import chosen_drive

@@ -11,8 +11,7 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom
-from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.keep_out import ExclusionZone, near_way
@@ -25,7 +24,9 @@ from lunarsci.twin.jobs.plan_request import limits_at, made_for_on, planned_powe
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
-from lunarsci.twin.judgement.keeping import Chance, kept, least_of_95
+from lunarsci.twin.judgement.choice import Conditions
+from lunarsci.twin.judgement.keeping import Chance, keeps_limits
+from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, Pose, drive_mission
 from lunarsci.twin.mission.mission import Mission, MissionTarget, read_mission
 from lunarsci.twin.plans.path import poses_along
@@ -235,7 +236,7 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         site.rover,
         _Ways(local, asked, mission.speed_m_s),
         lambda plan: _conditions_of(plan, local, soils, conditions).drive(plan, members),
-        kept,
+        keeps_limits,
         seed=asked.seed or 0,
         goal_of=lambda target: beyond(target, surface, site.rover),
         power=planned_power(asked),

@@ -13,7 +13,7 @@ from lunarsci.options import request_of
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.prior import Question
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.illumination import parse_sun
@@ -22,11 +22,17 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, 
 from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
 from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement import tables as judged
-from lunarsci.twin.judgement.endpoint import EndpointSensitivity, endpoint_sensitivity, step_error_m
+from lunarsci.twin.judgement.endpoint import (
+    EndpointSensitivity,
+    TerrainShares,
+    endpoint_sensitivity,
+    likely_drives,
+    step_error_m,
+    terrain_shares,
+)
 from lunarsci.twin.judgement.energy import PowerUse, energy_record, power_record, power_use
-from lunarsci.twin.judgement.load_check import check_loads
 from lunarsci.twin.judgement.safety import Verdict, judge, undecided
-from lunarsci.twin.judgement.terrain_share import TerrainShares, likely_drives, terrain_shares
+from lunarsci.twin.judgement.tables import check_loads
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction

@@ -9,7 +9,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.regolith.belief import FitVerdict, doubt, other_law
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, read_soil_samples
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS

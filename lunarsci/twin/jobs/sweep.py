@@ -9,7 +9,11 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.twin.designs.trade import (
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
+from lunarsci.twin.jobs.predict import power_of
+from lunarsci.twin.jobs.requests import SweepRequest
+from lunarsci.twin.jobs.soils import Soils
+from lunarsci.twin.judgement.designs import (
     Design,
     Variation,
     check_names,
@@ -19,10 +23,6 @@ from lunarsci.twin.designs.trade import (
     try_design,
     unchanged,
 )
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
-from lunarsci.twin.jobs.predict import power_of
-from lunarsci.twin.jobs.requests import SweepRequest
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict

@@ -13,9 +13,8 @@ from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, contact_rows, first_belief, parameter_rows, read_belief, with_drive
 from lunarsci.regolith.prior import PARAMETERS, asked_in, prior_hash
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
-from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
+from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
+from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change, planned_places
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_layers import soil_layers
@@ -147,7 +146,7 @@ class LearnedSoil(Result):
     @property
     def doubts(self) -> list[str]:
         """Why what was learned is doubtful, each reason once."""
-        parts = [self.found] if self.segments is None else [one.found for one in self.segments if one.learned]
+        parts = [self.found] if self.segments is None else [one.update for one in self.segments if one.learned]
         told = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
         leans = [self.slip] if self.segments is None else [one.slip for one in self.segments]
         told += [lean.doubt for lean in leans if lean]
@@ -337,7 +336,7 @@ def _with_history(found: SoilUpdate, before: Before, drive: _DrivenLine, forget:
 def _zone(segment: Segment, drive: _DrivenLine) -> Zone:
 
     lean = (segment.slip.doubt,) if segment.slip else ()
-    line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.found)) if segment.found else {}
+    line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.update)) if segment.update else {}
     line |= {"from_m": round(segment.from_m, 3), "to_m": round(segment.to_m, 3)}
     belief = replace(segment.belief, history=(*segment.before.history, line))
     name = f"{drive.known.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"

@@ -11,6 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.twin.electrics import SOLAR_CONSTANT_W_M2, Motors, PowerSupply
 from lunarsci.twin.ground.illumination import SunDirection, sunlit
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.judgement.quantities import least_of_95, most_of_95
 from lunarsci.twin.plans.schedule import all_commands, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, PowerState, Prediction
@@ -104,8 +105,7 @@ def energy_record(prediction: Prediction) -> dict[str, Any] | None:
 
 
 def _middle_and_most(work_j: FloatArray) -> dict[str, float]:
-    p95 = float(np.quantile(work_j, 0.95, method="inverted_cdf"))
-    return {"p50_j": float(np.median(work_j)), "p95_j": p95}
+    return {"p50_j": float(np.median(work_j)), "p95_j": most_of_95(work_j)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -241,13 +241,12 @@ def power_record(prediction: Prediction, use: PowerUse) -> dict[str, Any]:
     Of energies p50 and p95, of the battery p50 and p05 of its lowest state; `empty_drives` ran out of it.
     """
     drawn, least = use.drawn_wh, use.battery_wh.min(axis=1)
-    p95, p05 = (float(s * np.quantile(s * v, 0.95, method="inverted_cdf")) for s, v in ((1.0, drawn), (-1.0, least)))
     lit = None if use.lit is None else float(use.lit[prediction.reached].mean()) if prediction.reached.any() else None
     most = use.wheels_w.max(axis=(0, 1))
     return {
-        "drawn": {"p50_wh": float(np.median(drawn)), "p95_wh": p95},
+        "drawn": {"p50_wh": float(np.median(drawn)), "p95_wh": most_of_95(drawn)},
         "panels": {"p50_wh": float(np.median(use.gained_wh)), "lit_share": lit},
-        "battery": {"p50_least_wh": float(np.median(least)), "p05_least_wh": p05},
+        "battery": {"p50_least_wh": float(np.median(least)), "p05_least_wh": least_of_95(least)},
         "empty_drives": int((least <= 0).sum()),
         "wheels_most_w": dict(zip(prediction.rover.wheels, map(float, most), strict=True)),
     }

@@ -18,10 +18,10 @@ from lunarsci.twin.simulation.ensemble import Prediction
 
 NEVER_BROKEN = ("keep_out_m", "battery_charge")
 """Limits that no drive of an ensemble may break, where of others 95 % keep them: it would be lost."""
-OWN = "the rover's own, as the plan has none"
+PLAN_HAS_NONE = "the rover's own, as the plan has none"
 """Begins the source of a limit that a plan leaves out."""
 CONFIDENCE = 0.95
-"""Of each of the two bounds of a chance; assumed."""
+"""Of each of the two bounds of a chance that are given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +92,15 @@ def limits_judged(prediction: Prediction) -> tuple[Limit, ...]:
 
 
 def _implied(prediction: Prediction) -> tuple[Limit, ...]:
-    rover, found = prediction.rover, []
-    own = [replace(limit, source=f"{OWN}: {limit.source}", assumed=True) for limit in own_limits(rover)]
+    rover, others = prediction.rover, []
+    of_rover = [replace(limit, source=f"{PLAN_HAS_NONE}: {limit.source}", assumed=True) for limit in own_limits(rover)]
     if prediction.plan.exclusion_zones:
-        found.append(("keep_out_m", 0.0, "circles of the plan"))
+        others.append(("keep_out_m", 0.0, "circles of the plan"))
     if rover.motors is not None:
-        found.append(("motor_load", 1.0, "what the motors give for long"))
+        others.append(("motor_load", 1.0, "what the motors give for long"))
     if prediction.power is not None and rover.power is not None:
-        found.append(("battery_charge", rover.power.least_charge, "the rover's battery"))
-    return (*own, *(Limit(name, QUANTITIES[name], value, source, False) for name, value, source in found))
+        others.append(("battery_charge", rover.power.least_charge, "the rover's battery"))
+    return (*of_rover, *(Limit(name, QUANTITIES[name], value, source, False) for name, value, source in others))
 
 
 def not_judged(prediction: Prediction) -> dict[str, str]:
@@ -121,8 +121,6 @@ def limited(prediction: Prediction, quantity: str) -> FloatArray:
     what its motor gives for long at the wheel's rate, `battery_charge` is below 0 by what is drawn beyond an empty
     battery. Raises ParameterError for what cannot be limited, or not of this rover.
     """
-    if quantity not in QUANTITIES:
-        raise ParameterError(f"'{quantity}' cannot be limited; these can: {', '.join(QUANTITIES)}")
     if quantity == "endpoint_miss_m":
         values = np.zeros(prediction.reached.shape)
         values[:, -1] = prediction.miss_m
@@ -170,17 +168,12 @@ def extremes(prediction: Prediction, quantity: str) -> FloatArray:
     return np.asarray(np.where(prediction.reached, values, 0.0).max(axis=1))
 
 
-def least_of_95(values: FloatArray) -> float:
-    """The largest value that at least 95 % of the members reach."""
-    return float(-np.quantile(-values, 0.95, method="inverted_cdf"))
-
-
 def broken(limit: Limit, values: FloatArray) -> BoolArray:
     """Where values, of a quantity as `limited` or `extremes` has it, are beyond a limit; not where they are unknown."""
     return np.asarray(values < limit.limit if limit.sense == "at least" else values > limit.limit)
 
 
-def kept(prediction: Prediction) -> BoolArray:
+def keeps_limits(prediction: Prediction) -> BoolArray:
     """Drives that end and break none of the limits that are judged. (members,)"""
     result = prediction.finished.copy()
     for limit in limits_judged(prediction):

@@ -17,8 +17,6 @@ from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 BLOCK = 4096
-BELLY_REACH_M = 3.0
-"""No point of a rover is farther from its origin; assumed. [m]"""
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -140,22 +138,24 @@ def clearance_of_poses(prediction: Prediction, body: Body, poses: FloatArray) ->
     flat = np.concatenate([flat[:, :3], np.radians(flat[:, 3:])], axis=1)
     half_x, half_y = 0.5 * body.length_m, 0.5 * body.width_m
     belly = np.array([body.center_x_m - half_x, body.center_x_m + half_x, -half_y, half_y, body.belly_z_m])
-    out = np.empty((len(flat), 2))
-    common = None if draws is not None else _ground_below(terrain, flat, None)
+    reach, out = float(np.abs(belly).sum()), np.empty((len(flat), 2))
+    common = None if draws is not None else _ground_below(terrain, flat, reach, None)
     size = BLOCK if draws is None else len(flat) // len(draws)
 
     def block(number: int) -> None:
-        own = slice(number * size, (number + 1) * size)
-        ground = common or _ground_below(terrain, flat[own], None if draws is None else draws[number])
-        least_above(*ground, 0.5 * terrain.spacing_m, belly, flat[own], out[own])
+        rows = slice(number * size, (number + 1) * size)
+        ground = common or _ground_below(terrain, flat[rows], reach, None if draws is None else draws[number])
+        least_above(*ground, 0.5 * terrain.spacing_m, belly, flat[rows], out[rows])
 
     each_in_threads(block, math.ceil(len(flat) / size))
     return out[:, 0].reshape(shape), out[:, 1].reshape(shape)
 
 
-def _ground_below(terrain: Terrain, poses: FloatArray, draw: FloatArray | None) -> tuple[FloatArray, float, float]:
-    """Heights about poses with those half-way between the nodes, and x and y of their first node. [m]"""
-    parts, reach = [], BELLY_REACH_M + 3.0 * terrain.spacing_m
+def _ground_below(
+    terrain: Terrain, poses: FloatArray, belly_m: float, draw: FloatArray | None
+) -> tuple[FloatArray, float, float]:
+    """Heights about poses, as far as the belly reaches, half-way places too, and x and y of their first node. [m]"""
+    parts, reach = [], belly_m + 3.0 * terrain.spacing_m
     for axis, places in ((terrain.y_m, poses[:, 1]), (terrain.x_m, poses[:, 0])):
         first, last = np.searchsorted(axis, (places.min() - reach, places.max() + reach))
         parts.append(slice(min(first, len(axis) - 2), max(last, 2)))
@@ -222,16 +222,16 @@ class Encounter:
 
 def encounters(prediction: Prediction, most: int = 5) -> list[Encounter]:
     """The circles of the plan that drives come nearest to, the worst first; no more than `most`, but all entered."""
-    found = []
+    nearest = []
     for zone in prediction.plan.exclusion_zones:
         away = np.where(prediction.reached, exclusion_distance(prediction, (zone,)), np.inf)
         member, sample = np.unravel_index(int(away.argmin()), away.shape)
         x, y = prediction.places_m[member, sample]
-        own = (zone.name, zone.x_m, zone.y_m, zone.radius_m, float(away[member, sample]))
+        rows = (zone.name, zone.x_m, zone.y_m, zone.radius_m, float(away[member, sample]))
         entered = int((away < 0).any(axis=1).sum())
-        found.append(Encounter(*own, float(x), float(y), float(prediction.distance_m[sample]), int(member), entered))
-    found.sort(key=lambda one: one.margin_m)
-    return [one for k, one in enumerate(found) if k < most or one.margin_m < 0]
+        nearest.append(Encounter(*rows, float(x), float(y), float(prediction.distance_m[sample]), int(member), entered))
+    nearest.sort(key=lambda one: one.margin_m)
+    return [one for k, one in enumerate(nearest) if k < most or one.margin_m < 0]
 
 
 def tilt_deg(roll_deg: npt.ArrayLike, pitch_deg: npt.ArrayLike) -> FloatArray:
@@ -269,3 +269,13 @@ def abscissa(prediction: Prediction) -> tuple[FloatArray, str]:
     if (np.diff(prediction.distance_m) > 0).all():
         return prediction.distance_m, "commanded distance [m]"
     return prediction.time_s, "time [s]"
+
+
+def most_of_95(values: FloatArray) -> float:
+    """The smallest value that at least 95 % of the members do not exceed."""
+    return float(np.quantile(values, 0.95, method="inverted_cdf"))
+
+
+def least_of_95(values: FloatArray) -> float:
+    """The largest value that at least 95 % of the members reach."""
+    return -most_of_95(-values)

@@ -15,26 +15,24 @@ from lunarsci.twin.ground.unresolved import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
     NEVER_BROKEN,
-    OWN,
+    PLAN_HAS_NONE,
     Chance,
     broken,
     extremes,
-    kept,
+    keeps_limits,
     least_drives,
     limits_judged,
     not_judged,
 )
-from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters
+from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.limits import Limit, check_limits
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Prediction
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
-MOST_BEYOND = 0.05
-"""Share of the wheel states beyond the wheel model at which a verdict rests on nothing; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,15 +87,15 @@ def validity(prediction: Prediction) -> Validity:
     )
 
 
-def validity_notes(found: Validity) -> list[str]:
+def validity_notes(states: Validity) -> list[str]:
     """One sentence for each kind that occurs."""
     low, high = (1e3 * limit for limit in CALIBRATED_SINKAGE_M)
     kinds = (
-        (found.slip_share, f"slip more than the wheel model holds for (|s| > {VALID_SLIP})"),
-        (found.unloaded_share, "are in the air"),
-        (found.too_deep_share, f"sink deeper than the wheel model holds for ({DEEPEST} of the radius)"),
+        (states.slip_share, f"slip more than the wheel model holds for (|s| > {VALID_SLIP})"),
+        (states.unloaded_share, "are in the air"),
+        (states.too_deep_share, f"sink deeper than the wheel model holds for ({DEEPEST} of the radius)"),
         (
-            found.uncalibrated_share,
+            states.uncalibrated_share,
             f"sink less than {low:g} mm or more than {high:g} mm, the range of Yutu-2's calibration "
             "(Ding et al. 2024): forces there were not tried on the Moon",
         ),
@@ -256,28 +254,28 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
     }
-    chance = Chance(int((~kept(prediction)).sum()), prediction.members)
+    chance = Chance(int((~keeps_limits(prediction)).sum()), prediction.members)
     early = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
     reasons = early if risk is None else _beyond(risk, chance)
     accepted = [] if risk is None else [_within(risk, chance), *early]
     reasons += [_reason(j, prediction.members) for j in judged if not j.ok]
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
-    found = validity(prediction)
+    states = validity(prediction)
     touches = False
     if any(one.quantity == "clearance_m" for one in judged):
         least, unknown = clearance(prediction)
         touches, reasons = bool((least[prediction.reached] < 0).any()), reasons + _over_unknown(prediction, unknown)
-    reasons += _beyond_model(found)
+    reasons += _beyond_model(states)
     return Verdict(
         verdict="no-go" if reasons else "go",
         reasons=tuple(reasons),
-        notes=(*accepted, *_notes(prediction, judged, found, touches)),
+        notes=(*accepted, *_notes(prediction, judged, states, touches)),
         limits=judged,
         endpoint=endpoint_spread(prediction) if finished.any() else None,
         outcomes=outcomes,
-        invalid_share=found.invalid_share,
-        validity=found,
+        invalid_share=states.invalid_share,
+        validity=states,
         worst=_worst(prediction, judged),
         failed=chance.failed,
         members=chance.drives,
@@ -316,11 +314,11 @@ def _over_unknown(prediction: Prediction, share: FloatArray) -> list[str]:
     ]
 
 
-def _beyond_model(found: Validity) -> list[str]:
-    if found.beyond_share <= MOST_BEYOND:
+def _beyond_model(states: Validity) -> list[str]:
+    if states.beyond_share <= MOST_BEYOND:
         return []
     return [
-        f"{percent(found.beyond_share)} of the wheel states are beyond the wheel model, at most "
+        f"{percent(states.beyond_share)} of the wheel states are beyond the wheel model, at most "
         f"{percent(MOST_BEYOND)} may be"
     ]
 
@@ -349,16 +347,15 @@ def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgemen
         return None
     values = values[members]
     sign = 1.0 if limit.sense == "at most" else -1.0
-    p95, p05 = (float(s * np.quantile(s * values, 0.95, method="inverted_cdf")) for s in (1.0, -1.0))
     held = float(sign * np.quantile(sign * values, share, method="inverted_cdf"))
     judgement = Judgement(
         quantity=limit.quantity,
         unit=limit.unit,
         sense=limit.sense,
         limit=limit.limit,
-        p05=p05,
+        p05=least_of_95(values),
         p50=float(np.median(values)),
-        p95=p95,
+        p95=most_of_95(values),
         min=float(values.min()),
         max=float(values.max()),
         share=share,
@@ -418,22 +415,18 @@ def _nearness(judgement: Judgement) -> str:
     return f"{at}: {'beyond' if judgement.exceeding else 'nearest to'} what is allowed"
 
 
-def _notes(prediction: Prediction, judged: tuple[Judgement, ...], found: Validity, touches: bool) -> tuple[str, ...]:
+def _notes(prediction: Prediction, judged: tuple[Judgement, ...], states: Validity, touches: bool) -> tuple[str, ...]:
     notes = []
     if prediction.terrain.synthetic:
         notes.append("the terrain is synthetic; the verdict says nothing about a real site")
     if assumed := [j.quantity for j in judged if j.assumed]:
         notes.append(f"assumed limits: {', '.join(assumed)}")
-    if own := [f"{j.quantity} {j.limit:.3g}" for j in judged if j.source.startswith(OWN)]:
-        notes.append(f"limits that the plan leaves out are the rover's own: {', '.join(own)}")
+    if implied := [f"{j.quantity} {j.limit:.3g}" for j in judged if j.source.startswith(PLAN_HAS_NONE)]:
+        notes.append(f"limits that the plan leaves out are the rover's own: {', '.join(implied)}")
     given, lacking = [limit.quantity for limit in prediction.plan.limits], not_judged(prediction)
     notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
     if touches:
         notes.append("the chassis would touch the ground; the drives go on as if it did not")
-    return (*notes, *validity_notes(found), *_broken(prediction, judged))
-
-
-def _broken(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
-    return [
-        f"{j.quantity}: {j.exceeding} of {prediction.members} drives break the limit" for j in judged if j.exceeding
-    ]
+    members = prediction.members
+    broken_limits = [f"{j.quantity}: {j.exceeding} of {members} drives break the limit" for j in judged if j.exceeding]
+    return (*notes, *validity_notes(states), *broken_limits)

@@ -1,20 +1,28 @@
 """The prediction as tables: wheel states against distance, paths, ends.
 
 How the quantities of a drive spread over the members at each distance.
+
+Whether the wheels of a prediction carry what wheels of a slow rover can carry.
+
+What each wheel carried and pulled along a drive, as a few numbers.
+
+Forces with their uncertainty as a table: the input of the joint identification of a soil.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, at_times
+from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.simulation.prescribed_motion import FORCES, LoadEnsemble, PoseStates, PrescribedLoads
 
 if TYPE_CHECKING:
     import pandas as pd
-
 
 PROFILED = {
     "tilt_deg": "deg",
@@ -38,10 +46,10 @@ def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
     `values` is (members, samples) or (members, samples, wheels). Percentiles interpolate linearly; NaN is left out.
     """
     values = values if values.ndim == 3 else values[..., None]
-    known = reached[..., None] & ~np.isnan(values)
+    counted = reached[..., None] & ~np.isnan(values)
     rows = np.full((5, values.shape[1]), np.nan)
-    for sample in np.flatnonzero(known.any(axis=(0, 2))):
-        rows[:, sample] = np.percentile(values[:, sample][known[:, sample]], (5, 50, 95, 0, 100))
+    for sample in np.flatnonzero(counted.any(axis=(0, 2))):
+        rows[:, sample] = np.percentile(values[:, sample][counted[:, sample]], (5, 50, 95, 0, 100))
     return rows
 
 
@@ -66,8 +74,8 @@ def profile_table(prediction: Prediction) -> "pd.DataFrame":
         series = {"": values}
         if values.ndim == 3:
             series = {ALL: values} | {wheel: values[..., w] for w, wheel in enumerate(prediction.rover.wheels)}
-        for wheel, own in series.items():
-            rows = dict(zip(("p05", "p50", "p95", "min", "max"), spread(own, prediction.reached), strict=True))
+        for wheel, part in series.items():
+            rows = dict(zip(("p05", "p50", "p95", "min", "max"), spread(part, prediction.reached), strict=True))
             head = {"distance_m": prediction.distance_m, "time_s": prediction.time_s, "quantity": name, "wheel": wheel}
             parts.append(pd.DataFrame({**head, **rows, "unit": PROFILED[name]}))
     table = pd.concat(parts, ignore_index=True)
@@ -97,7 +105,7 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
 
 
-def held_table(found: PrescribedLoads) -> "pd.DataFrame":
+def held_table(result: PrescribedLoads) -> "pd.DataFrame":
     """States and forces of each wheel along a given motion: one row for each pose and wheel.
 
     Columns time_s, wheel, then as in `state_table`, then missing_ahead_n, missing_left_n, missing_moment_nm: what the
@@ -105,18 +113,18 @@ def held_table(found: PrescribedLoads) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    names = found.rover.wheels
-    table = pd.DataFrame(found.states.reshape(-1, len(STATE_COLUMNS)), columns=list(STATE_COLUMNS))
+    names = result.rover.wheels
+    table = pd.DataFrame(result.states.reshape(-1, len(STATE_COLUMNS)), columns=list(STATE_COLUMNS))
     table["valid"] = table["valid"] > 0.5
-    table.insert(0, "time_s", np.repeat(found.motion.time_s, len(names)))
-    table.insert(1, "wheel", np.tile(names, len(found.motion.time_s)))
+    table.insert(0, "time_s", np.repeat(result.motion.time_s, len(names)))
+    table.insert(1, "wheel", np.tile(names, len(result.motion.time_s)))
     for name, values in zip(
         ("missing_ahead_n", "missing_left_n", "missing_moment_nm"),
-        (*found.residual_n.T, found.residual_nm),
+        (*result.residual_n.T, result.residual_nm),
         strict=True,
     ):
         table[name] = np.repeat(values, len(names))
-    return table.assign(rover=found.rover.written, ground=found.terrain.written)
+    return table.assign(rover=result.rover.written, ground=result.terrain.written)
 
 
 def path_table(prediction: Prediction) -> "pd.DataFrame":
@@ -153,3 +161,166 @@ def endpoint_table(prediction: Prediction) -> "pd.DataFrame":
             "outcome": [prediction.outcome_text(m) for m in range(prediction.members)],
         }
     )
+
+
+def force_table(result: LoadEnsemble, states: PoseStates | None = None) -> "pd.DataFrame":
+    """Forces of each wheel after the balance: one row for each measured state, or for each pose and wheel.
+
+    The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each
+    with `_sigma`, are those of their times, between the poses of the motion. Without measured states there are time_s,
+    distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them
+    on the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and
+    where there are no forces. `forces_from` says that these were computed of a motion, so that their errors are alike,
+    `rover` whose wheels they are, `ground` where they were.
+    """
+    import pandas as pd
+
+    if states is None:
+        return _of_the_motion(result)
+    table = states.table.copy()
+    gone = [f"{name}{end}" for name in FORCES for end in ("", "_sigma")]
+    table = table.drop(columns=[name for name in (*gone, "valid") if name in table])
+    poses = result.held.motion.time_s
+    rows = np.arange(len(table))
+    mean, sigma = (
+        at_times(states.time_s, poses, part, beyond=False)[rows, states.wheel]
+        for part in (result.after, result.after_sigma)
+    )
+    for k, name in enumerate(FORCES):
+        table[name], table[f"{name}_sigma"] = mean[:, k], sigma[:, k]
+    table["forces_from"] = FROM_MOTION
+    table["valid"] = states.valid & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
+    return pd.DataFrame(table).assign(rover=result.held.rover.written, ground=result.held.terrain.written)
+
+
+def _of_the_motion(result: LoadEnsemble) -> "pd.DataFrame":
+    import pandas as pd
+
+    held, wheels = result.held, result.held.rover.wheels
+    count = len(held.motion.time_s)
+    flat = held.states.reshape(-1, len(STATE_COLUMNS))
+    columns = {
+        "time_s": np.repeat(held.motion.time_s, len(wheels)),
+        "distance_m": np.repeat(held.motion.rolled_m, len(wheels)),
+        "wheel": np.tile(wheels, count),
+    }
+    names = ("x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg")
+    columns |= {name: flat[:, STATE_COLUMNS.index(name)] for name in names}
+    mean, sigma = result.after.reshape(-1, 3), result.after_sigma.reshape(-1, 3)
+    for k, name in enumerate(FORCES):
+        columns |= {name: mean[:, k], f"{name}_sigma": sigma[:, k]}
+    columns["forces_from"] = np.full(len(mean), FROM_MOTION)
+    marked = flat[:, STATE_COLUMNS.index("valid")] > 0.5
+    columns["valid"] = marked & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
+    return pd.DataFrame(columns).assign(rover=held.rover.written, ground=held.terrain.written)
+
+
+QUANTITIES = (
+    "normal_force_n",
+    "drawbar_pull_n",
+    "lateral_force_n",
+    "resistance_torque_nm",
+    "sinkage_m",
+    "slip_ratio",
+    "side_slip_deg",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Of one quantity over the poses of a drive, and over the members of an ensemble, all counted alike."""
+
+    mean: float
+    min: float
+    p05: float
+    p50: float
+    p95: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class WheelLoads:
+    """One wheel: quantity, with its unit, to its spread; and in how many of its states the wheel model holds. [-]"""
+
+    wheel: str
+    quantities: dict[str, Spread]
+    valid_share: float
+
+
+def wheel_loads(wheels: Sequence[str], states: FloatArray) -> list[WheelLoads]:
+    """Summaries of wheel states (..., wheels, 10), columns `STATE_COLUMNS`; states that are no numbers are left out.
+
+    Empty where no state is a number.
+    """
+    flat = states.reshape(-1, len(wheels), states.shape[-1])
+    flat = flat[np.isfinite(flat).all(axis=(1, 2))]
+    if not len(flat):
+        return []
+    valid = flat[..., STATE_COLUMNS.index("valid")].mean(axis=0)
+    return [
+        WheelLoads(
+            wheel, {name: _spread(flat[:, k, STATE_COLUMNS.index(name)]) for name in QUANTITIES}, float(valid[k])
+        )
+        for k, wheel in enumerate(wheels)
+    ]
+
+
+def _spread(values: FloatArray) -> Spread:
+    p05, p50, p95 = np.percentile(values, (5, 50, 95))
+    return Spread(float(values.mean()), float(values.min()), float(p05), float(p50), float(p95), float(values.max()))
+
+
+MOST_IN_WEIGHTS = 2.0
+"""Times the rover's weight that one wheel carries at most unless it falls or hits something; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCheck:
+    """Wheel loads over every member, sample and wheel that was driven.
+
+    Attributes
+    ----------
+    weight_n : of the rover. [N]
+    least_n, most_n : of any wheel, None where nothing was driven. [N]
+    hanging_share, overloaded_share : of the wheel states, without any load and beyond twice the weight. [-]
+    hanging_members, overloaded_members : drives that have such states.
+    """
+
+    weight_n: float
+    least_n: float | None
+    most_n: float | None
+    hanging_share: float
+    hanging_members: int
+    overloaded_share: float
+    overloaded_members: int
+
+
+def check_loads(prediction: Prediction) -> LoadCheck:
+    """Look for wheels at 0 N, and above twice the weight."""
+    loads = prediction.states[..., STATE_COLUMNS.index("normal_force_n")]
+    driven = np.broadcast_to(prediction.reached[..., None], loads.shape)
+    weight = prediction.rover.mass_kg * prediction.rover.gravity_m_s2
+    hanging, over = driven & (loads <= 0.0), driven & (loads > MOST_IN_WEIGHTS * weight)
+    count = max(int(driven.sum()), 1)
+    return LoadCheck(
+        weight_n=float(weight),
+        least_n=float(loads[driven].min()) if driven.any() else None,
+        most_n=float(loads[driven].max()) if driven.any() else None,
+        hanging_share=float(hanging.sum() / count),
+        hanging_members=int(hanging.any(axis=(1, 2)).sum()),
+        overloaded_share=float(over.sum() / count),
+        overloaded_members=int(over.any(axis=(1, 2)).sum()),
+    )
+
+
+def load_notes(result: LoadCheck) -> list[str]:
+    """One sentence for each kind that occurs."""
+    notes = []
+    if result.hanging_members:
+        notes.append(f"in {result.hanging_members} drive(s) a wheel carries nothing, and others carry its load")
+    if result.overloaded_members:
+        notes.append(
+            f"in {result.overloaded_members} drive(s) a wheel carries up to {result.most_n:.0f} N, more than twice the "
+            f"rover's weight of {result.weight_n:.0f} N: a fall, a hit, or a computation that lost its meaning"
+        )
+    return notes

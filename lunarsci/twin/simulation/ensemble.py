@@ -22,6 +22,8 @@ from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
+MOST_BEYOND = 0.05
+"""Share of wheel states beyond the wheel model from which on what rests on them is in doubt; assumed."""
 STATE_COLUMNS = (
     "x_m",
     "y_m",

@@ -1,28 +1,35 @@
 """Clock, steering and pace of telemetry: rows in their order, each time once, gaps between.
 
 How the wheels were steered is as measured, else as commanded, where the two agree.
+
+Telemetry and the plan that should have been driven are compared by the way of the rims, which neither a clock nor a
+halt moves. Where the commands are alike there, what the times differ by is the clock's offset, and its jumps are halts.
 """
 
 import dataclasses
-from typing import Any
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
+from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
+from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.telemetry.reading import Findings, Telemetry
-from lunarsci.twin.telemetry.rests import GAP, held
+from lunarsci.twin.telemetry.nodes import Rows
+from lunarsci.twin.telemetry.reading import STILL, SURE, Findings, Telemetry, held
+from lunarsci.twin.telemetry.wheel_motion import PACE, UNDER_WAY, mean_speed
 
 LEAST_ROWS = 5
 FAST = "fast slip"
 """Kind of a finding."""
-MOST_FAST = 0.05
-"""Share of states that slip beyond the range of the wheel model from which on a soil learned from the others is in
-doubt; assumed."""
+LEAST_ROW_M = 0.3
+"""Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
+slip does not change faster. [m]"""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
@@ -32,7 +39,7 @@ def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
 
 
 def _arrays(telemetry: Telemetry) -> dict[str, FloatArray]:
-    """What has a row for each time, by name."""
+    """Fields with a row for each time, by name."""
     values = {field.name: getattr(telemetry, field.name) for field in dataclasses.fields(telemetry)}
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
@@ -44,11 +51,10 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
     a gap are put into it; rows of one time are one, the first that has a value. All of it is said. Raises DataError
     where time runs backwards by more, and where fewer than five rows are left.
     """
-    timed = np.isfinite(telemetry.time_s)
-    if not timed.all():
-        lost = int((~timed).sum())
-        findings.add("no time", f"{lost} rows without a time_s", "left out", count=lost)
-        telemetry = taken(telemetry, timed)
+    lost = ~np.isfinite(telemetry.time_s)
+    if lost.any():
+        findings.add("no time", f"{lost.sum()} rows without a time_s", "left out", count=int(lost.sum()))
+        telemetry = taken(telemetry, ~lost)
     if (np.diff(telemetry.time_s) <= 0).any():
         telemetry = _in_order(telemetry, findings)
     if len(telemetry.time_s) < LEAST_ROWS:
@@ -61,10 +67,8 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
 
     content = np.column_stack([value.reshape(len(value), -1) for value in _arrays(telemetry).values()])
     again = pd.DataFrame(content).duplicated().to_numpy()
-    if again.any():
-        first, count = float(telemetry.time_s[int(np.argmax(again))]), int(again.sum())
-        findings.add("repeated rows", f"{count} rows repeat another one", "left out", count=count, time_s=first)
-        telemetry = taken(telemetry, ~again)
+    findings.of_rows("repeated rows", f"{again.sum()} rows repeat another one", "left out", again, telemetry.time_s)
+    telemetry = taken(telemetry, ~again)
     steps = np.diff(telemetry.time_s)
     if (back := np.flatnonzero(steps < 0)).size:
         row = int(back[0])
@@ -84,10 +88,8 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
         together = pd.DataFrame(value.reshape(len(value), -1)).groupby(telemetry.time_s)
         columns[name] = together.first().to_numpy(float).reshape(-1, *value.shape[1:])
         differ |= (together.transform("nunique") > 1).any(axis=1).to_numpy()
-    if differ.any():
-        first, count = float(telemetry.time_s[int(np.argmax(differ))]), int(differ.sum())
-        what, done = f"{count} rows share their time and differ", "the first one of each time is taken"
-        findings.add("rows of one time", what, done, count=count, time_s=first)
+    what, done = f"{differ.sum()} rows share their time and differ", "the first one of each time is taken"
+    findings.of_rows("rows of one time", what, done, differ, telemetry.time_s)
     return dataclasses.replace(telemetry, **columns)
 
 
@@ -96,15 +98,8 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     steps, rested = np.diff(telemetry.time_s), telemetry.rested
     usual = float(np.median(steps[~rested]))
     gaps = np.asarray((steps > GAP * usual) & ~rested)
-    if gaps.any():
-        first = int(np.argmax(gaps))
-        findings.add(
-            "gap",
-            f"nothing was sent for {steps[gaps].sum():.4g} s in all, {usual:.3g} s between rows being usual",
-            "there are no states within gaps",
-            count=int(gaps.sum()),
-            time_s=float(telemetry.time_s[first]),
-        )
+    what = f"nothing was sent for {steps[gaps].sum():.4g} s in all, {usual:.3g} s between rows being usual"
+    findings.of_rows("gap", what, "there are no states within gaps", gaps, telemetry.time_s)
     return gaps
 
 
@@ -119,63 +114,47 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     Readings that hang or jump away from the command are replaced by it and said. Raises DataError for a wheel that has
     none, and for angles beyond 90 degrees.
     """
-    measured, told = telemetry.steered_deg.copy(), telemetry.steering_deg
+    measured, commanded = telemetry.steered_deg.copy(), telemetry.steering_deg
     for k, wheel in enumerate(rover.wheels):
-        _mend(telemetry, k, wheel, measured, told, findings)
-    angle = np.where(np.isfinite(measured), measured, told)
-    known = np.isfinite(angle)
-    for k, wheel in enumerate(rover.wheels):
-        rows = known[:, k]
+        _mend(telemetry, k, wheel, measured, commanded, findings)
+    angle = np.where(np.isfinite(measured), measured, commanded)
+    given = np.isfinite(angle)
+    for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
         if not rows.any():
             raise DataError(f"{telemetry.file}: no row has a steering angle of wheel {wheel}")
-        if not rows.all():
-            findings.add(
-                "missing steering",
-                f"rows without a steering angle of wheel {wheel}",
-                "found from the rows beside; its states are not valid there",
-                count=int((~rows).sum()),
-                time_s=float(telemetry.time_s[int(np.argmin(rows))]),
-            )
+        what = f"rows without a steering angle of wheel {wheel}"
+        done = "found from the rows beside; its states are not valid there"
+        findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
         angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
     if np.abs(angle).max() > 90.0:
         raise DataError(f"{telemetry.file}: steering angles reach {np.abs(angle).max():.4g} deg; give -90 to 90 deg")
-    return angle, known
+    return angle, given
 
 
-def _mend(telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, told: FloatArray, findings: Findings) -> None:
+def _mend(
+    telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, commanded: FloatArray, findings: Findings
+) -> None:
     """Put the command in the place of readings that hang or spike, in one wheel's column of `measured`.
 
     Where most readings are off their commands, it is these that are others.
     """
-    both = np.isfinite(measured[:, k]) & np.isfinite(told[:, k])
+    both = np.isfinite(measured[:, k]) & np.isfinite(commanded[:, k])
     if not both.any():
         return
     hung, off = np.zeros((2, len(both)), dtype=bool)
-    hung[both] = held(measured[both, k], 1.0, told[both, k], STEERED_DEG)
-    off[both] = np.abs(measured[both, k] - told[both, k]) > OFF_DEG
+    hung[both] = held(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
+    off[both] = np.abs(measured[both, k] - commanded[both, k]) > OFF_DEG
     off &= ~hung
     obeyed = not np.median(off[both])
-    for kind, rows, what in (
-        ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change"),
-        ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command"),
+    for kind, rows, what, mended in (
+        ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change", True),
+        ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command", obeyed),
     ):
-        if rows.any():
-            mended = kind == "stuck" or obeyed
-            done = "the command is taken there" if mended else "the measured angle is taken"
-            first = float(telemetry.time_s[int(np.argmax(rows))])
-            findings.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=not mended)
-            if mended:
-                measured[rows, k] = told[rows, k]
+        done = "the command is taken there" if mended else "the measured angle is taken"
+        findings.of_rows(kind, what, done, rows, telemetry.time_s, doubt=not mended)
+        measured[rows & mended, k] = commanded[rows & mended, k]
 
 
-PACE = 0.02
-"""Share by which wheels may turn faster or slower than the plan says, unsaid: it is a slip of as much; assumed."""
-PACE_ERRORS = 3.0
-"""And in errors of the ratio; assumed."""
-UNDER_WAY = 0.3
-"""Share of the highest speed from which a wheel counts as under way; assumed."""
-SHELL = 0.01
-"""How near the ratio must come to r_s / r for the plan's speed to be taken for that of the shell; assumed."""
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
@@ -205,21 +184,21 @@ class WheelPace:
         fixes the first leg alone counts.
         """
         schedule = make_schedule(plan, rover)
-        told = commands_at(rover, schedule, times_s).speed_m_s
+        planned = commands_at(rover, schedule, times_s).speed_m_s
         # From the first fix on the rover drives its legs from where it believes to be, not at the plan's speed.
         last_s = schedule.runs[0].end_s if plan.fixes else schedule.duration_s
         inside = (times_s >= 0.0) & (times_s <= last_s)
-        turning = np.isfinite(rim_m_s) & inside[:, None] & (rim_m_s * told > 0.0)
+        turning = np.isfinite(rim_m_s) & inside[:, None] & (rim_m_s * planned > 0.0)
         # Neither at a halt nor beside one, where a mean over some time is of both.
         half_s = np.gradient(times_s) / 2.0 if times_s.size > 1 else np.zeros(1)
         for at in (times_s - half_s, times_s, times_s + half_s):
-            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > UNDER_WAY * np.abs(told).max()
+            turning &= np.abs(commands_at(rover, schedule, at).speed_m_s) > UNDER_WAY * np.abs(planned).max()
         turning &= np.abs(rim_m_s) > UNDER_WAY * np.max(np.abs(rim_m_s), where=turning, initial=0.0)
         # Of sums: a coarse encoder has steps of many sizes.
-        rows = [(rim_m_s[on, k], told[on, k]) for k, on in enumerate(turning.T) if on.any()]
+        rows = [(rim_m_s[on, k], planned[on, k]) for k, on in enumerate(turning.T) if on.any()]
         if sum(rims.size for rims, _ in rows) < FEWEST_RATES:
             return None
-        means = np.array([rims.sum() / planned.sum() for rims, planned in rows])
+        means = np.array([rims.sum() / wanted.sum() for rims, wanted in rows])
         # Errors of one wheel's steps cancel in their sum, so that they would say too much of it.
         squared = means.var(ddof=1) if len(rows) > 1 else (rows[0][0] / rows[0][1]).var() / rows[0][0].size
         wheel = rover.wheel
@@ -233,7 +212,7 @@ class WheelPace:
     @property
     def off(self) -> bool:
         """Whether the wheels surely turned otherwise than planned."""
-        return abs(self.ratio - 1.0) > max(PACE, PACE_ERRORS * self.sigma)
+        return abs(self.ratio - 1.0) > max(PACE, SURE * self.sigma)
 
     @property
     def text(self) -> str:
@@ -247,7 +226,7 @@ class WheelPace:
     def remedy(self) -> str:
         """What it may come from, and what to do."""
         right = f"{self.ratio * self.speed_m_s:.4g}"
-        if self.shell_ratio > 1.0 + SHELL and abs(self.ratio - self.shell_ratio) < max(SHELL, 2.0 * self.sigma):
+        if self.shell_ratio > 1.0 + PACE / 2 and abs(self.ratio - self.shell_ratio) < max(PACE / 2, SURE * self.sigma):
             return (
                 f"this is r_s / r: if the plan's speed is that of the wheel's radius alone, write speed_m_s = {right}; "
                 "else check the radius"
@@ -275,40 +254,21 @@ def check_pace(
     return pace
 
 
-def check_stands(stands: BoolArray, time_s: FloatArray, findings: Findings) -> None:
-    """Say states at which the rover does not stand on the terrain."""
-    if not stands.all():
-        findings.add(
-            "off the terrain",
-            "the rover does not stand on the terrain there",
-            "states there are left blank, not valid",
-            count=int((~stands).sum()),
-            time_s=float(time_s[int(np.argmin(stands))]),
-            doubt=True,
-        )
-
-
-FAR_M = 1.0
-"""Way by the wheels below which positions are never far apart; assumed. [m]"""
-
-
 def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> None:
     """Say where the rover rolls much farther than usual from one position to the next, or to either end."""
     ends = np.concatenate([[0], rows, [len(way_m) - 1]])
     ways = np.diff(way_m[ends])
     usual = float(np.median(ways[ways > 0])) if (ways > 0).any() else 0.0
-    far = np.flatnonzero(ways > max(GAP * usual, FAR_M))
+    far = np.flatnonzero(ways > GAP * max(usual, LEAST_ROW_M))
     if far.size:
         longest = int(far[np.argmax(ways[far])])
-        begin, end = telemetry.time_s[ends[longest]], telemetry.time_s[ends[longest + 1]]
-        findings.add(
-            "far positions",
+        begin, end = telemetry.time_s[ends[longest : longest + 2]]
+        what = (
             f"no position between {begin:.6g} and {end:.6g} s, {ways[longest]:.3g} m by the wheels where {usual:.2g} m "
-            "are usual",
-            "slip there is told by one state or none; what it was on the way is not known",
-            count=far.size,
-            time_s=float(begin),
+            "are usual"
         )
+        done = "slip there is told by one state or none; what it was on the way is not known"
+        findings.add("far positions", what, done, count=far.size, time_s=float(begin))
 
 
 def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findings: Findings) -> None:
@@ -317,9 +277,290 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     `slip` and whether it is `measured` are of some times. (m, wheels), (m, wheels), (m,)
     """
     fast = measured & (np.abs(slip) > VALID_SLIP)
-    count, whole = int(fast.sum()), int(measured.sum())
-    if count:
-        what = f"{count} of {whole} states slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
-        done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
-        first = float(time_s[int(np.argmax(fast.any(axis=1)))])
-        findings.add(FAST, what, done, count=count, time_s=first)
+    count = f"{fast.sum()} of {measured.sum()} states"
+    what = f"{count} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
+    done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
+    findings.of_rows(FAST, what, done, fast, time_s)
+
+
+STEERING_DEG, SPEED_SHARE = 2.0, 0.25
+"""How far a row's commands may be off the plan's: steering, and rim speed as a share of the mean of the rims;
+assumed."""
+LN_OFF_M, LN_OFFSET = -16.0, -7.0
+"""ln of the odds of a metre of way with other commands, and of another clock; assumed."""
+SOME, MOST, COVERED = 0.01, 0.4, 0.6
+"""Share of the way that may be off unsaid; beyond which it is another plan; and that must lie within the plan;
+assumed."""
+STEP_M, MOST_TRIED = 0.05, 500
+"""Step between the ways tried, by which the way differs where the plan is right, and number of them, and of rows;
+assumed. [m]"""
+HALT = "unplanned halt"
+"""Kind of a finding: states are right, and a soil learned with the plan is not."""
+START_M, HEADING_DEG = 0.5, 10.0
+"""How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
+EDGE_S = 5.0
+"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
+take to steer to its first leg without doubt; assumed. [s]"""
+STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
+"""What slowing down and speeding up again cost, beside the halt itself, by the ramps of a schedule. [s]"""
+
+
+def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
+    """Telemetry by the clock of a plan; whether its commands are the plan's, and how much longer it stood still. [s]
+
+    Another clock is found by the commands, and said. So are halts that the plan does not have, and other commands.
+    """
+    if schedule.plan.fixes is not None or (beside := _Beside.of(sent, rover, schedule)) is None:
+        return sent, False, 0.0
+    late_s = _say_clock(sent.telemetry, beside, findings)
+    # What was found, and what will be, is by the clock that all else of the result is by.
+    beside.sent = beside.sent._replace(time_s=beside.sent.time_s - late_s)
+    findings.entries[:] = [
+        one if one.time_s is None else replace(one, time_s=one.time_s - late_s) for one in findings.entries
+    ]
+    halts = beside.halts() if beside.share_off <= MOST else ()
+    _say_halts(halts, schedule, findings)
+    as_planned = beside.share_off <= SOME or not _say_commands(beside, findings)
+    return _later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
+
+
+def _later(sent: Rows, start_s: float) -> Rows:
+    """The same by a clock that starts later, without what was before."""
+    if not start_s:
+        return sent
+    telemetry, wheels, steering, gaps = sent
+    first = int(np.searchsorted(telemetry.time_s, start_s))
+    rows = taken(telemetry, np.arange(first, len(telemetry.time_s)))
+    rests = tuple((begin - start_s, end - start_s) for begin, end in telemetry.rests_s)
+    rows = replace(rows, time_s=rows.time_s - start_s, start_s=telemetry.start_s + start_s, rests_s=rests)
+    steps = {name: getattr(wheels, name)[first:] for name in ("rim_m_s", "measured", "trusted")}
+    return Rows(rows, replace(wheels, **steps), steering[first:], gaps[first:])
+
+
+def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findings: Findings) -> None:
+    """Say where telemetry begins or ends otherwise than its plan, which halts made so much longer."""
+    plan, end = schedule.plan, schedule.duration_s + longer_s
+    first, last = float(telemetry.time_s[0]), float(telemetry.time_s[-1])
+    if first > EDGE_S:
+        what = f"telemetry begins {first:.4g} s after the plan"
+        findings.add("late begin", what, "there are no states before", time_s=first)
+    if last < end - EDGE_S:
+        what = f"telemetry ends {end - last:.4g} s before the plan: cut off, or the drive was stopped"
+        findings.add("early end", what, "there are no states after", time_s=last)
+    if last > end + EDGE_S:
+        what = f"telemetry goes on for {last - end:.4g} s after the plan's end"
+        done = "kept; is it the plan that was driven? `until` leaves out what was after"
+        findings.add("late end", what, done, time_s=last)
+    rows = np.flatnonzero(np.isfinite(telemetry.yaw_deg))
+    if rows.size and telemetry.time_s[rows[0]] <= EDGE_S:
+        off = float(np.remainder(telemetry.yaw_deg[rows[0]] - plan.heading_deg + 180.0, 360.0) - 180.0)
+        if abs(off) > HEADING_DEG:
+            what = f"the first heading is {off:.3g} deg off the plan's: another frame, or another plan"
+            findings.add("another start", what, "kept as it is", doubt=True)
+    rows = np.flatnonzero(telemetry.fixed)
+    if rows.size and telemetry.time_s[rows[0]] < EDGE_S:
+        off = float(np.hypot(*(telemetry.fix_m[rows[0]] - [plan.x_m, plan.y_m])))
+        sigma = float(np.sqrt(np.trace(telemetry.fix_covariance_m2[rows[0]])))
+        if off > START_M + SURE * sigma:
+            what = f"the first position is {off:.3g} m from the plan's start: another frame, or another plan"
+            findings.add("another start", what, "kept as it is", doubt=True)
+
+
+class _Halt(NamedTuple):
+    """A standstill that the plan does not have, or of another length.
+
+    Begin and end, and when by the plan [s]; how much longer than planned [s]; whether one was planned.
+    """
+
+    begin_s: float
+    end_s: float
+    planned_s: float
+    longer_s: float
+    planned: bool
+
+
+class _AlongWay(NamedTuple):
+    """Commands over the way of the rims, in rows or steps in which these move.
+
+    Time (n,) [s]; way (n,) [m]; steering [deg], or where no wheel is steered speed of each rim over their mean
+    (n, wheels); their usual speed [m/s].
+    """
+
+    time_s: FloatArray
+    way_m: FloatArray
+    command: FloatArray
+    speed_m_s: float
+
+    @classmethod
+    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray, gaps: BoolArray) -> "_AlongWay | None":
+        """From times (n,), mean speed of the rims between them and gaps (n - 1,), and commands; None where nothing
+        moves."""
+        fast = speed_m_s > UNDER_WAY * np.max(speed_m_s, initial=0.0)
+        rows = np.append(fast & ~gaps, False)
+        if rows.sum() < 2:
+            return None
+        # Noise of a wheel that stands is no way: over many rows it would add up to one.
+        steps = speed_m_s * np.diff(time_s)
+        way = np.append(0.0, np.cumsum(np.where(steps > STILL * np.median(steps[fast]), steps, 0.0)))
+        return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
+
+
+class _Beside:
+    """Rows of telemetry in which wheels turn, beside the commands of a plan at the same way.
+
+    Attributes
+    ----------
+    sent, plan : both by their ways, that of the rows in the plan's metres.
+    offset_m : of the way of the rows behind that of the plan, as it fits best.
+    planned_s, late_s : when the plan has each row, and by how much the row is later at the drive's pace. (n,) [s]
+    off : rows whose commands are not the plan's; `inside` are rows within the plan. (n,), (n,)
+    share_off : of the way; 1 where too little of it lies within the plan.
+    """
+
+    def __init__(self, sent: _AlongWay, plan: _AlongWay, schedule: Schedule, rover: Rover) -> None:
+        self.rover, self.schedule, self.plan = rover, schedule, plan
+        self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
+        pace, end = sent.speed_m_s / plan.speed_m_s, float(plan.way_m[-1])
+        begin = float(np.interp(sent.time_s[0], plan.time_s, plan.way_m))
+        tried = list[tuple[float, _AlongWay, float, float]]()
+        # Faster wheels go as far in less time, or are of another size and go farther.
+        for scale, faster in ((1.0, pace), (pace, 1.0)):
+            one = sent._replace(way_m=sent.way_m / scale)
+            by_clock = begin - float(one.way_m[0])
+            tried.append((self._ln_of(one, by_clock), one, by_clock, faster))
+        if max(ln for ln, *_ in tried) < LN_OFFSET:
+            for _, one, _, faster in tuple(tried):
+                last = float(one.way_m[-1])
+                step = max(STEP_M, (last + end) / MOST_TRIED)
+                ln, offset_m = -np.inf, 0.0
+                for offsets in (np.arange(-last, end, step), np.arange(-step, step, STEP_M / 2.0)):
+                    near = offset_m + np.append(0.0, offsets)
+                    ln, offset_m = max(((self._ln_of(one, float(m)), float(m)) for m in near), key=lambda pair: pair[0])
+                tried.append((ln + LN_OFFSET, one, offset_m, faster))
+        _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one[0])
+        way, length = self.sent.way_m, np.gradient(self.sent.way_m)
+        self.off, self.inside = self._compared(self.sent, self.offset_m)
+        self.planned_s = np.interp(way + self.offset_m, plan.way_m, plan.time_s)
+        self.late_s = sent.time_s - self.planned_s / faster
+        within = float(length[self.inside].sum())
+        short = within < COVERED * min(float(length.sum()), end)
+        self.share_off = 1.0 if short else float((length * self.off.any(axis=1))[self.inside].sum()) / within
+
+    @classmethod
+    def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_Beside | None":
+        """Of all rows; None where no wheel turns."""
+        telemetry, rims = sent.telemetry, sent.wheels.rim_m_s
+        grid = np.linspace(0.0, schedule.duration_s, max(3, math.ceil(schedule.duration_s / 0.1)))
+        commands = commands_at(rover, schedule, grid)
+        means = mean_speed(rims), mean_speed(commands.speed_m_s[:-1])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shares = [one / mean[:, None] for one, mean in zip((rims, commands.speed_m_s[:-1]), means, strict=True)]
+        command = [np.vstack([one[:1], one]) for one in shares]
+        if rover.steered_mask.any():
+            steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
+            command = [steering, np.degrees(commands.steering_rad)]
+        gaps = sent.gaps, np.zeros(len(grid) - 1, dtype=bool)
+        made = [_AlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
+        return None if made[0] is None or made[1] is None else cls(made[0], made[1], schedule, rover)
+
+    def _ln_of(self, sent: _AlongWay, offset_m: float) -> float:
+        """ln of how probable an offset is, up to a constant."""
+        some = slice(None, None, 1 + len(sent.way_m) // MOST_TRIED)
+        off, inside = self._compared(sent, offset_m, some)
+        steps = np.gradient(sent.way_m)[some] * len(sent.way_m) / len(off)
+        # Of the way in one, the part that is not in the other is as wrong as other commands are.
+        missed = max(self.plan.way_m[-1] - steps[inside].sum(), 0.0)
+        return LN_OFF_M * float(steps[off.any(axis=1) | ~inside].sum() + missed)
+
+    def _compared(self, sent: _AlongWay, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
+        """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
+        way, off = sent.way_m[rows] + offset_m, np.ones(sent.command[rows].shape, dtype=bool)
+        for beside in (-STEP_M / 2.0, 0.0, STEP_M / 2.0):
+            at = np.minimum(np.searchsorted(self.plan.way_m, way + beside), len(self.plan.way_m) - 1)
+            off &= np.abs(sent.command[rows] - self.plan.command[at]) > self.allowed
+        return off, np.asarray((way >= -STEP_M) & (way <= self.plan.way_m[-1] + STEP_M))
+
+    def halts(self) -> "tuple[_Halt, ...]":
+        """Where the rover stood longer, or less long, than the plan has it."""
+        rows = np.flatnonzero(self.inside)
+        times, planned, way = self.sent.time_s[rows], self.planned_s[rows], self.sent.way_m[rows]
+        longer, halts = np.diff(self.late_s[rows]), list[_Halt]()
+        jumps = np.flatnonzero(np.abs(longer) > EDGE_S)
+        for near in np.split(jumps, np.flatnonzero(np.diff(way[jumps]) > LEAST_ROW_M) + 1):
+            total = float(longer[near].sum())
+            if near.size and abs(total) > EDGE_S:
+                first, last = int(near[np.argmax(np.abs(longer[near]))]), int(near[-1])
+                stands = bool((np.diff(planned)[near[0] : last + 1] > EDGE_S / 2.0).any())
+                begin = times[first] + min(planned[first + 1] - planned[first], times[first + 1] - times[first])
+                halts.append(_Halt(begin, times[first + 1], planned[first + 1], total, stands))
+        return tuple(halts)
+
+
+def _say_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings) -> None:
+    for halt in halts:
+        has = f"{abs(halt.longer_s):.3g} s {'longer' if halt.longer_s > 0 else 'less long'} than the plan has it"
+        if not halt.planned:
+            has = "and the plan has no halt there"
+        what = f"the wheels stood still from {halt.begin_s:.6g} to {halt.end_s:.6g} s, {has}"
+        done = f"times are kept as they are; before `twin update` {_remedy(halt, schedule)}"
+        findings.add(HALT, what, done, time_s=halt.begin_s)
+
+
+def _remedy(halt: _Halt, schedule: Schedule) -> str:
+    """What to write into the plan."""
+    run = next(one for one in reversed(schedule.runs) if one.begin_s <= halt.planned_s)
+    before = sum(len(one.legs) for one in schedule.runs if one.begin_s < run.begin_s)
+    if halt.planned:
+        begins = halt.planned_s < run.begin_s + EDGE_S
+        last = before or len(run.legs) if begins else before + len(run.legs)
+        for number, leg in enumerate(schedule.plan.legs[max(last - 1, 0) : last + 1], max(last, 1)):
+            if leg.stop_s:
+                return f"set stop_s = {max(leg.stop_s + halt.longer_s, 0.0):.4g} in leg {number} of the plan"
+        return f"put a [[leg]] with stop_s = {halt.longer_s:.4g} after leg {last} of the plan"
+    share, stop_s = float(run.share_at(halt.planned_s)), max(halt.longer_s - STOP_COSTS_S, 1.0)
+    ends = np.cumsum([leg.length_m for leg in run.legs])
+    number = int(np.searchsorted(ends[:-1], share * run.length_m))
+    leg = run.legs[number]
+    way = f"{share * leg.turn_deg:.3g} deg"
+    if leg.length_m:
+        way = f"{share * run.length_m - (ends[number] - leg.length_m):.3g} m"
+    return f"split leg {before + number + 1} of the plan after {way}, with a [[leg]] of stop_s = {stop_s:.4g} between"
+
+
+def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> float:
+    """By how much the clock is later than the plan's, said; 0 where it is not. [s]"""
+    rows = beside.late_s[beside.inside]
+    if beside.share_off > MOST or not rows.size:
+        return 0.0
+    # Until the first halt that one of them has alone.
+    late = float(np.median(rows[: 1 + int(np.argmax(np.append(np.abs(np.diff(rows)) > EDGE_S, True)))]))
+    if abs(late) * beside.schedule.plan.speed_m_s < STEP_M:
+        return 0.0
+    what = f"the commands are those of the plan if the clock is {abs(late):.12g} s {'late' if late > 0 else 'early'}"
+    start = f"`start_time` {telemetry.start_s + late:.12g}"
+    findings.add("clock offset", what, f"times count from there, as {start} has it")
+    return late
+
+
+def _say_commands(beside: _Beside, findings: Findings) -> bool:
+    """Say that commands are not the plan's; whether that is a doubt. Some row must be off."""
+    sent, plan, off = beside.sent, beside.plan, beside.off & beside.inside[:, None]
+    rows = np.flatnonzero(off.any(axis=1))
+    wheel = int(np.argmax(off[rows[0]]))
+    planned = plan.command[int(np.argmin(np.abs(plan.time_s - beside.planned_s[rows[0]]))), wheel]
+    what, unit = ("steering", " deg") if beside.rover.steered_mask.any() else ("rim", " of the mean speed")
+    text = f"the commands of {100 * beside.share_off:.0f} % of the way are not those of the plan"
+    done, doubt = "the telemetry's are taken; give the plan as it was driven", bool(sent.time_s[rows[-1]] > EDGE_S)
+    if not doubt:
+        text += ", all of them at its start"
+        done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
+    elif beside.share_off > MOST:
+        done += ", and its `rover`"
+    else:
+        done += " (`blend_m` is half before a join of arcs, half behind)"
+    text += (
+        f"; first {what} of {beside.rover.wheels[wheel]} is {sent.command[rows[0], wheel]:.3g}{unit}, "
+        f"planned {planned:.3g}"
+    )
+    findings.add("other commands", text, done, count=len(rows), time_s=float(sent.time_s[rows[0]]), doubt=doubt)
+    return doubt

@@ -38,13 +38,15 @@ MEANS, EFFECTS = (11, 12, 13), (14, 15, 16, 17, 18)
 SCALE, LEVER, OFFSET, DRIFT, LAG, SLIDES = 8, slice(9, 11), 11, 12, 13, 14
 """Places of the others among the constants."""
 START_M, START_RAD = 10.0, 1.0
-"""Of a rover whose place is not known yet, in position and heading; assumed wide."""
+"""Of a rover whose place is not known yet, in position and heading: so wide that ten times as much moves no slip, as
+measured by `tests/benchmarks/telemetry_constants.py`."""
 LOOSE_M = 1.0
 """Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
 POSITION_M_PER_STEP = 2e-4
-"""What each step may be off by whatever the wheels do; assumed. [m]"""
+"""What each step may be off by whatever the wheels do; half or twice as much moves no slip, as measured. [m]"""
 TURN_PER_STEP = 0.03
-"""Share that the turn of a step may be off by, as by the shape of the ground below a turn on the spot; assumed."""
+"""Share that the turn of a step may be off by, as by the shape of the ground below a turn on the spot. Half or twice as
+much moves slips by 0.04 of their errors at most, as measured."""
 BEND_M = 5.0
 """Radius of the turn in which slip makes the turn deviate as much again as on a straight way; assumed. [m]"""
 LINEAR_S = 0.5
@@ -155,8 +157,8 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     count = len(nodes.time_s)
     steps = np.diff(nodes.time_s)
     turned = np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
-    known = np.isfinite(nodes.yaw_rad)
-    off = np.interp(nodes.time_s, nodes.time_s[known], (nodes.yaw_rad - turned)[known]) if known.any() else 0.0
+    given = np.isfinite(nodes.yaw_rad)
+    off = np.interp(nodes.time_s, nodes.time_s[given], (nodes.yaw_rad - turned)[given]) if given.any() else 0.0
     yaw = turned + off
     middle = 0.5 * (yaw[1:] + yaw[:-1])
     ahead, left = nodes.twist[:, 0] * steps, nodes.twist[:, 1] * steps
@@ -175,8 +177,8 @@ def lag_of_turns(nodes: Nodes) -> float:
     0 where it is so short that the motion is linear in it, or where turns hardly tell.
     """
     steps = np.diff(nodes.time_s)
-    known, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
-    times, yaw = nodes.time_s[known], nodes.yaw_rad[known]
+    given, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
+    times, yaw = nodes.time_s[given], nodes.yaw_rad[given]
     farthest = min(0.5 * FARTHEST_S, 0.25 * float(times[-1] - times[0]))
     inside = (times >= times[0] + farthest) & (times <= times[-1] - farthest)
     if inside.sum() < 3 or np.ptp(turned) == 0.0:
@@ -427,14 +429,14 @@ class Model:
         return linear.seen[k, rows], linear.by[k, rows], linear.value[k, rows], errors[rows][:, rows]
 
 
-def filtered(model: Model, *, kept: bool = True) -> FilterRun:
+def filtered(model: Model, *, every_node: bool = True) -> FilterRun:
     """The filter for each of several assumptions.
 
-    Where they are not `kept`, columns and covariances are those of the last node alone, (1, m, ...).
+    Without `every_node` columns and covariances are those of the last node alone, (1, m, ...).
     """
     nodes, linear = model.nodes, model.linear
     columns, covariance = model.start()
-    count = len(nodes.time_s) if kept else 1
+    count = len(nodes.time_s) if every_node else 1
     all_columns, covariances = np.empty((count, *columns.shape)), np.empty((count, *covariance.shape))
     squares, ln_likelihood = np.zeros((len(columns), columns.shape[2], columns.shape[2])), np.zeros(len(columns))
 
@@ -454,7 +456,7 @@ def filtered(model: Model, *, kept: bool = True) -> FilterRun:
             columns = columns + np.swapaxes(through, 1, 2) @ weighed
             covariance = covariance - np.swapaxes(through, 1, 2) @ inverse @ through
             covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
-        all_columns[k if kept else 0], covariances[k if kept else 0] = columns, covariance
+        all_columns[k if every_node else 0], covariances[k if every_node else 0] = columns, covariance
 
     observe(0)
     for first, last in model.stretches():

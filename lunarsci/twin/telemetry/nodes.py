@@ -9,15 +9,22 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, ReferenceMotion, at_nodes
-from lunarsci.twin.telemetry.odometry import ground_velocities, mean_speed, shape_effect, slope_effect, wheel_rows
-from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.reading import OBEYED, STILL, Telemetry
 from lunarsci.twin.telemetry.smoother import Priors, Smoothed, believed_change, probable
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
+from lunarsci.twin.telemetry.wheel_motion import (
+    ON_THE_SPOT,
+    WheelMotion,
+    ground_velocities,
+    mean_speed,
+    shape_effect,
+    slope_effect,
+    wheel_rows,
+)
 
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
@@ -26,11 +33,11 @@ SAME_S = 1e-3
 MOST_NODES = 30_000
 """That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
-"""Candidates for the stiffness of the ground against side slip, as a share of that against slip; assumed."""
+"""Candidates for the stiffness of the ground against side slip, as a share of that against slip. Twice as many move
+slips by 0.01 of their errors at most, as measured by `tests/benchmarks/telemetry_constants.py`."""
 AGREEMENT, LEAST_EFFECT = 0.4, 0.1
-"""How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; assumed."""
-GAP_SHARE = 0.2
-"""Error of the way over a gap, as a share of it; assumed."""
+"""How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; half or
+twice as much moves slips by 0.07 of their errors at most, as measured."""
 
 
 def turning(rim_m_s: FloatArray) -> BoolArray:
@@ -82,9 +89,9 @@ def denser(rows: Rows) -> Rows:
     parts = np.where(rows.gaps, 1, np.maximum(np.rint(way / NODE_M), 1)).astype(int)
     if (parts == 1).all():
         return rows
-    own = np.append(0, np.cumsum(parts))
-    dense = np.interp(np.arange(own[-1] + 1), own, times)
-    dense[own] = times
+    at = np.append(0, np.cumsum(parts))
+    dense = np.interp(np.arange(at[-1] + 1), at, times)
+    dense[at] = times
     return _at_times(rows, dense, times)
 
 
@@ -116,7 +123,7 @@ def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
     """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
     speed = np.hypot(twist[:, 0], twist[:, 1])
     return np.asarray(
-        wheels.moving & (speed > 0.1 * mean_speed(wheels.rim_m_s)) & (speed > STILL_SHARE * wheels.usual_m_s)
+        wheels.moving & (speed > ON_THE_SPOT * mean_speed(wheels.rim_m_s)) & (speed > STILL * wheels.usual_m_s)
     )
 
 
@@ -151,7 +158,7 @@ def nodes_of(sent: Rows, twist: FloatArray, way_m: FloatArray) -> tuple[Nodes, I
             time_s=times[rows],
             twist=total(twist * steps[:, None]) / length[:, None],
             way_m=np.diff(way_m[rows]),
-            loose=GAP_SHARE * blind,
+            loose=OBEYED * blind,
             apart=np.append(False, kinds[1:] != kinds[:-1]),
             fix_m=telemetry.fix_m[rows],
             fix_covariance_m2=telemetry.fix_covariance_m2[rows],
@@ -170,10 +177,10 @@ def _chain(telemetry: Telemetry, rows: IndexArray) -> ErrorChain | None:
     follows, noise = np.tile(np.eye(2), (len(rows), 1, 1)), np.zeros((len(rows), 2, 2))
     before = np.eye(2)
     for k in np.flatnonzero(telemetry.fixed[rows]):
-        own, shared = telemetry.fix_covariance_m2[rows[k]], telemetry.fix_shared_m2[rows[k]]
+        covariance, shared = telemetry.fix_covariance_m2[rows[k]], telemetry.fix_shared_m2[rows[k]]
         follows[k] = shared @ np.linalg.inv(before)
-        noise[k] = own - follows[k] @ shared.T
-        before = own
+        noise[k] = covariance - follows[k] @ shared.T
+        before = covariance
     return ErrorChain(follows, noise)
 
 
@@ -190,8 +197,8 @@ def motion_at(
     """The smoothed motion of the rover's origin, with the wheels as they were measured, else as the others say."""
     rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
     steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
-    known = np.isfinite(rim)
-    lost: BoolArray = ~known & known.any(axis=1, keepdims=True)
+    given = np.isfinite(rim)
+    lost: BoolArray = ~given & given.any(axis=1, keepdims=True)
     if lost.any():
         along, _ = wheel_rows(rover, np.radians(steered))
         rim = np.where(lost, np.einsum("nwi,ni->nw", along, at_nodes(nodes.twist)), rim)
@@ -213,9 +220,9 @@ def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> Floa
     Where the rover stands on one side the other counts alone: how long it stands says nothing of how it came there.
     """
     steps = np.diff(time_s)[:, None]
-    known = np.isfinite(between) & turning(between)[:, None]
-    total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(known, between, 0.0) * steps, axis=0)])
-    spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(known * steps, axis=0)])
+    given = np.isfinite(between) & turning(between)[:, None]
+    total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(given, between, 0.0) * steps, axis=0)])
+    spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(given * steps, axis=0)])
     low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
     with np.errstate(invalid="ignore"):
         return np.asarray(

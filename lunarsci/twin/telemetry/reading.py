@@ -1,12 +1,25 @@
-"""Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
+"""Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong.
 
+Tables of ROS are read as well: `rostopic echo -p` (%time, field.pose.pose.position.x), bagpy (header.stamp.secs), ros2
+bags (header.stamp.nanosec) and PlotJuggler (__time, /joint_states/wheel_FL/position). Units and axes are those of REP
+103: s, m, rad, x ahead, z up; covariances those of geometry_msgs/PoseWithCovariance: 6 x 6 of x, y, z and turns about
+them, row by row.
+
+A week at 10 Hz is 6 million rows, of which a rover drives through some ten thousand. Rows are taken in blocks. A block
+rests where no wheel is told to turn, reads a rate or gets any further, and time goes on evenly; of a block that rests
+between two others that rest only rows with a new position are kept. What is left out says nothing of the motion: the
+wheels stand, and headings are used at positions and beside drives alone.
+"""
+
+import difflib
 import io
+import itertools
 import math
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,20 +37,359 @@ from lunarsci.io.tables import (
     read_csv_table,
     without_repeats,
 )
+from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.columns import (
-    ERRORS,
-    NEEDED,
-    UNIT,
-    UNITS,
-    check_telemetry_columns,
-    in_own_words,
-    named_columns,
-)
-from lunarsci.twin.telemetry.rests import RowsKept
 
 if TYPE_CHECKING:
     import pandas as pd
+
+NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
+ERRORS = ("xx_m2", "xy_m2", "yy_m2")
+WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
+DEG = math.degrees(1.0)
+UNITS = {
+    "m": {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3},
+    "m2": {"mm2": 1e-6, "cm2": 1e-4},
+    "s": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "deg": {"rad": DEG, "mrad": 1e-3 * DEG, "turns": 360.0},
+    "deg_s": {"rad_s": DEG, "rpm": 6.0},
+    "m_s": {"cm_s": 1e-2, "mm_s": 1e-3, "km_h": 1.0 / 3.6},
+}
+"""What names may end in: the unit that is meant, and those that are read as well with their size in it."""
+UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() for unit in others)])})(?=$|_sigma$)")
+
+
+def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
+    """Columns by the names that telemetry has for them, in which column each is, and what it is multiplied by.
+
+    `yaw_rad` is `yaw_deg` in another unit, where there is none in this one.
+    """
+    columns = {name: (name, 1.0) for name in names}
+    for name in names:
+        if match := UNIT.search(name):
+            for unit, others in UNITS.items():
+                if match[1] in others:
+                    meant = f"{name[: match.start()]}_{unit}{name[match.end() :]}"
+                    columns.setdefault(meant, (name, others[match[1]]))
+    return columns
+
+
+PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
+OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
+"""Of each of these every wheel needs one: how it turned, and how it was steered."""
+
+
+def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
+    """Raises DataError for wheels of another rover, and for columns that are missing, with what may be meant.
+
+    Positions are needed where they do not come from elsewhere (`placed`).
+    """
+    wheels = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
+    if others := [wheel for wheel in wheels if wheel not in rover.wheels]:
+        raise DataError(
+            f"{file}: '{others[0]}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}; give the right "
+            "one as `rover`"
+        )
+    missing = [
+        f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
+    ]
+    for forms in OF_A_WHEEL:
+        without = [wheel for wheel in rover.wheels if not any(form.format(wheel) in names for form in forms)]
+        if without:
+            which, guess = f"W = {', '.join(without)}, as the file has the wheels {', '.join(wheels)}", ""
+            if len(without) == len(rover.wheels):
+                which, guess = "each wheel W", _guess(forms[0].format(without[0]), names)
+            missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
+    if missing:
+        raise DataError(
+            f"{file}: columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight; "
+            "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
+        )
+
+
+def _guess(needed: str, names: list[str]) -> str:
+    bare = UNIT.sub("", needed)
+    other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
+    return f" ({other[0]}?)" if other else ""
+
+
+_ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
+_ENDS |= {"r": "R", "rear": "R", "b": "R", "back": "R"}
+_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
+_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
+_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
+_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
+STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
+
+
+def meaning_of(name: str) -> str:
+    """What a column of ROS is: `stamp`, `x_m`, `qw`, `angle_FL_deg`, ...; '' for any other.
+
+    >>> meaning_of("field.pose.pose.position.x"), meaning_of("/joint_states/front_left_wheel/velocity")
+    ('x_m', 'rate_FL_deg_s')
+    """
+    words = [word.lower() for word in re.split(r"[./]+", name.strip().lstrip("%/")) if word]
+    if not words:
+        return ""
+    if words[-1] in _STAMPS and (len(words) == 1 or "header" in words):
+        return "stamp"
+    if "stamp" in words[:-1] and words[-1] in ("secs", "sec", "nsecs", "nsec", "nanosec"):
+        return "nsecs" if words[-1].startswith("n") else "secs"
+    if words[-2:-1] == ["position"] and words[-1] in ("x", "y"):
+        return f"{words[-1]}_m"
+    if words[-2:-1] == ["orientation"] and words[-1] in ("x", "y", "z", "w"):
+        return f"q{words[-1]}"
+    place = re.fullmatch(r".*pose[\W_]?covariance[\W_]?(\d+)\W?", ".".join(words))
+    if place:
+        return _COVARIANCES.get(place[1], "")
+    if len(words) > 1 and words[-1] in ("position", "velocity") and (wheel := _wheel_in(words[-2])):
+        if _STEERS.search(words[-2]):
+            return f"steered_{wheel}_deg" if words[-1] == "position" else ""
+        return f"angle_{wheel}_deg" if words[-1] == "position" else f"rate_{wheel}_deg_s"
+    return ""
+
+
+def _wheel_in(joint: str) -> str:
+    words = re.split(r"[_\W]+", joint)
+    for word in words:
+        for first, other in ((word[:1], word[1:]), (word[1:], word[:1])):
+            if len(word) == 2 and first in _ENDS and other in _SIDES:
+                return _ENDS[first] + _SIDES[other]
+    ends = [_ENDS[word] for word in words if len(word) > 2 and word in _ENDS]
+    sides = [_SIDES[word] for word in words if len(word) > 2 and word in _SIDES]
+    return ends[0] + sides[0] if ends and sides else ""
+
+
+def ros_names(names: list[str]) -> list[str]:
+    """Columns that a table of ROS has in lunarsci's words; none for any other table."""
+    meanings = {meaning_of(name) for name in names} - {""}
+    if not meanings & {"x_m", "qw"} or not meanings & {"stamp", "secs"}:
+        return []
+    turned = {"time_s", *(("yaw_deg",) if "qw" in meanings else ())}
+    return sorted(meanings - {"stamp", "secs", "nsecs", "qx", "qy", "qz", "qw", "yaw_variance"} | turned)
+
+
+def from_ros(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+    """A table of ROS with lunarsci's columns; any other as it is. Raises DataError for two places of one rover."""
+    names = [str(name) for name in table.columns]
+    if not ros_names(names) or "time_s" in names:
+        return table
+    columns: dict[str, str] = {}
+    for name in sorted(names, key=lambda one: "odom" in one.lower()):
+        meaning = meaning_of(name)
+        other = columns.get(meaning, "")
+        if meaning in ("x_m", "qw") and other and ("odom" in other.lower()) == ("odom" in name.lower()):
+            raise DataError(f"{file}: '{other}' and '{name}' are both the rover's; keep the localised ones")
+        columns.setdefault(meaning, name)
+    if "secs" in columns:
+        columns.pop("stamp", None)
+    values = {meaning: numbers_of(file, name, table[name]) for meaning, name in columns.items() if meaning}
+    made = {"time_s": _seconds(columns, values.get("secs", values.get("stamp", np.zeros(0))))}
+    if "secs" in values and "nsecs" in values:
+        made["time_s"] = made["time_s"] + 1e-9 * values["nsecs"]
+    for meaning, column in values.items():
+        if meaning.endswith("_m"):
+            made[meaning] = column
+        elif meaning.endswith(("_deg", "_deg_s")):
+            made[meaning] = np.degrees(column)
+    if all(f"q{axis}" in values for axis in "xyzw"):
+        attitude = yaw_roll_pitch(np.column_stack([values[f"q{axis}"] for axis in "xyzw"]))
+        made |= dict(zip(("yaw_deg", "roll_deg", "pitch_deg"), attitude.T, strict=True))
+    if {*ERRORS} <= {*values} and (values["xx_m2"] > 0).any():
+        made |= {name: values[name] for name in ERRORS}
+    if "yaw_variance" in values and (values["yaw_variance"] > 0).any():
+        made["yaw_deg_sigma"] = np.degrees(np.sqrt(np.maximum(values["yaw_variance"], 0.0)))
+    return table.drop(columns=[*columns.values()]).assign(
+        **{name: ["" if np.isnan(one) else repr(float(one)) for one in column] for name, column in made.items()}
+    )
+
+
+def _seconds(columns: dict[str, str], stamps: FloatArray) -> FloatArray:
+    """Stamps in s: `rostopic echo -p` has ns whatever they are, others by their size."""
+    if "secs" not in columns and columns.get("stamp", "").startswith(("%", "field.")):
+        return 1e-9 * stamps
+    most = float(np.nanmax(stamps, initial=0.0))
+    return next((size for least, size in STAMP_UNITS if most >= least), 1.0) * stamps
+
+
+def yaw_roll_pitch(quaternion: FloatArray) -> FloatArray:
+    """Of quaternions x, y, z, w, pitch positive nose down; NaN where they are none. (n, 3) [deg]
+
+    Body axes x ahead, y left, z up, as ROS has them (REP 103).
+    """
+    from scipy.spatial.transform import Rotation
+
+    turns = np.full((len(quaternion), 3), np.nan)
+    norm = np.linalg.norm(quaternion, axis=1)
+    proper: BoolArray = np.isfinite(norm) & (norm > 0)
+    if proper.any():
+        turns[proper] = Rotation.from_quat(quaternion[proper]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
+    return turns
+
+
+LEAST_HELD, SURELY = 1e-4, 3.0
+"""Least odds beforehand that a run is held; they are the share of repeats beyond so many times that by chance;
+assumed."""
+OBEYED = 0.2
+"""Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
+
+
+def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
+    """Which readings only repeat the one before. (n,)
+
+    Parameters
+    ----------
+    values : readings, of one or more numbers each. (n,) or (n, m)
+    chance : probability that a sound reading repeats the one before while nothing changes.
+    expected : what the reading should have changed by since the start. (n,)
+    sigma : standard error of that change beside the share `OBEYED`, in its unit.
+    """
+    flat = values.reshape(len(values), -1)
+    begins = np.flatnonzero(np.append(True, (np.diff(flat, axis=0) != 0).any(axis=1)))
+    repeats = np.diff(np.append(begins, len(values))) - 1
+    change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
+    # A channel that is sent more often than it is read repeats throughout.
+    ln_held = math.log(max(LEAST_HELD, repeats.sum() / len(values) - SURELY * chance))
+    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (OBEYED * change) ** 2)
+    result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
+    result[begins] = False
+    return np.asarray(result)
+
+
+def digit_of(values: FloatArray) -> float:
+    """The last digit: the finest change of which all changes are multiples; a thousandth of it where they are none.
+
+    Infinite where nothing changes.
+    """
+    changes = np.abs(np.diff(values, axis=0))
+    changes = changes[np.isfinite(changes)]
+    changes = changes[changes > 1e-6 * np.max(changes, initial=0.0)]
+    finest = float(np.min(changes, initial=np.inf))
+    return finest if (np.abs(changes / finest - np.rint(changes / finest)) < 0.01).all() else 1e-3 * finest
+
+
+def chance_by_noise(values: FloatArray, sigma: float) -> float:
+    """Probability that a reading with an error of `sigma` repeats the one before, by its last digit.
+
+    The difference of two is normal, of standard deviation sqrt 2 sigma, and rounded to the finest change there is.
+    """
+    return min(1.0, digit_of(values) / (2.0 * math.sqrt(math.pi) * sigma))
+
+
+BLOCK = 256
+"""Rows of a block: half a minute at 10 Hz. States are those of all rows."""
+STILL = 0.05
+"""Share of the usual or the highest rim speed below which a wheel stands; assumed."""
+TURNED_DEG = 3.0
+"""Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
+SURE = 3.0
+"""Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
+MOST_ROWS = 500_000
+"""That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
+Columns = dict[str, FloatArray]
+
+
+class RowsWithoutRests:
+    """Rows of telemetry by column, without most of those of a rover that rests, put together from pieces.
+
+    Attributes
+    ----------
+    read : rows that were added.
+    rests_s : begin and end of the rests within which rows are left out. [s]
+    """
+
+    def __init__(self, file: str, rover: Rover) -> None:
+        self.file, self.read = file, 0
+        self.rests_s: list[tuple[float, float]] = []
+        self._rover, self._count = rover, 0
+        self._retained: list[Columns] = []
+        self._left: Columns = {}
+        self._before: tuple[Columns, bool] | None = None
+        self._held: tuple[Columns, bool] | None = None
+        self._anchor = np.full(len(rover.wheels), np.nan)
+        self._place = np.full(len(PLACES), np.nan)
+
+    def add(self, columns: Columns) -> None:
+        """The next rows, of the same columns each time. Raises DataError for more than there is to be memory for."""
+        self.read += len(columns["time_s"])
+        rows = {name: np.append(self._left.get(name, ()), column) for name, column in columns.items()}
+        whole = len(rows["time_s"]) // BLOCK * BLOCK
+        for first in range(0, whole, BLOCK):
+            self._take({name: column[first : first + BLOCK] for name, column in rows.items()})
+        self._left = {name: column[whole:] for name, column in rows.items()}
+
+    def joined(self) -> Columns:
+        """The columns of the rows that are kept, in their order, when all have been added."""
+        if self._held is not None:
+            self._retain(self._held[0])
+        self._retain(self._left)
+        return {name: np.concatenate([part[name] for part in self._retained]) for name in self._left}
+
+    def _take(self, block: Columns) -> None:
+        """Keep the block before this one, or leave it out, now that both its neighbours are read."""
+        rests, before, middle = self._rests(block), self._before, self._held
+        if middle is not None:
+            if before is not None and before[1] and middle[1] and rests:
+                self._leave_out(before[0], middle[0], block)
+            else:
+                self._retain(middle[0])
+        self._before, self._held = middle, (block, rests)
+
+    def _retain(self, rows: Columns) -> None:
+        self._retained.append(rows)
+        self._count += len(rows["time_s"])
+        if self._count > MOST_ROWS:
+            raise DataError(
+                f"{self.file}: more than {MOST_ROWS:,} rows of a rover that does not stand for long, to "
+                f"time_s {rows['time_s'][-1]:.6g}; take a part of it with `since` and `until`, or fewer rows a second"
+            )
+        places = _columns(rows, PLACES)
+        if len(placed := np.flatnonzero(np.isfinite(places[:, :2]).any(axis=1))):
+            self._place = places[placed[-1]]
+
+    def _leave_out(self, before: Columns, rows: Columns, after: Columns) -> None:
+        """Keep only positions that do not repeat the one before to the last digit."""
+        begin, end = float(before["time_s"][0]), float(after["time_s"][-1])
+        if self.rests_s and self.rests_s[-1][1] == rows["time_s"][-1]:
+            begin = self.rests_s.pop()[0]
+        self.rests_s.append((begin, end))
+        places = np.vstack([self._place, _columns(rows, PLACES)])
+        placed = np.flatnonzero(np.isfinite(places[:, :2]).any(axis=1) | (np.arange(len(places)) == 0))
+        texts = np.nan_to_num(places[placed], nan=np.inf)
+        new = placed[1:][(texts[1:] != texts[:-1]).any(axis=1)] - 1
+        if len(new):
+            self._retain({name: column[new] for name, column in rows.items()})
+
+    def _rests(self, rows: Columns) -> bool:
+        """Whether no wheel turns, and time goes on evenly, also from the block before."""
+        wheels, first = self._rover.wheels, self._held is None
+        times = rows["time_s"] if self._held is None else np.append(self._held[0]["time_s"][-1], rows["time_s"])
+        steps = np.diff(times)
+        commanded, rate, angles = (
+            _columns(rows, [WHEEL_COLUMNS[key].format(wheel) for wheel in wheels])
+            for key in ("speed_m_s", "rate_deg_s", "angle_deg")
+        )
+        off = np.abs(angles - np.where(np.isfinite(self._anchor), self._anchor, angles[0]))
+        rim = np.radians(np.abs(rate)) * self._rover.wheel.shearing_radius_m
+        turns = (commanded != 0) & np.isfinite(commanded) | (rim > STILL * self._rover.max_speed_m_s)
+        observed = np.isfinite(commanded) | np.isfinite(rim) | np.isfinite(angles)
+        rests = bool(
+            not first
+            and (steps > 0).all()
+            and steps.max() <= GAP * np.median(steps)
+            and observed.any(axis=0).all()
+            and not (turns | (off > TURNED_DEG)).any()
+        )
+        if not rests:
+            self._anchor = angles[-1]
+        return rests
+
+
+def _columns(rows: Columns, names: Sequence[str]) -> FloatArray:
+    """Some columns beside each other, NaN where there is none. (n, names)"""
+    blank = np.full(len(rows["time_s"]), np.nan)
+    return np.column_stack([rows.get(name, blank) for name in names])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +427,17 @@ class Findings:
         self.entries.append(Finding(kind=kind, count=count, time_s=time_s, what=what, done=done, doubt=doubt))
         when = "" if time_s is None else f" at time_s {time_s:.6g}"
         warnings.warn(f"{self.file}: {kind}{when}: {what}; {done}", LunarSciWarning, stacklevel=3)
+
+    def of_rows(
+        self, kind: str, what: str, done: str, rows: BoolArray, time_s: FloatArray, *, doubt: bool = False
+    ) -> None:
+        """Note and say one finding of some rows, with their number and the time of the first; nothing of none.
+
+        `rows` are (n,) or (n, wheels).
+        """
+        if rows.any():
+            first = float(time_s[int(np.argmax(rows.reshape(len(rows), -1).any(axis=1)))])
+            self.add(kind, what, done, count=int(rows.sum()), time_s=first, doubt=doubt)
 
     @property
     def doubt(self) -> str:
@@ -155,7 +518,6 @@ class Telemetry:
         return np.where(np.isfinite(self.steered_deg), self.steered_deg, self.steering_deg)
 
 
-OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
 DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
 SYNTHETIC = ("true", "1", "1.0")
 YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
@@ -163,7 +525,7 @@ YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
 
 SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
 """Covariance of x and y of a position with x and y of the one in the row before."""
-KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
+POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
 
 
 class Positions(NamedTuple):
@@ -190,8 +552,8 @@ def read_positions(source: InputFile) -> Positions:
     time that contradict each other.
     """
     file = source.name
-    table = in_own_words(file, read_csv_table(source))
-    check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
+    table = from_ros(file, read_csv_table(source))
+    check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m"))
     timed = table["time_s"].fillna("").str.strip() != ""
     if not timed.any():
         raise DataError(f"{file}: no position has a time; add time_s, in s from the start of the drive")
@@ -204,9 +566,9 @@ def read_positions(source: InputFile) -> Positions:
         for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS, *SHARED)
         if name in table
     }
-    if "sigma_m" not in values and not all(name in values for name in ERRORS):
+    if "sigma_m" not in values and not {*ERRORS} <= {*values}:
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
-    place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(file, values)
+    place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(values)
     shared = None
     if any(name in values for name in SHARED):
         if missing := [name for name in (*ERRORS, *SHARED) if name not in values]:
@@ -227,8 +589,8 @@ def joint_m2(covariance_m2: FloatArray, shared_m2: FloatArray | None) -> FloatAr
     """
     count = len(covariance_m2)
     joint = np.zeros((count, 2, count, 2))
-    for k, own in enumerate(covariance_m2):
-        joint[k, :, k] = own
+    for k, covariance in enumerate(covariance_m2):
+        joint[k, :, k] = covariance
         if k and shared_m2 is not None and shared_m2[k].any():
             carried = shared_m2[k] @ np.linalg.inv(covariance_m2[k - 1])
             joint[k, :, :k] = np.einsum("ij,jlm->ilm", carried, joint[k - 1, :, :k])
@@ -258,37 +620,41 @@ def read_telemetry(
     columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more rows
     of a rover that does not rest than there is memory for.
     """
-    kept, infinite, synthetic = RowsKept(source.name, rover), dict[str, int](), False
+    rows, infinite, synthetic = RowsWithoutRests(source.name, rover), Counter[str](), False
     begin = -math.inf if start_s is None else start_s
     with open_input(source) as stream:
         for table in tables_of(stream, findings):
             values = _numbers(source.name, table, rover, placed=placed)
-            names = list(values)
-            _count_infinities(values, infinite)
-            outside = (values["time_s"] < max(span_s[0], begin)) | (values["time_s"] > span_s[1])
+            for name, column in values.items():
+                infinite[name] += int(np.isinf(column).sum())
+                values[name] = np.where(np.isinf(column), np.nan, column)
+            inside = ~((values["time_s"] < max(span_s[0], begin)) | (values["time_s"] > span_s[1]))
             values["time_s"] = values["time_s"] - (start_s or 0.0)
-            kept.add({name: column[~outside] for name, column in values.items()})
+            rows.add({name: column[inside] for name, column in values.items()})
             if "synthetic" in table:
                 synthetic = synthetic or bool(table["synthetic"].astype(str).str.lower().isin(SYNTHETIC).any())
-    for name, count in infinite.items():
+    for name, count in (+infinite).items():
         findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
-    if not kept.read:
+    if not rows.read:
         first, last = max(span_s[0], begin), span_s[1]
         raise DataError(f"{source.name}: no rows between time_s {first:.12g} and {last:.12g}; give others")
-    found = _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
-    return replace(found, start_s=start_s or 0.0)
+    return _telemetry(source.name, rows, rover, findings, synthetic=synthetic, start_s=start_s or 0.0)
 
 
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
     """The columns that count, of a piece."""
     columns = named_columns([str(name) for name in table.columns])
-    names = list(columns)
-    check_telemetry_columns(file, names, rover, placed=placed)
-    known = [name for name in _known(names, rover) if placed or name not in OF_PLACES]
-    first = str(next(iter(table[columns["time_s"][0]].dropna()), ""))
-    if DATE.match(first):
-        table = table.assign(**{columns["time_s"][0]: _since_1970_s(file, table[columns["time_s"][0]])})
-    return {name: columns[name][1] * numbers_of(file, columns[name][0], table[columns[name][0]]) for name in known}
+    check_telemetry_columns(file, list(columns), rover, placed=placed)
+    used = {*NEEDED, *POSE_COLUMNS, *PLACES} - (set() if placed else {*PLACES})
+    used |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
+    times = columns["time_s"][0]
+    if DATE.match(str(next(iter(table[times].dropna()), ""))):
+        table = table.assign(**{times: _since_1970_s(file, table[times])})
+    return {
+        name: factor * numbers_of(file, column, table[column])
+        for name, (column, factor) in columns.items()
+        if name in used
+    }
 
 
 def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
@@ -304,56 +670,39 @@ def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
 
 
 def _telemetry(
-    file: str, kept: RowsKept, names: list[str], rover: Rover, findings: Findings, *, synthetic: bool
+    file: str, rows: RowsWithoutRests, rover: Rover, findings: Findings, *, synthetic: bool, start_s: float
 ) -> Telemetry:
-    values = kept.joined()
-    count = len(values["time_s"])
-    blank = np.full(count, np.nan)
-    if "x_m" not in names:
-        values |= dict.fromkeys(("x_m", "y_m", "sigma_m", *ERRORS), blank)
-    if "sigma_m" not in values and not all(name in values for name in ERRORS):
+    values = rows.joined()
+    blank = np.full(len(values["time_s"]), np.nan)
+    if "x_m" not in values:
+        values |= dict.fromkeys(PLACES, blank)
+    if "sigma_m" not in values and not {*ERRORS} <= {*values}:
         done = f"{POSITION_SIGMA_M:g} m assumed, or as much as they scatter by; add a column sigma_m"
-        findings.add("no position error", "no errors of x_m and y_m", done, count=kept.read)
-        values["sigma_m"] = np.full(count, POSITION_SIGMA_M)
-    yaw_sigma = values.get("yaw_deg_sigma", blank)
-    if not np.isfinite(yaw_sigma).any():
+        findings.add("no position error", "no errors of x_m and y_m", done, count=rows.read)
+        values["sigma_m"] = np.full_like(blank, POSITION_SIGMA_M)
+    if not np.isfinite(values.get("yaw_deg_sigma", blank)).any():
         done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"
-        findings.add("no heading error", "no errors of yaw_deg", done, count=kept.read)
-        yaw_sigma = np.full(count, YAW_SIGMA_DEG)
+        findings.add("no heading error", "no errors of yaw_deg", done, count=rows.read)
+        values["yaw_deg_sigma"] = np.full_like(blank, YAW_SIGMA_DEG)
     columns: dict[str, Any] = {
-        key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
-        for key, form in WHEEL_COLUMNS.items()
+        key: _columns(values, [form.format(wheel) for wheel in rover.wheels]) for key, form in WHEEL_COLUMNS.items()
     }
-    columns |= {name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"}
     return Telemetry(
         file=file,
         time_s=values["time_s"],
         fix_m=np.column_stack([values["x_m"], values["y_m"]]),
-        fix_covariance_m2=_covariance(file, values),
-        yaw_deg_sigma=yaw_sigma,
+        fix_covariance_m2=_covariance(values),
         **columns,
+        **{name: values.get(name, blank) for name in POSE_COLUMNS},
         synthetic=synthetic,
-        rests_s=tuple(kept.rests_s),
-        rows=kept.read,
+        rests_s=tuple(rows.rests_s),
+        rows=rows.read,
+        start_s=start_s,
     )
 
 
-def _count_infinities(values: dict[str, FloatArray], infinite: dict[str, int]) -> None:
-    """Blank what is infinite, and count it by column."""
-    for name, column in values.items():
-        if (wrong := np.isinf(column)).any():
-            infinite[name] = infinite.get(name, 0) + int(wrong.sum())
-            values[name] = np.where(wrong, np.nan, column)
-
-
-def _known(names: list[str], rover: Rover) -> list[str]:
-    known = {*NEEDED, *POSE_COLUMNS, *ERRORS, "sigma_m"}
-    known |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
-    return [name for name in names if name in known]
-
-
-def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:
-    if all(name in values for name in ERRORS):
+def _covariance(values: dict[str, FloatArray]) -> FloatArray:
+    if {*ERRORS} <= {*values}:
         xx, xy, yy = (values[name] for name in ERRORS)
     else:
         # A negative standard error would turn positive in the square.
@@ -378,7 +727,7 @@ def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame
         tables = (_read_ecsv(piece) for piece, _ in line_pieces(stream, lambda cut, _: cut))
     else:
         tables = csv_tables(stream, without_cut)
-    for table in (in_own_words(stream.name, one) for one in tables):
+    for table in (from_ros(stream.name, one) for one in tables):
         yield table.set_axis(range(rows, rows + len(table)))
         rows += len(table)
     if not rows:
@@ -395,7 +744,9 @@ def _read_ecsv(source: InputFile) -> "pd.DataFrame":
             units = {name: str(table[name].unit) for name in table.colnames if table[name].unit is not None}
             frame = _flat(source.name, table.to_pandas())
     except Exception as error:
-        raise DataError(f"{source.name}: not an ECSV table that can be read ({_line(error)})") from error
+        raise DataError(
+            f"{source.name}: not an ECSV table that can be read ({' '.join(str(error).split())[:120]})"
+        ) from error
     return frame.rename(columns={name: _in_unit(source.name, name, unit) for name, unit in units.items()})
 
 
@@ -403,13 +754,12 @@ def _in_unit(file: str, name: str, unit: str) -> str:
     """The name of a column that ends in the unit the file says, where that is another one than its name has."""
     from astropy import units as u
 
-    match, said = UNIT.search(name), u.Unit(unit)
+    match, stated = UNIT.search(name), u.Unit(unit)
     if match is None:
         return name
-    for own, others in UNITS.items():
-        for end in (own, *others):
-            if said == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
-                return f"{name[: match.start()]}_{end}{name[match.end() :]}"
+    for end in itertools.chain.from_iterable((meant, *others) for meant, others in UNITS.items()):
+        if stated == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
+            return f"{name[: match.start()]}_{end}{name[match.end() :]}"
     raise DataError(f"{file}: {name} is in {unit}; give it in {' or '.join(UNITS)}")
 
 
@@ -420,7 +770,3 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     if twice := next((name for name, times in Counter(names).items() if times > 1), None):
         raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
     return table.set_axis(pd.Index(names), axis=1)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]

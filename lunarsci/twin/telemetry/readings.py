@@ -9,6 +9,10 @@ refused, with both named. Where wheels turn the rover little, headings mirrored 
 Units of wheels, their steering and the clock follow from each column beside the others. Angles, rates and commands tell
 of the same turn, measured and commanded steering of the same angle, and no rim is much faster than its rover. A column
 that goes with no other in any unit is left out.
+
+Localised positions and headings: what of them can be used, and whether they share a frame with the wheels.
+
+Roll and pitch of the rover: those of the ground it stands on, and how they move its origin.
 """
 
 import dataclasses
@@ -16,15 +20,29 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
+from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.columns import DEG, UNITS
-from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
+from lunarsci.twin.telemetry.checks import check_far, ordered
+from lunarsci.twin.telemetry.reading import (
+    DEG,
+    OBEYED,
+    STILL,
+    UNITS,
+    Findings,
+    Positions,
+    Telemetry,
+    chance_by_noise,
+    held,
+)
 from lunarsci.twin.telemetry.smoother import FREEDOM, MEAN_SIGMA
+from lunarsci.twin.telemetry.wheel_motion import SIGMA_DEG, UNDER_WAY, between
 
 SLIPS = np.array(MEAN_SIGMA[:2])
 """Standard deviation of what slip makes of ways ahead and to the left throughout, as in `smoother`."""
@@ -126,7 +144,7 @@ def as_meant(
         [one.ln_odds + _ln_likelihood(one, telemetry, twist, SKID_TURNS if skids else TURNS) for one in readings]
     )
     best = readings[int(np.argmax(ln_probable))]
-    near = [one for one, own in zip(readings, ln_probable, strict=True) if own > ln_probable.max() - ALIKE]
+    near = [one for one, ln in zip(readings, ln_probable, strict=True) if ln > ln_probable.max() - ALIKE]
     if AS_NAMED in near:
         return telemetry
     if best is ROLLED_ALONE:
@@ -136,16 +154,16 @@ def as_meant(
         what = "positions, headings and wheels tell of different motions, in any frame and unit"
         findings.add("heading against motion", what, "kept as they are", doubt=True)
     elif len(near) > 1:
-        told = ", or ".join(one.meaning for one in near)
+        meanings = ", or ".join(one.meaning for one in near)
         raise DataError(
-            f"{telemetry.file}: {told}; x is to the right of the map, y up, yaw_deg from x towards y in degrees, "
+            f"{telemetry.file}: {meanings}; x is to the right of the map, y up, yaw_deg from x towards y in degrees, "
             "steering positive to the left: convert it"
         )
     else:
         findings.add("read as", best.meaning, "taken so; x is east, y north, yaw_deg from x towards y in degrees")
         yaw = best.heading(telemetry.yaw_deg)
-        known = np.isfinite(yaw)
-        yaw[known] = np.unwrap(yaw[known], period=360.0)
+        given = np.isfinite(yaw)
+        yaw[given] = np.unwrap(yaw[given], period=360.0)
         return dataclasses.replace(
             telemetry,
             yaw_deg=yaw,
@@ -162,8 +180,8 @@ def as_meant(
 def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a reading makes positions and headings, up to a constant that all readings share."""
     rows, times, twist = _apart(telemetry, twist), telemetry.time_s, reading.rims * twist
-    known = np.isfinite(telemetry.yaw_deg)
-    yaw = np.radians(np.interp(times, times[known], reading.heading(telemetry.yaw_deg)[known]))
+    given = np.isfinite(telemetry.yaw_deg)
+    yaw = np.radians(np.interp(times, times[given], reading.heading(telemetry.yaw_deg)[given]))
     steps, middle = np.diff(times), 0.5 * (yaw[1:] + yaw[:-1])
     ahead, left = twist[:, 0] * steps, twist[:, 1] * steps
     moved = np.column_stack(
@@ -195,9 +213,9 @@ def _ln_likelihood(reading: Reading, telemetry: Telemetry, twist: FloatArray, tu
     yaw_sigma = math.sqrt(2.0) * math.radians(float(np.nanmedian(telemetry.yaw_deg_sigma)))
     turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (TURNS_PER_M * way) ** 2 + yaw_sigma**2)
     parts = ((share[:, 0], sigma), (share[:, 1], sigma), (np.diff(yaw[rows]) - turn, turn_sigma))
-    return (
-        ln_mean + 2.0 * len(off) * math.log(reading.metres) + sum(_ln_student(value, sigma) for value, sigma in parts)
-    )
+    # Student's density, up to a constant.
+    student = [-np.log(s) - 0.5 * (FREEDOM + 1.0) * np.log1p((value / s) ** 2 / FREEDOM) for value, s in parts]
+    return ln_mean + 2.0 * len(off) * math.log(reading.metres) + float(np.sum(student))
 
 
 def _apart(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
@@ -208,19 +226,11 @@ def _apart(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
     return some if len(some) >= FEWEST else rows
 
 
-def _ln_student(off: FloatArray, sigma: FloatArray) -> float:
-    """ln of Student's density, up to a constant."""
-    return float((-np.log(sigma) - 0.5 * (FREEDOM + 1.0) * np.log1p((off / sigma) ** 2 / FREEDOM)).sum())
-
-
-AGREE, FASTER, SLOWER = 0.2, 0.25, 1.0
-"""Standard deviation, in ln, of one column over another (a motor may be slower than told), and of the fastest rim over
-the rover's highest speed, if it is faster and if it is slower; assumed."""
-TURNING, NOISE, FEWEST_ROWS = 0.3, 0.05, 3
-"""Share of the usual turn from which on a row counts, of the largest from which on one is no noise, and how many rows
-there are at least; assumed."""
-LEAST_DEG = 1.0
-"""Angle of one of both from which on steering counts: it is noise below; assumed. [deg]"""
+FASTER, SLOWER = 0.25, 1.0
+"""Standard deviation, in ln, of the fastest rim over the rover's highest speed, if it is faster and if it is slower;
+assumed. Of one column over another it is `OBEYED`: a motor may be slower than told."""
+FEWEST_ROWS = 3
+"""Rows with both columns below which one tells nothing of the other."""
 STEERING = ("steered_deg", "steering_deg")
 COMMANDED = ("speed_m_s", "steering_deg")
 NAMED = dict.fromkeys(("angle_deg", *STEERING), "deg") | {"rate_deg_s": "deg_s", "speed_m_s": "m_s", "time_s": "s"}
@@ -241,10 +251,10 @@ class Unit:
 
 def units_of(rover: Rover) -> dict[str, tuple[Unit, ...]]:
     """The units in which each column may be, the first as it is named."""
-    rim, found = rover.wheel.shearing_radius_m, {}
-    for name, own in NAMED.items():
-        others = UNITS[own] | ({"deg_s": rim / DEG, "rad_s": rim} if own == "m_s" else {})
-        plain = [Unit(own.replace("_", "/"), 1.0, 0.0)]
+    rim, units = rover.wheel.shearing_radius_m, {}
+    for name, unit in NAMED.items():
+        others = UNITS[unit] | ({"deg_s": rim / DEG, "rad_s": rim} if unit == "m_s" else {})
+        plain = [Unit(unit.replace("_", "/"), 1.0, 0.0)]
         plain += [Unit(text.replace("_", "/"), factor) for text, factor in others.items()]
         if name != "time_s":
             turned = "to the right" if name.startswith("steer") else "backwards"
@@ -252,8 +262,8 @@ def units_of(rover: Rover) -> dict[str, tuple[Unit, ...]]:
             odds = STRANGE if name in COMMANDED else STRANGE - 2.0 * ALIKE
             plain += [Unit(f"{u.name}, positive {turned}", -u.factor, u.ln_odds + odds) for u in plain]
             plain += [Unit("no unit at all", math.nan, RARE)]
-        found[name] = tuple(plain)
-    return found
+        units[name] = tuple(plain)
+    return units
 
 
 def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetry:
@@ -275,45 +285,37 @@ def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetr
         "speed_m_s": between(telemetry.speed_m_s) / per_deg,
     }
     ratios = {(a, b): _ratio(turns[a], turns[b]) for a, b in itertools.combinations(turns, 2)}
-    fastest = {name: _fastest(per_deg * rate) / rover.max_speed_m_s for name, rate in turns.items()}
+    fastest = {
+        name: _usual(per_deg * rate[np.isfinite(rate)]) / rover.max_speed_m_s
+        for name, rate in turns.items()
+        if np.isfinite(rate).any()
+    }
     telemetry = _taken(telemetry, _likeliest(units, ratios, fastest, telemetry.file), findings)
-    ratio = {STEERING: _ratio(telemetry.steered_deg, telemetry.steering_deg, LEAST_DEG)}
+    ratio = {STEERING: _ratio(telemetry.steered_deg, telemetry.steering_deg, SIGMA_DEG)}
     return _taken(telemetry, _likeliest({name: units[name] for name in STEERING}, ratio, {}, telemetry.file), findings)
-
-
-def between(values: FloatArray) -> FloatArray:
-    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
-    before, after = values[:-1], values[1:]
-    both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
 
 
 def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     """Median of one column over another, where that one is large; NaN where there are too few rows."""
-    known = np.isfinite(values) & np.isfinite(wanted)
-    known &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
-    known &= np.abs(wanted) > TURNING * _usual(wanted[known])
-    return float(np.median(values[known] / wanted[known])) if known.sum() >= FEWEST_ROWS else math.nan
-
-
-def _fastest(rim_m_s: FloatArray) -> float:
-    known = rim_m_s[np.isfinite(rim_m_s)]
-    return _usual(known) if known.size else math.nan
+    given = np.isfinite(values) & np.isfinite(wanted)
+    given &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
+    given &= np.abs(wanted) > UNDER_WAY * _usual(wanted[given])
+    return float(np.median(values[given] / wanted[given])) if given.sum() >= FEWEST_ROWS else math.nan
 
 
 def _usual(values: FloatArray) -> float:
     """Median size of what is no noise at rest; the very largest ones may be wild."""
     size = np.abs(values)
-    return float(np.median(size[size >= NOISE * np.percentile(size, 98)])) if size.size else 0.0
+    return float(np.median(size[size >= STILL * np.percentile(size, 98)])) if size.size else 0.0
 
 
 def _likeliest(
     units: dict[str, tuple[Unit, ...]], ratios: dict[tuple[str, str], float], fastest: dict[str, float], file: str
 ) -> dict[str, Unit]:
     """The units of columns that some ratio or speed tells of. Raises DataError where some are alike."""
-    told = {name for pair, ratio in ratios.items() if math.isfinite(ratio) for name in pair}
-    told |= {name for name, share in fastest.items() if math.isfinite(share)}
-    names = [name for name in units if name in told or (name == "time_s" and "angle_deg" in told)]
+    compared = {name for pair, ratio in ratios.items() if math.isfinite(ratio) for name in pair}
+    compared |= {name for name, share in fastest.items() if math.isfinite(share)}
+    names = [name for name in units if name in compared or (name == "time_s" and "angle_deg" in compared)]
     named = {name: units[name][0] for name in names}
     # Any other reading is less probable beforehand by STRANGE at least.
     if not names or _ln_probable(named, ratios, fastest) > STRANGE + ALIKE:
@@ -321,7 +323,7 @@ def _likeliest(
     every = itertools.product(*(units[name] for name in names))
     tried: list[dict[str, Unit]] = [dict(zip(names, one, strict=True)) for one in every]
     ln_probable = [_ln_probable(one, ratios, fastest) for one in tried]
-    near = [one for one, own in zip(tried, ln_probable, strict=True) if own > max(ln_probable) - ALIKE]
+    near = [one for one, ln in zip(tried, ln_probable, strict=True) if ln > max(ln_probable) - ALIKE]
     if len(near) > 1:
         ways = [", ".join(_words(name, unit) for name, unit in one.items() if unit.factor != 1.0) for one in near]
         raise DataError(f"{file}: {', or '.join(way or 'all is as named' for way in ways)}: convert what is wrong")
@@ -335,19 +337,19 @@ def _words(name: str, unit: Unit) -> str:
 
 def _ln_probable(tried: dict[str, Unit], ratios: dict[tuple[str, str], float], fastest: dict[str, float]) -> float:
     """ln of how probable some units are, up to a constant."""
-    found = sum(unit.ln_odds for unit in tried.values())
+    ln = sum(unit.ln_odds for unit in tried.values())
     # Of an angle it is the change in a time that counts.
     factor = {name: unit.factor for name, unit in tried.items()}
     factor["angle_deg"] = factor.get("angle_deg", math.nan) / factor.get("time_s", 1.0)
     for (a, b), ratio in ratios.items():
         ratio *= factor.get(a, math.nan) / factor.get(b, math.nan)
         if math.isfinite(ratio):
-            found -= 0.5 * (math.log(max(abs(ratio), 1e-9)) / AGREE) ** 2 - (2.0 * RARE if ratio < 0.0 else 0.0)
+            ln -= 0.5 * (math.log(max(abs(ratio), 1e-9)) / OBEYED) ** 2 - (2.0 * RARE if ratio < 0.0 else 0.0)
     for name, share in fastest.items():
         share *= abs(factor.get(name, math.nan))
         if share > 0.0:
-            found -= 0.5 * (math.log(share) / (FASTER if share > 1.0 else SLOWER)) ** 2
-    return found
+            ln -= 0.5 * (math.log(share) / (FASTER if share > 1.0 else SLOWER)) ** 2
+    return ln
 
 
 def _taken(telemetry: Telemetry, units: dict[str, Unit], findings: Findings) -> Telemetry:
@@ -364,3 +366,151 @@ def _taken(telemetry: Telemetry, units: dict[str, Unit], findings: Findings) -> 
         start_s=clock * telemetry.start_s,
         **{name: factor * getattr(telemetry, name) for name, factor in changed.items()},
     )
+
+
+ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 3.0
+"""Median difference of roll or pitch from the terrain's beyond which it is said [deg], or as a share of its slope where
+that is more; and by how much their sensor may be turned on the rover [deg]; assumed."""
+
+
+def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
+    """How far the rover's origin is from above the point that its wheels stand about, by roll and pitch. (n, 2) [m]
+
+    The wheels carry that point; the origin sways above it, which is no slip. Where how the rover stands is not known,
+    as beside a halt, it stands as about there: a tilt left out would be a jump, and read as a slip.
+    """
+    height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
+    given = np.flatnonzero(np.isfinite(paths[:, 3:5]).all(axis=1))
+    tilts = paths[given, 3:5] if given.size else np.zeros((1, 2))
+    roll, pitch = np.radians([np.interp(np.arange(len(paths)), given if given.size else [0], c) for c in tilts.T])
+    yaw = np.radians(np.nan_to_num(paths[:, 5]))
+    ahead, left = np.sin(pitch) * np.cos(roll), -np.sin(roll)
+    return height * np.column_stack(
+        [np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
+    )
+
+
+def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:
+    """Roll and pitch are those of a rover that stands on this terrain; all alike off is their sensor's mounting."""
+    for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
+        measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
+        given = np.isfinite(measured) & np.isfinite(stood)
+        if given.sum() < 5:
+            continue
+        a, b = measured[given], stood[given]
+
+        def off(values: FloatArray, wanted: FloatArray = b) -> float:
+            return float(np.median(np.abs(values - wanted)))
+
+        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * off(b, np.zeros(1))):
+            continue
+        mounted = float(np.median(a - b))
+        turned = abs(mounted) < MOUNTED_DEG and off(a - mounted) < 0.5 * ATTITUDE_DEG
+        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
+        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
+        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
+        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
+        done = "the terrain's is taken"
+        findings.add("attitude against terrain", what, done, count=int(given.sum()), doubt=not turned)
+
+
+def with_positions(telemetry: Telemetry, positions: Positions, file: str, findings: Findings) -> Telemetry:
+    """Telemetry with positions from elsewhere in place of its own, in rows at their times.
+
+    Between rows wheels, headings and attitude are taken to change evenly. Positions that are a gap or more before or
+    after the telemetry are left out and said. `file` is where they come from.
+    """
+    telemetry = ordered(telemetry, findings)
+    times = telemetry.time_s
+    reach = GAP * float(np.median(np.diff(times)))
+    good = (positions.time_s >= times[0] - reach) & (positions.time_s <= times[-1] + reach)
+    if not good.all():
+        what = f"{(~good).sum()} of {len(good)} positions of {file} are not within the times of the telemetry"
+        findings.add("positions at other times", what, "they are left out", count=int((~good).sum()), doubt=True)
+    at = np.clip(positions.time_s[good], times[0], times[-1])
+    merged = np.union1d(times, at)
+    columns: dict[str, Any] = {
+        item.name: _between(merged, times, value)
+        for item in dataclasses.fields(telemetry)
+        if isinstance(value := getattr(telemetry, item.name), np.ndarray)
+    }
+    rows = np.searchsorted(merged, at)
+    columns["fix_m"] = np.full((len(merged), 2), np.nan)
+    columns["fix_covariance_m2"] = np.full((len(merged), 2, 2), np.nan)
+    columns["fix_m"][rows], columns["fix_covariance_m2"][rows] = positions.place_m[good], positions.covariance_m2[good]
+    if positions.shared_m2 is not None:
+        shared = positions.shared_m2 * np.append(False, good[:-1])[:, None, None]
+        columns["fix_shared_m2"] = np.zeros((len(merged), 2, 2))
+        columns["fix_shared_m2"][rows] = shared[good]
+    return dataclasses.replace(telemetry, **columns)
+
+
+def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (n, ...) at more times: linear between two that are known and no half turn apart, else blank."""
+    flat = values.reshape(len(times), -1)
+    low = np.clip(np.searchsorted(times, merged, side="right") - 1, 0, len(times) - 1)
+    high = np.minimum(low + (times[low] < merged), len(times) - 1)
+    share = (merged - times[low]) / np.where(high > low, times[high] - times[low], 1.0)
+    step = flat[high] - flat[low]
+    step[np.abs(step) > 180.0] = np.nan
+    result = np.where((high > low)[:, None], flat[low] + share[:, None] * step, flat[low])
+    return np.asarray(result.reshape(len(merged), *values.shape[1:]))
+
+
+def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> Telemetry:
+    """Positions without those that have no proper covariance or only repeat the one before.
+
+    `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    given, value = telemetry.fixed, telemetry.fix_covariance_m2
+    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
+    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
+    bad = np.asarray(given & (least <= 0))
+    _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
+    rows, same = np.flatnonzero(given & ~bad), np.zeros(len(given), dtype=bool)
+    if rows.size:
+        place, sigma = telemetry.fix_m[rows], float(np.median(np.sqrt(np.trace(value[rows], axis1=1, axis2=2) / 2.0)))
+        same[rows] = held(place, chance_by_noise(place, sigma) ** 2, way_m[rows], np.sqrt(2.0) * sigma)
+    what = "it repeats the one before to the last digit: sent again, or the sensor hangs"
+    _leave(findings, "repeated position", what, same, telemetry)
+    used = given & ~bad & ~same
+    if used.sum() < 2:
+        raise DataError(
+            f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
+            f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
+        )
+    check_far(np.flatnonzero(used), telemetry, way_m, findings)
+    shared = telemetry.fix_shared_m2
+    if shared is not None:
+        before = np.flatnonzero(given)
+        shared = shared.copy()
+        shared[before[1:][~used[before[:-1]]]] = 0.0
+    return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan), fix_shared_m2=shared)
+
+
+def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:
+    findings.of_rows(kind, what, f"these {kind.split()[-1]}s are left out", rows, telemetry.time_s)
+
+
+def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
+    """Headings without full turns between rows, and without those that only repeat the one before.
+
+    `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    yaw, sigma = telemetry.yaw_deg.copy(), telemetry.yaw_deg_sigma
+    given = np.isfinite(yaw)
+    blank = given & ~(sigma > 0)
+    rows, same = np.flatnonzero(given & ~blank), np.zeros(len(yaw), dtype=bool)
+    if rows.size:
+        error = float(np.median(sigma[rows]))
+        same[rows] = held(yaw[rows], chance_by_noise(yaw[rows], error), turned_deg[rows], np.sqrt(2.0) * error)
+    what = "yaw_deg repeats the one before to the last digit: sent again, or the sensor hangs"
+    _leave(findings, "heading error", "yaw_deg_sigma is missing, 0 or negative", blank, telemetry)
+    _leave(findings, "repeated heading", what, same, telemetry)
+    yaw[blank | same] = np.nan
+    rows = np.flatnonzero(np.isfinite(yaw))
+    if rows.size < 2:
+        raise DataError(f"{telemetry.file}: {rows.size} headings of use; side slip needs yaw_deg")
+    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", ~given, telemetry.time_s)
+    yaw[rows] = np.degrees(np.unwrap(np.radians(yaw[rows])))
+    return dataclasses.replace(telemetry, yaw_deg=yaw)

@@ -57,14 +57,12 @@ class SensorErrors:
     track_m: float = 0.00033
 
     def __post_init__(self) -> None:
-        if not 0 < self.fix_distance_m < math.inf:
-            raise ParameterError(f"fix distance is {self.fix_distance_m}; give a distance above 0 m")
-        for name in self.__slots__[1:]:
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise ParameterError(f"sensor error {name} is {value}; give 0 or more")
-        if self.fix_sigma_m == 0:
-            raise ParameterError("sensor error fix_sigma_m is 0; positions need an error above 0 m")
+        for name in self.__slots__:
+            value, exact = getattr(self, name), not name.startswith("fix_")
+            if value is not None and not (0 < value < math.inf or (exact and value == 0)):
+                raise ParameterError(
+                    f"sensor error {name} is {value}; give {'0 or more' if exact else 'a number above 0'}"
+                )
 
     @property
     def position_m(self) -> float:
@@ -146,8 +144,8 @@ def _telemetry(
         if fixes is not None and fixes.position_sigma_m > 0:
             off[:, row], sigma[row] = error, fixes.position_sigma_m
     columns: dict[str, FloatArray | list[str]] = {"time_s": time}
-    for name, own in zip(("x_m", "y_m"), off, strict=True):
-        columns[name] = np.where(fixed, path[name] + own, np.nan)
+    for name, error in zip(("x_m", "y_m"), off, strict=True):
+        columns[name] = np.where(fixed, path[name] + error, np.nan)
     for name, value in (("xx_m2", sigma**2), ("xy_m2", 0.0 * sigma), ("yy_m2", sigma**2)):
         columns[name] = np.where(fixed, value, np.nan)
     columns["yaw_deg"] = path["yaw_deg"] + errors.yaw_deg * random.normal(size=count)
@@ -174,7 +172,7 @@ def _wheel_columns(
 ) -> dict[str, FloatArray]:
     rover = prediction.rover
     schedule = make_schedule(prediction.plan, rover)
-    told = commands_at(rover, schedule, time_s, prediction.steered)
+    commands = commands_at(rover, schedule, time_s, prediction.steered)
     fine = np.interp(np.arange((len(time_s) - 1) * FINER + 1) / FINER, np.arange(len(time_s)), time_s)
     speed = all_commands(rover, schedule, fine, prediction.steered).speed_m_s[0]
     way = np.vstack([np.zeros(len(rover.wheels)), np.cumsum(speed * np.diff(fine)[:, None], axis=0)])[::FINER]
@@ -182,11 +180,11 @@ def _wheel_columns(
     columns: dict[str, FloatArray] = {}
     for k, wheel in enumerate(rover.wheels):
         blur = random.normal(size=(3, len(time_s)))
-        columns[f"speed_{wheel}_m_s"] = told.speed_m_s[:, k]
-        columns[f"steering_{wheel}_deg"] = np.degrees(told.steering_rad[:, k])
+        columns[f"speed_{wheel}_m_s"] = commands.speed_m_s[:, k]
+        columns[f"steering_{wheel}_deg"] = np.degrees(commands.steering_rad[:, k])
         columns[f"angle_{wheel}_deg"] = per_m * way[:, k] + errors.wheel_angle_deg * blur[0]
-        columns[f"rate_{wheel}_deg_s"] = per_m * told.speed_m_s[:, k] + errors.wheel_rate_deg_s * blur[1]
-        columns[f"steered_{wheel}_deg"] = np.degrees(told.steering_rad[:, k]) + errors.steered_deg * blur[2]
+        columns[f"rate_{wheel}_deg_s"] = per_m * commands.speed_m_s[:, k] + errors.wheel_rate_deg_s * blur[1]
+        columns[f"steered_{wheel}_deg"] = np.degrees(commands.steering_rad[:, k]) + errors.steered_deg * blur[2]
     return columns
 
 
@@ -229,12 +227,12 @@ def _apart(points_m: FloatArray, least_m: float) -> FloatArray:
     """Points without those nearer than a distance to an earlier one. (p, 2) [m]"""
     from scipy.spatial import cKDTree
 
-    kept = np.ones(len(points_m), dtype=bool)
+    far = np.ones(len(points_m), dtype=bool)
     near: Any = cKDTree(points_m).query_ball_point(points_m, least_m)
     for row, others in enumerate(near):
-        if kept[row]:
-            kept[[other for other in others if other > row]] = False
-    return points_m[kept]
+        if far[row]:
+            far[[other for other in others if other > row]] = False
+    return points_m[far]
 
 
 def deepest_at(points_m: FloatArray, wheels: tuple[FloatArray, FloatArray, FloatArray], reach_m: float) -> FloatArray:
@@ -257,8 +255,8 @@ def deepest_at(points_m: FloatArray, wheels: tuple[FloatArray, FloatArray, Float
         way = np.append(0.0, np.cumsum(np.hypot(np.diff(x[:, k]), np.diff(y[:, k]))))
         dense = np.linspace(0.0, way[-1], max(2, math.ceil(way[-1] / DENSE_M) + 1))
         place = np.column_stack([np.interp(dense, way, x[:, k]), np.interp(dense, way, y[:, k])])
-        found: Any = cKDTree(place).query(points_m, distance_upper_bound=reach_m)
-        distance, nearest = found
+        nearest_points: Any = cKDTree(place).query(points_m, distance_upper_bound=reach_m)
+        distance, nearest = nearest_points
         near = np.isfinite(distance)
         result[near, k] = np.interp(dense, way, values[:, k])[nearest[near]]
     return result

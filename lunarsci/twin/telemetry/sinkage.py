@@ -18,8 +18,10 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.telemetry.checks import LEAST_ROW_M
+from lunarsci.twin.telemetry.reading import SURE
 from lunarsci.twin.telemetry.simulated import deepest_at
-from lunarsci.twin.telemetry.states import LEAST_ROW_M, DriveStates, StateRows
+from lunarsci.twin.telemetry.states import MOST_LEFT_OUT, DriveStates, StateRows
 
 SIGMA_M = 0.00033
 """Error of a depth whose error is not given: 1 mm as three standard deviations, Ding et al. (2024),
@@ -63,8 +65,8 @@ class RutPoints:
         from scipy.spatial import cKDTree
 
         depth, sigma = np.full(len(places_m), np.nan), np.full(len(places_m), np.nan)
-        found: Any = cKDTree(self.place_m).query_ball_point(places_m, reach_m)
-        for row, near in enumerate(found):
+        near_places: Any = cKDTree(self.place_m).query_ball_point(places_m, reach_m)
+        for row, near in enumerate(near_places):
             if near:
                 values = self.rut_m[near]
                 scatter = float(values.std(ddof=1)) / math.sqrt(len(near)) if len(near) > 1 else 0.0
@@ -89,10 +91,10 @@ def read_track(source: InputFile) -> RutPoints:
             row = int(np.argmax(given < 0))
             raise DataError(f"{source.name}, row {row + 1}, rut_m_sigma: {given[row]:g}; give 0 or more")
         sigma = np.where(np.isfinite(given), given, SIGMA_M)
-    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(rut)
-    if not known.any():
+    whole = np.isfinite(x) & np.isfinite(y) & np.isfinite(rut)
+    if not whole.any():
         raise DataError(f"{source.name}: no row has x_m, y_m and rut_m")
-    return RutPoints(place_m=np.column_stack([x, y])[known], rut_m=rut[known], sigma_m=sigma[known])
+    return RutPoints(place_m=np.column_stack([x, y])[whole], rut_m=rut[whole], sigma_m=sigma[whole])
 
 
 def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: float) -> RutPoints:
@@ -105,10 +107,10 @@ def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: f
     around = np.column_stack([part.ravel() for part in np.meshgrid(steps, steps)])
     points = (places_m[:, None] + around).reshape(-1, 2)
     rut = before.height_at(*points.T) - after.height_at(*points.T)
-    known = np.isfinite(rut)
-    if not known.any():
+    given = np.isfinite(rut)
+    if not given.any():
         raise DataError(f"{after.name}: no height below any wheel; is it the ground of this drive?")
-    return RutPoints(place_m=points[known], rut_m=rut[known], sigma_m=np.full(int(known.sum()), SIGMA_M))
+    return RutPoints(place_m=points[given], rut_m=rut[given], sigma_m=np.full(int(given.sum()), SIGMA_M))
 
 
 def deepest_wheel(
@@ -157,10 +159,6 @@ def is_table_of_ruts(source: InputFile) -> bool:
 
 ALONG = 0.5
 """Share of the states that a track must meet; below it is not the track of this drive; assumed."""
-MOST_ODD = 0.2
-"""Share of the depths that may be odd without doubt; assumed."""
-ABOVE = -3.0
-"""Standard errors by which a rut may lie above the ground; assumed."""
 
 
 def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain) -> DriveStates:
@@ -176,30 +174,29 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
     rows, rover = drive.rows, drive.rover
     reach = 0.5 * rover.wheel.width_m
     places = rows.place_m.reshape(-1, 2)
-    known = np.asarray(np.isfinite(places).all(axis=1))
+    given = np.asarray(np.isfinite(places).all(axis=1))
     wheel = np.tile(np.arange(len(rover.wheels)), len(rows.node))
-    points = rut_points(before, track, places[known], reach) if isinstance(track, Terrain) else track
+    points = rut_points(before, track, places[given], reach) if isinstance(track, Terrain) else track
     depth, sigma = np.full(len(places), np.nan), np.full(len(places), np.nan)
-    depth[known], sigma[known] = points.depth_at(places[known], reach)
-    _check_along(drive, points, depth, known)
+    depth[given], sigma[given] = points.depth_at(places[given], reach)
+    _check_along(drive, points, depth, given)
     states = drive.held.states
     x, y, z = (_without_holes(states[..., STATE_COLUMNS.index(name)]) for name in ("x_m", "y_m", "sinkage_m"))
-    own, spread = np.zeros(len(places), dtype=bool), np.zeros(len(places))
-    own[known], spread[known] = deepest_wheel(places[known], wheel[known], (x, y), z, drive.nodes.time_s, reach)
+    deepest, spread = np.zeros(len(places), dtype=bool), np.zeros(len(places))
+    deepest[given], spread[given] = deepest_wheel(places[given], wheel[given], (x, y), z, drive.nodes.time_s, reach)
     sigma = np.hypot(sigma, spread)
-    odd = own & ((depth < ABOVE * sigma) | (depth > rover.wheel.radius_m))
+    odd = deepest & ((depth < -SURE * sigma) | (depth > rover.wheel.radius_m))
     if odd.any():
-        first = float(drive.nodes.time_s[rows.node[int(np.flatnonzero(odd)[0]) // len(rover.wheels)]])
         what = f"depths from {depth[odd].min():.3g} to {depth[odd].max():.3g} m, which no wheel of this radius leaves"
-        drive.findings.add(
-            "odd depth", what, "left blank", count=int(odd.sum()), time_s=first, doubt=odd.sum() > 0.2 * own.sum()
-        )
-    kept = own & ~odd & (rows.measured | _at_halt(drive)).ravel()
+        many, times = bool(odd.sum() > MOST_LEFT_OUT * deepest.sum()), drive.nodes.time_s[rows.node]
+        drive.findings.of_rows("odd depth", what, "left blank", odd.reshape(len(times), -1), times, doubt=many)
+    # At a halt states are not valid only for their slip.
+    valid = deepest & ~odd & (rows.measured | np.isfinite(rows.slip_ratio)).ravel()
     shape = rows.slip_ratio.shape
-    found, error = (np.where(kept, value, np.nan).reshape(shape) for value in (depth, sigma))
-    told = np.isin(rows.node, slipping) | np.isfinite(found).any(axis=1)
-    rows = dataclasses.replace(rows, sinkage_m=found, sinkage_m_sigma=error)
-    return dataclasses.replace(drive, rows=_picked(rows, np.flatnonzero(told)))
+    sinkage, error = (np.where(valid, value, np.nan).reshape(shape) for value in (depth, sigma))
+    reported = np.isin(rows.node, slipping) | np.isfinite(sinkage).any(axis=1)
+    rows = dataclasses.replace(rows, sinkage_m=sinkage, sinkage_m_sigma=error)
+    return dataclasses.replace(drive, rows=_picked(rows, np.flatnonzero(reported)))
 
 
 def _with_rows_between(drive: DriveStates) -> StateRows:
@@ -230,23 +227,18 @@ def _picked(rows: StateRows, numbers: IndexArray) -> StateRows:
     return StateRows(**{field.name: getattr(rows, field.name)[numbers] for field in dataclasses.fields(rows)})
 
 
-def _at_halt(drive: DriveStates) -> BoolArray:
-    """Rows whose states are not valid only for their slip: their sinkage counts all the same."""
-    return np.isfinite(drive.rows.slip_ratio)
-
-
 def _without_holes(values: FloatArray) -> FloatArray:
     """Values along the drive, found from those beside where the rover does not stand on the terrain. (n, wheels)"""
     result = values.copy()
     for k in range(values.shape[1]):
-        known = np.isfinite(values[:, k])
-        if known.any():
-            result[:, k] = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known, k])
+        given = np.isfinite(values[:, k])
+        if given.any():
+            result[:, k] = np.interp(np.arange(len(values)), np.flatnonzero(given), values[given, k])
     return np.nan_to_num(result)
 
 
-def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known: BoolArray) -> None:
-    met = float(np.isfinite(depth[known]).mean()) if known.any() else 0.0
+def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, given: BoolArray) -> None:
+    met = float(np.isfinite(depth[given]).mean()) if given.any() else 0.0
     if met == 0:
         raise DataError(
             "the track has no point within half a wheel's width of a wheel; it lies about x "

@@ -48,12 +48,13 @@ from lunarsci.twin.telemetry.filter import (
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
 LEVEL, LEVEL_SIGMA = -0.03, (0.15, 0.02)
-"""Deviation ahead on level ground: soils drawn from the default priors slip by 0.03 in the median, and 16 to 84 % by
--0.04 to 0.11. Its standard deviation is twice as wide, lest it draw the radius along, and that to the left; assumed."""
+"""Deviation ahead on level ground, as measured on soils drawn from the default priors: they slip by 0.03 in the median,
+and 16 to 84 % by -0.04 to 0.11. Its standard deviation is twice as wide, lest it draw the radius along, and that to
+the left."""
 EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02, 0.02)
 """Of the coefficients: slip grows about as the slope is steep, side slip about twice so, and a rover that steers turns
-about as its wheels say; assumed, as wide as soils drawn from the default priors differ (0.4 to 2.2, 0.8 to 5, -0.1 to
-0, and -0.01 to 0 in drives by the twin)."""
+about as its wheels say. As wide as measured on soils drawn from the default priors: 0.4 to 2.2, 0.8 to 5, -0.1 to 0,
+and -0.01 to 0 in drives by the twin."""
 SKID_SIGMA = (0.4, 0.2, 0.1)
 """Of the last three for a rover that steers by its sides' speeds: its tracks are up to twice as far apart as its
 wheels, and turn about places that lie off its axles (Mandow et al. 2007, 10.1109/IROS.2007.4399139). [-, m, m]"""
@@ -79,7 +80,7 @@ class Hypothesis:
     mean, sigma : their prior if it holds.
     ln_odds : beforehand.
     slide : which of `Nodes.slides` it concerns, -1 for none.
-    said : whether it is worth a word where it holds.
+    reported : whether it is worth a word where it holds.
     """
 
     name: str
@@ -88,7 +89,7 @@ class Hypothesis:
     mean: float = 0.0
     ln_odds: float = RARE
     slide: int = -1
-    said: bool = True
+    reported: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,13 +115,13 @@ class Priors:
         return cls(mean=mean, sigma=sigma)
 
     @classmethod
-    def of_drive(cls, nodes: Nodes, *, skids: bool, told_share: float = 1.0) -> "Priors":
+    def of_drive(cls, nodes: Nodes, *, skids: bool, obedience: float = 1.0) -> "Priors":
         """All of them.
 
         Parameters
         ----------
         skids : whether no wheel of the rover is steered.
-        told_share : rim speed measured over commanded, 1 where there is no command. What differs may be the encoders'.
+        obedience : rim speed measured over commanded, 1 where there is no command. What differs may be the encoders'.
         """
         plain = cls.plain(nodes)
         mean, sigma = plain.mean, plain.sigma
@@ -131,7 +132,7 @@ class Priors:
         sigma[SCALE], sigma[LEVER], sigma[[OFFSET, DRIFT]], sigma[LAG] = RIM_SIGMA, POINT_M, heading, CLOCK_S
         sigma[SLIDES:] = STANDS_M
         hypotheses = [
-            Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0], said=False),
+            Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0], reported=False),
             Hypothesis(name="constant side slip", members=(1,), sigma=MEAN_SIGMA[1]),
             Hypothesis(name="lever arm", members=(9, 10), sigma=ELSEWHERE_M),
             Hypothesis(name="heading drift", members=(DRIFT,), sigma=DRIFTS_RAD),
@@ -140,9 +141,9 @@ class Priors:
                 name="encoder scale",
                 members=(SCALE,),
                 sigma=RIM_SIGMA,
-                mean=-math.log(told_share),
+                mean=-math.log(obedience),
                 ln_odds=OFTEN,
-                said=abs(math.log(told_share)) > RIM_SIGMA,
+                reported=abs(math.log(obedience)) > RIM_SIGMA,
             ),
         ]
         for number in range(len(nodes.slides)):
@@ -200,10 +201,10 @@ def likely_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
     best = probable(held)
     while True:
         near = [np.where(np.arange(len(held)) == k, ~held, held) for k in range(len(held))]
-        found = [probable(one) for one in near]
-        if not found or max(found) <= best:
+        values = [probable(one) for one in near]
+        if not values or max(values) <= best:
             return [held, *near]
-        best, held = max(found), near[int(np.argmax(found))]
+        best, held = max(values), near[int(np.argmax(values))]
 
 
 def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Posterior]:
@@ -228,15 +229,16 @@ def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Post
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
-it, to much more where the ground is smooth. Assumed. [m]"""
+it, to much more where the ground is smooth. Twice as many, or twice as many of `AMPLITUDES`, move slips by 0.06 of
+their errors at most, as measured by `tests/benchmarks/telemetry_constants.py`. [m]"""
 AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
-"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m. Assumed."""
+"""Candidates for the changing parts of ahead and left, as measured; times `SHARES`, the last in 1/m."""
 SHARES = np.array([1.0, 1.0, 0.3])
 """How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
 LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
 """What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
-long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with stress
-integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
+long a way. As measured: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with
+stress integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
 UNKNOWN = 0.02
 """The same where the slopes are not known; assumed."""
 WIDTH = 1.7
@@ -328,11 +330,11 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
     sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
     if priors.hypotheses:
         usual = TriedProcesses(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
-        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), kept=False).squares[0])
+        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), every_node=False).squares[0])
 
     def likelihood(tried_a: FloatArray, tried_l: FloatArray, tried_w: FloatArray) -> FloatArray:
         assumed = TriedProcesses(amplitude=tried_a, length_m=tried_l, walk=tried_w)
-        run = filtered(Model.about(nodes, reference, assumed), kept=False)
+        run = filtered(Model.about(nodes, reference, assumed), every_node=False)
         return np.array([one.ln_likelihood for one in averaged(priors, run, sets)])
 
     ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
@@ -353,7 +355,8 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
         weights[channel] = _normed(prior[channel] + likelihood(tried_a, tried_l, np.full(len(ln_a), walk)))
         amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
         length[channel] = math.exp(weights[channel] @ ln_l)
-    spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
+    spread = np.sqrt([weight @ (ln_a - weight @ ln_a) ** 2 for weight in weights])
+    beside = np.maximum(weights, 1e-300) / [_normed(row) for row in prior]
     drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
     picked = np.column_stack(drawn[:3])
     return SlipProcess(
@@ -364,7 +367,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
         usual_length_m=length,
         usual_walk=walk,
         spread=spread,
-        information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
+        information=(weights * np.log(beside)).sum(axis=1),
     )
 
 
@@ -384,14 +387,6 @@ def _normed(ln_weight: FloatArray) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-def _spread(weight: FloatArray, values: FloatArray) -> float:
-    return math.sqrt(weight @ (values - weight @ values) ** 2)
-
-
-def _divergence(weight: FloatArray, believed: FloatArray) -> float:
-    return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
-
-
 def _drawn(weight: FloatArray, stride: int) -> IndexArray:
     """Candidates as often as they are probable, in an order of their own. (m,)"""
     levels = (np.arange(DRAWN) + 0.5) / DRAWN
@@ -400,7 +395,7 @@ def _drawn(weight: FloatArray, stride: int) -> IndexArray:
 
 
 FAR = 20.0
-"""Mahalanobis distance squared from which on a measurement is looked at alone; assumed: once in 22 000 by chance."""
+"""Mahalanobis distance squared from which on a measurement is looked at alone, once in 22 000 by chance; assumed."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 FREEDOM = 4.0
@@ -535,9 +530,9 @@ def _residuals(
 
 def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: ReferenceMotion) -> tuple[FloatArray, float]:
     """Constants (k,), and ln of how probable positions and headings are, up to a constant."""
-    run = filtered(Model.about(nodes, reference, change.middle), kept=False)
-    (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
-    return found.mean, found.ln_likelihood
+    run = filtered(Model.about(nodes, reference, change.middle), every_node=False)
+    (posterior,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    return posterior.mean, posterior.ln_likelihood
 
 
 def _round(
@@ -557,8 +552,8 @@ def _about(
     """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
     model = Model.about(nodes, reference, change.middle)
     run = smoothed_back(model, filtered(model))
-    (found,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
-    return *_joined(run, 0, found), found.mean
+    (posterior,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    return *_joined(run, 0, posterior), posterior.mean
 
 
 def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
@@ -585,11 +580,11 @@ def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) 
     return reference
 
 
-def _joined(run: FilterRun, number: int, found: Posterior) -> tuple[FloatArray, FloatArray]:
+def _joined(run: FilterRun, number: int, posterior: Posterior) -> tuple[FloatArray, FloatArray]:
     """State and constants together, and their covariance, for one of the assumptions."""
-    columns, size = run.columns[:, number], len(found.mean)
+    columns, size = run.columns[:, number], len(posterior.mean)
     onto = np.concatenate([columns[..., 1:], np.broadcast_to(np.eye(size), (len(columns), size, size))], axis=1)
-    state, covariance = onto @ found.mean, onto @ found.covariance @ np.swapaxes(onto, 1, 2)
+    state, covariance = onto @ posterior.mean, onto @ posterior.covariance @ np.swapaxes(onto, 1, 2)
     state[:, :SIZE] += columns[..., 0]
     covariance[:, :SIZE, :SIZE] += run.covariance[:, number]
     return state, covariance
@@ -607,8 +602,8 @@ def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatAr
     scale = max(1.0, float(np.median(squared)) / MEDIAN_OF_TWO)
     fix[fixed] = np.minimum(1.0, (FREEDOM + 2.0) / (FREEDOM + squared / scale)) / scale
     squared_yaw = (off[:, 2] ** 2 + spread[:, 2, 2]) / nodes.yaw_sigma_rad**2
-    known = np.isfinite(squared_yaw)
-    yaw[known] = np.minimum(1.0, (FREEDOM + 1.0) / (FREEDOM + squared_yaw[known]))
+    given = np.isfinite(squared_yaw)
+    yaw[given] = np.minimum(1.0, (FREEDOM + 1.0) / (FREEDOM + squared_yaw[given]))
     return fix, yaw
 
 
@@ -619,22 +614,22 @@ def _averaged(
     whole, every = SIZE + nodes.constants, change.all
     count, many = len(reference.state), len(every.walk)
     each = max(1, HELD_BYTES // (8 * SIZE * (SIZE + whole) * count))
-    sets = likely_sets(priors, filtered(Model.about(nodes, reference, change.middle), kept=False).squares[0])
-    means, covariance, found = np.zeros((many, count, whole)), np.zeros((count, whole, whole)), list[Posterior]()
+    sets = likely_sets(priors, filtered(Model.about(nodes, reference, change.middle), every_node=False).squares[0])
+    means, covariance, posteriors = np.zeros((many, count, whole)), np.zeros((count, whole, whole)), list[Posterior]()
     for first in range(0, many, each):
         some = slice(first, first + each)
         assumed = TriedProcesses(amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some])
         model = Model.about(nodes, reference, assumed)
         run = smoothed_back(model, filtered(model))
         for k, posterior in enumerate(averaged(priors, run, sets)):
-            means[first + k], own = _joined(run, k, posterior)
-            covariance += own
-            found.append(posterior)
+            means[first + k], of_one = _joined(run, k, posterior)
+            covariance += of_one
+            posteriors.append(posterior)
     mean = means.mean(axis=0)
     apart = means - mean
     covariance = (covariance + np.einsum("mni,mnj->nij", apart, apart)) / many
-    middle = np.mean([one.ln_likelihood for one in found])
-    held = np.mean([one.probable for one in found], axis=0)
+    middle = np.mean([one.ln_likelihood for one in posteriors])
+    held = np.mean([one.probable for one in posteriors], axis=0)
     weights = np.concatenate([reference.fix_weight, reference.yaw_weight])
     # Student's law is a normal one of an unknown scale, which has a prior of its own.
     ln_likelihood = float(middle + 0.5 * FREEDOM * (np.log(weights) - weights + 1.0).sum())
@@ -662,8 +657,8 @@ def _squared_distances(
         left = counted - spread[k, :2, :2]
         value, axes = np.linalg.eigh(left)
         inverse = axes @ np.diag(1.0 / np.maximum(value, 1e-6 * np.trace(errors))) @ axes.T
-        alone, known = counted @ inverse @ apart, counted @ inverse @ counted - counted
-        squared_distance[k] = float(alone @ np.linalg.solve(errors + known, alone))
+        alone, elsewhere = counted @ inverse @ apart, counted @ inverse @ counted - counted
+        squared_distance[k] = float(alone @ np.linalg.solve(errors + elsewhere, alone))
         chi_square += float(apart @ np.linalg.solve(counted, apart))
         count += float(np.trace(np.linalg.solve(counted, left)))
     return squared_distance, chi_square, max(round(count), 1)

@@ -17,19 +17,22 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import CLIFF, HOLE, LEFT, OVERTURNED
-from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.telemetry.checks import (
     FAST,
-    MOST_FAST,
+    HALT,
+    LEAST_ROW_M,
     WheelPace,
+    by_the_plan,
+    check_ends,
     check_pace,
     check_slips,
-    check_stands,
     ordered,
     steering_angles,
     time_gaps,
@@ -47,12 +50,18 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.odometry import body_twist, mean_speed, of_one_motion
-from lunarsci.twin.telemetry.plan_checks import HALT, by_the_plan, check_ends
-from lunarsci.twin.telemetry.positions import check_attitude, sway_m, usable_headings, usable_positions
-from lunarsci.twin.telemetry.reading import SHARED, Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.readings import as_meant, in_units
+from lunarsci.twin.telemetry.reading import SHARED, STILL, SURE, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.readings import (
+    as_meant,
+    check_attitude,
+    in_units,
+    sway_m,
+    usable_headings,
+    usable_positions,
+)
 from lunarsci.twin.telemetry.smoother import (
+    FAR,
+    FREEDOM,
     LATE_S,
     MEDIAN_OF_TWO,
     Hypothesis,
@@ -62,17 +71,20 @@ from lunarsci.twin.telemetry.smoother import (
     Smoothed,
     smooth,
 )
-from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
+from lunarsci.twin.telemetry.wheel_motion import (
+    ON_THE_SPOT,
+    WheelMotion,
+    body_twist,
+    mean_speed,
+    of_one_motion,
+    wheel_motion,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
-LEAST_ROW_M = 0.3
-"""Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
 UNEVEN = 0.2
 """Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
-ON_THE_SPOT = 0.1
-"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,7 +141,7 @@ def state_rows(
     """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL_SHARE * wheels.usual_m_s)
+    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, findings)
@@ -138,7 +150,8 @@ def state_rows(
     low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
     sound = ~np.isin(held.outcome[chosen], (LEFT, HOLE, OVERTURNED, CLIFF))
-    check_stands(sound, nodes.time_s[chosen], findings)
+    what, done = "the rover does not stand on the terrain there", "states there are left blank, not valid"
+    findings.of_rows("off the terrain", what, done, ~sound, nodes.time_s[chosen], doubt=True)
     slip[halted], side[halted] = 0.0, 0.0
     result = StateRows(
         node=chosen,
@@ -214,25 +227,21 @@ def _chosen(
     if not result:
         what = "the rover does not drive between positions; it stands, or turns on the spot"
         findings.add("no slip", what, "there are no states; its motion is given")
-    nodes_found = np.array(sorted({*result, *halts}), dtype=np.intp)
-    return nodes_found, np.isin(nodes_found, halts)
+    chosen = np.array(sorted({*result, *halts}), dtype=np.intp)
+    return chosen, np.isin(chosen, halts)
 
 
 HELD = 0.5
 """Probability from which on a hypothesis is said: it is more probable than not."""
-SURE = 3.0
-"""Standard errors by which a rover must go too far for it to be sure; assumed."""
-HARDLY = 0.25
-"""Weight below which, beside the best one, a position or a heading is said to be left out; assumed. By Student's law it
-is then 4.5 standard errors off."""
+HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
+"""Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
 MOST_JUMPS = 8
 """Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
-WORST_SCATTER = 4.0
-"""Median square of what positions are off by over that of their errors beyond which it is said; assumed."""
 LEAST_SCATTER, FINEST_M = 0.05, 5e-4
-"""The same, and a standard error [m], below which errors of positions are not believed; assumed."""
+"""Median square of what positions are off by over that of their errors, and a standard error [m], below which their
+errors are not believed; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,13 +267,13 @@ class Lag:
         return cls(lag_s=put_back_s + float(posterior.mean[LAG]), sigma_s=sigma, probable=probable)
 
     @property
-    def found(self) -> bool:
+    def likely(self) -> bool:
         """Whether a lag is more probable than none."""
         return self.probable > HELD
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""
-        return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.found}
+        return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.likely}
 
 
 def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
@@ -301,7 +310,7 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, fi
     }
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
         probable = lag.probable if one.name == "lag" else probable
-        if probable <= HELD or not one.said:
+        if probable <= HELD or not one.reported:
             continue
         if one.slide < 0:
             what, done = text[one.name]
@@ -351,13 +360,21 @@ def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
 
 
 def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say positions and headings that hardly count."""
-    known = np.isfinite(nodes.yaw_rad)
-    odd = known & (smoothed.yaw_weight < HARDLY)
-    if odd.any():
-        many, first = odd.sum() > MOST_LEFT_OUT * known.sum(), float(nodes.time_s[int(np.argmax(odd))])
-        what = f"{odd.sum()} of {known.sum()} headings fit no motion of the wheels"
-        findings.add("odd heading", what, "they hardly count", count=int(odd.sum()), time_s=first, doubt=bool(many))
+    """Say positions and headings that hardly count, and errors that nobody can believe."""
+    given = np.isfinite(nodes.yaw_rad)
+    odd = given & (smoothed.yaw_weight < HARDLY)
+    many = bool(odd.sum() > MOST_LEFT_OUT * given.sum())
+    what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
+    findings.of_rows("odd heading", what, "they hardly count", odd, nodes.time_s, doubt=many)
+    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[nodes.fixed], axis1=1, axis2=2) / 2.0)))
+    if sigma < FINEST_M:
+        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
+        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
+    # What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
+    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
+    if scatter < LEAST_SCATTER and sigma >= FINEST_M and nodes.chain is None and nodes.fixed.sum() > 5:
+        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
+        findings.add("errors too large", what, "kept; are they in another unit?")
     left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return
@@ -368,25 +385,6 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
         done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
     doubt = "last" in ends or len(left) > MOST_LEFT_OUT * len(fixes)
     findings.add("position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt)
-
-
-def say_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say errors of positions that nobody can believe, and a scatter that they do not explain.
-
-    What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
-    """
-    fixed = nodes.fixed
-    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
-    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
-    if sigma < FINEST_M:
-        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
-        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    elif scatter < LEAST_SCATTER and nodes.chain is None and fixed.sum() > 5:
-        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
-        findings.add("errors too large", what, "kept; are they in another unit?")
-    if scatter > WORST_SCATTER:
-        what = f"positions scatter about the motion with {math.sqrt(scatter):.1f} times the errors that they say"
-        findings.add("positions scatter", what, "their errors are taken to be so much larger")
 
 
 def counted_positions(
@@ -491,16 +489,16 @@ def states_of(
     if plan is not None and schedule is not None:
         check_ends(meant, schedule, longer_s, findings)
         pace = check_pace(sent.wheels.rim_m_s, sent.wheels.measured, meant, rover, plan, findings)
-    found = _along_the_ground(sent, rover, terrain, schedule, lag_s, findings)
-    return dataclasses.replace(found, pace=pace)
+    return dataclasses.replace(_along_the_ground(sent, rover, terrain, schedule, lag_s, findings), pace=pace)
 
 
 def _turned(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, gaps, findings)
-    angle, known = steering_angles(telemetry, rover, findings)
-    wheels, steering = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1]), np.radians(angle)
+    angle, steered = steering_angles(telemetry, rover, findings)
+    wheels = replace(wheels, trusted=wheels.trusted & steered[1:] & steered[:-1])
+    steering = np.radians(angle)
     middle, steps = 0.5 * (steering[1:] + steering[:-1]), np.diff(telemetry.time_s)
     return Rows(telemetry, of_one_motion(wheels, rover, middle, steps, findings), steering, gaps)
 
@@ -516,20 +514,20 @@ def _along_the_ground(
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     times = sent.telemetry.time_s
     between = np.column_stack([times[:-1][sent.gaps], times[1:][sent.gaps]])
-    found = _first_motion(sent, rover, schedule, lag_s)
-    if far_s := lag_of_turns(found.nodes):
+    begun = _first_motion(sent, rover, schedule, lag_s)
+    if far_s := lag_of_turns(begun.nodes):
         # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
         common = within(sent, far_s)
         late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))
         gain = late.smoothed.posterior.ln_likelihood - none.smoothed.posterior.ln_likelihood
         if gain > 0.5 * (far_s / LATE_S) ** 2:
-            found = _first_motion(sent, rover, schedule, lag_s + far_s)
+            begun = _first_motion(sent, rover, schedule, lag_s + far_s)
     for _ in range(MOST_LAGS):
-        if abs(left := float(found.smoothed.posterior.mean[LAG])) < LINEAR_S:
+        if abs(left := float(begun.smoothed.posterior.mean[LAG])) < LINEAR_S:
             break
-        found = _first_motion(sent, rover, schedule, found.lag_s + left)
-    bare, rows, first, priors = found.nodes, found.rows, found.smoothed, found.priors
-    dense, wheels, steering, gaps = found.sent
+        begun = _first_motion(sent, rover, schedule, begun.lag_s + left)
+    bare, rows, first, priors = begun.nodes, begun.rows, begun.smoothed, begun.priors
+    dense, wheels, steering, gaps = begun.sent
     if (tried := shifted(first, bare)).jumps:
         bare, priors = tried, _priors_of(tried, rover, wheels)
         first = smooth(bare, SlipProcess.coarse(), priors, first.reference.widened(bare))
@@ -540,10 +538,9 @@ def _along_the_ground(
     smoothed = smooth(nodes, None, priors, first.reference)
     motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
-    lag = Lag.of(smoothed.posterior, priors, found.lag_s - lag_s)
+    lag = Lag.of(smoothed.posterior, priors, begun.lag_s - lag_s)
     say_constants(smoothed, nodes, priors, lag, findings)
     say_left_out(smoothed, nodes, findings)
-    say_scatter(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
     left_out = left_out_of(smoothed, bare)
     return DriveStates(
@@ -583,7 +580,7 @@ def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: fl
 
 
 def _priors_of(nodes: Nodes, rover: Rover, wheels: WheelMotion) -> Priors:
-    return Priors.of_drive(nodes, skids=not rover.steered_mask.any(), told_share=wheels.told_share)
+    return Priors.of_drive(nodes, skids=not rover.steered_mask.any(), obedience=wheels.obedience)
 
 
 def _way(rover: Rover, sent: Rows, schedule: Schedule | None) -> tuple[FloatArray, FloatArray]:
@@ -625,13 +622,9 @@ def wheel_table(drive: DriveStates) -> "pd.DataFrame":
         columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
     columns["slip_ratio_shared"] = rows.slip_ratio_shared.ravel()
     columns["valid"] = rows.valid.ravel()
-    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive, _learned(drive))
-
-
-def _learned(drive: DriveStates) -> tuple[str, ...]:
-    """Kinds of findings that leave the states right, and not a soil learned from them with the plan."""
-    many = drive.rows.fast.sum() > MOST_FAST * drive.rows.measured.sum()
-    return (HALT, FAST) if many else (HALT,)
+    # What leaves the states right, and not a soil learned from them with the plan.
+    kinds = (HALT, FAST) if rows.fast.sum() > MOST_BEYOND * rows.measured.sum() else (HALT,)
+    return _named(pd.DataFrame(columns).assign(slip_basis=BASIS, rim_m_s=rows.rim_m_s.ravel()), drive, kinds)
 
 
 def _named(table: "pd.DataFrame", drive: DriveStates, kinds: tuple[str, ...] = ()) -> "pd.DataFrame":
