@@ -52,7 +52,7 @@ QUICK = {
     "mgm": "covariance lanes",
     "abundance": "hapke known_modes",
     "chemistry": "bands",
-    "cubes": "regions",
+    "cubes": "rasters regions",
     "vnis": "channels detector observation splice",
     "simulation": "instrument",
     "origin": "catalogue composition ejecta exposure likelihood match mineral_map prior rock sphere",

@@ -156,7 +156,7 @@ _PLACE = """\
     latitude unit="deg": {:.6f}"""
 _POSITION = """\
    {}
-    reference_frame: LANDING_SITE_COORDINATE_SYSTEM
+    reference_frame: LANDER_COORDINATE_SYSTEM
     x unit="m": {:.6f}
     y unit="m": {:.6f}
     z unit="m": {:.6f}"""
