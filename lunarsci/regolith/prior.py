@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -54,8 +53,9 @@ DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
 SIGNIFICANCE = 1e-3
 """Chance below which a scatter, a residual or a trend counts as none; assumed, one for all tests of wheel states."""
-STRANGE, NINETY_FIVE = NormalDist().inv_cdf(1.0 - 0.5 * SIGNIFICANCE), 1.959964
-"""Widths of the prior beyond which no parameter lies, and half of those that hold 95 %. [standard deviations]"""
+STRANGE, NINETY_FIVE = 3.290527, 1.959964
+"""Widths of the prior beyond which no parameter lies, of a normal law to either side by a chance of `SIGNIFICANCE`, and
+half of those that hold 95 %. [standard deviations]"""
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 
