@@ -30,6 +30,7 @@ SETTINGS = {
         "regolith/inference/verdict.py: UNITS", "images/rig_files.py: CORNER_PX",
         "spectra/abundance/mixing.py: UNIT_NM", "spectra/abundance/end_members.py: LOWEST_NM, HIGHEST_NM",
         "spectra/origin/composition.py: ABOVE_0", "spectra/origin/prior.py: BELOW_1",
+        "spectra/mgm/selection.py: COARSE_NM",
         "spectra/chemistry/plane.py: _NM_PER_UNIT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
         "spectra/mgm/fit_file.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",
