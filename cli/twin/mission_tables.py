@@ -1,8 +1,8 @@
 """A planned mission for people: its targets, and its legs."""
 
-from lunarsci.twin.jobs.planned_mission import PlannedMission
+from lunarsci.twin.jobs.plan import PlannedMission
 from lunarsci.twin.judgement.keeping import least_of_95
-from lunarsci.twin.mission.legs import MissionLeg
+from lunarsci.twin.mission.mission import MissionLeg
 
 from ..shared.table import TextTable
 

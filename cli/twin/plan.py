@@ -11,8 +11,8 @@ from lunarsci.heights.projections import lonlat_of
 from lunarsci.twin.choice.choice import DriveCandidate
 from lunarsci.twin.jobs import plan as job
 from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+from lunarsci.twin.jobs.plan import PlannedMission
 from lunarsci.twin.jobs.plan_request import PlanRequest
-from lunarsci.twin.jobs.planned_mission import PlannedMission
 from lunarsci.twin.jobs.terrain import TerrainSurvey
 from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.routes.planner import PlannedPath

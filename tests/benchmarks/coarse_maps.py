@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.ground.terrain import Terrain, write_terrain
 from lunarsci.twin.jobs.predict import predict
 from lunarsci.twin.plans.plan import Leg, Plan
 

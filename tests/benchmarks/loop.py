@@ -48,8 +48,7 @@ from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.keeping import extremes
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import QUANTITIES, Limit, own_limits
-from lunarsci.twin.plans.plan import Plan, read_plan
+from lunarsci.twin.plans.plan import QUANTITIES, Limit, Plan, own_limits, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import way_matrix, with_discrepancy
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict

@@ -33,7 +33,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.belief import first_belief
 from lunarsci.result import Result
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.ground.terrain import write_terrain
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover

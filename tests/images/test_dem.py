@@ -35,7 +35,7 @@ from lunarsci.images.pictures import png_bytes, read_picture
 from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.terrain import terrain_bytes
 
 
 def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:

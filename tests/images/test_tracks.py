@@ -23,7 +23,7 @@ from lunarsci.images.tracks import (
     track_depths,
 )
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain import read_terrain
 
 LINE = np.array([[0.3, 1.2], [1.4, 1.2]])
 CAMERA = (-1.8, 1.2, 1.5)

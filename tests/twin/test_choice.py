@@ -13,12 +13,11 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.choice.chances import verdicts
 from lunarsci.twin.choice.choice import DriveChoice, choose, ranked
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
-from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.keeping import Chance, least_drives
 from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.plans.limits import AT_LEAST, Limit
-from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 

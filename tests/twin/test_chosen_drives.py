@@ -8,8 +8,8 @@ from chosen_drives import Proposal, judged, over_cost_map, report, shortest
 from cost_map import cost_map_legs
 from errands import Errand, errand, kept, other_truths
 
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import predict
 
 

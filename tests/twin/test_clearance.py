@@ -10,7 +10,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import read_rover
 from lunarsci.twin.judgement.quantities import clearance, clearance_of_poses, with_middles
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.rover import Body, Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 

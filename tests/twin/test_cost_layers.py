@@ -12,10 +12,8 @@ import lunarsci
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.cost_layers import parse_classes, read_cost_layer
-from lunarsci.twin.ground.keep_out import read_keep_outs
-from lunarsci.twin.ground.terrain import build_terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.ground.hazards import parse_classes, read_cost_layer, read_keep_outs
+from lunarsci.twin.ground.terrain import build_terrain, write_terrain
 from lunarsci.twin.plans.path import planned_pose
 
 AXIS = np.arange(-10.0, 10.05, 0.1)

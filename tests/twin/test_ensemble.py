@@ -16,8 +16,7 @@ from lunarsci.twin.judgement.keeping import extremes, least_of_95
 from lunarsci.twin.judgement.quantities import tilt_deg
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import parse_sweep, read_plan
+from lunarsci.twin.plans.plan import Limit, parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, Prediction, member_parameters, predict
 

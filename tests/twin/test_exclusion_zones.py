@@ -10,8 +10,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
 from lunarsci.twin.judgement.quantities import exclusion_distance
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import ExclusionZone, read_plan
+from lunarsci.twin.plans.plan import ExclusionZone, Limit, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 

@@ -16,8 +16,7 @@ from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.finer_ground import driven_ground, patch
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales, read_mobility
-from lunarsci.twin.ground.terrain import build_terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.ground.terrain import build_terrain, write_terrain
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.rover import build_rover
 

@@ -17,8 +17,8 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.loads.load_ensemble import AlternatingEstimate, Round, alternate, verdict_of
 from lunarsci.twin.loads.prescribed_motion import FORCE_COLUMNS, PoseStates, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, drawn_motions
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 

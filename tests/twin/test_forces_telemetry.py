@@ -24,8 +24,8 @@ from lunarsci.twin.loads.prescribed_motion import (
     residual_wrench,
 )
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 

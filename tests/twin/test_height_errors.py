@@ -11,8 +11,7 @@ import lunarsci
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, likely_ground, relief_of
-from lunarsci.twin.ground.terrain import Terrain, build_terrain, height_of
-from lunarsci.twin.ground.terrain_files import read_terrain_file, terrain_bytes
+from lunarsci.twin.ground.terrain import Terrain, build_terrain, height_of, read_terrain_file, terrain_bytes
 from lunarsci.twin.jobs.terrain import terrain
 from lunarsci.twin.judgement.terrain_share import likely_drives, terrain_shares
 from lunarsci.twin.plans.plan import Leg, Plan

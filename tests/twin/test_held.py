@@ -12,8 +12,8 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, _velocities, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, read_motion
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 

@@ -10,11 +10,10 @@ import pytest
 import lunarsci
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.twin.ground.keep_out import ExclusionZone, near_way, read_keep_outs
+from lunarsci.twin.ground.hazards import ExclusionZone, near_way, read_keep_outs
 from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.jobs.terrain import terrain
-from lunarsci.twin.plans.plan import Leg, Plan, parse_plan
-from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.plans.plan import Leg, Plan, parse_plan, plan_text
 
 PLAN = Plan(name="ahead", legs=(Leg(2.0, 0.0),), speed_m_s=0.05)
 

@@ -11,7 +11,7 @@ import pytest
 from lunarsci.errors import LunarSciWarning
 from lunarsci.images.elevation import read_elevation
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain import read_terrain
 
 SPACING = 0.5
 READERS: dict[str, Callable[[Path], Any]] = {

@@ -16,9 +16,9 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import check_plan
+from lunarsci.twin.routes.arc_search import search_ground
 from lunarsci.twin.routes.long_way import Strip, _no_way, _strip, long_way, way_over_nodes
 from lunarsci.twin.routes.planner import PlannedPath
-from lunarsci.twin.routes.search_ground import search_ground
 from lunarsci.twin.rover import build_rover
 
 SPACING = 2.0

@@ -8,13 +8,20 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.twin.electrics import Motors, PowerSupply
 from lunarsci.twin.judgement.keeping import kept
-from lunarsci.twin.mission.legs import DrivenMission, drive_mission, first_leg
-from lunarsci.twin.mission.mission import CommWindow, Mission, MissionStart, MissionTarget, read_mission
+from lunarsci.twin.mission.mission import (
+    CommWindow,
+    DrivenMission,
+    Mission,
+    MissionStart,
+    MissionTarget,
+    drive_mission,
+    first_leg,
+    read_mission,
+)
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
-from lunarsci.twin.plans.schedule import make_schedule
-from lunarsci.twin.rover import Rover
+from lunarsci.twin.rover import Motors, PowerSupply, Rover
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 MEMBERS = 400

@@ -12,8 +12,8 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.lanes import OUTCOMES
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.simulation.members import drive

@@ -14,12 +14,20 @@ from lunarsci.twin.assimilation.residuals import DriveBias, DriveResiduals
 from lunarsci.twin.comparison.forecast import forecast_of, match_observations, miss_of, taught
 from lunarsci.twin.judgement.endpoint import endpoint_spread
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import ExclusionZone, Fixes, Leg, Plan, parse_sweep
+from lunarsci.twin.plans.plan import ExclusionZone, Fixes, Leg, Limit, Plan, parse_sweep
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
+from lunarsci.twin.simulation.discrepancy import (
+    ALIKE_M,
+    ALWAYS,
+    TURNS,
+    exposed,
+    exposed_turns,
+    turn_matrix,
+    turned_places,
+    way_matrix,
+    with_discrepancy,
+)
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.simulation.turn_discrepancy import TURNS, exposed_turns, turn_matrix, turned_places
 
 LINE = np.column_stack([np.linspace(0.0, 40.0, 401), np.zeros(401)])
 

@@ -10,9 +10,8 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciError, ParameterError
 from lunarsci.rovers import RoverDescription, read_rover
-from lunarsci.twin.plans.path import curvature_at
+from lunarsci.twin.plans.path import curvature_at, make_schedule
 from lunarsci.twin.plans.plan import Leg, check_plan, parse_sweep, read_plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
 
 

@@ -18,8 +18,7 @@ from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, ma
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.path import arc_end, planned_pose
-from lunarsci.twin.plans.plan import Leg, Plan, check_plan, parse_sweep, read_plan
-from lunarsci.twin.plans.plan_files import plan_text, write_plan
+from lunarsci.twin.plans.plan import Leg, Plan, check_plan, parse_sweep, plan_text, read_plan, write_plan
 from lunarsci.twin.routes.arc_search import close_on_point, close_on_pose
 from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path, share_on
 from lunarsci.twin.rover import Rover, build_rover

@@ -10,8 +10,8 @@ import pytest
 from lunarsci.regolith.prior import Law
 from lunarsci.regolith.questions import SLIPS, question
 from lunarsci.regolith.soil import known_soils
+from lunarsci.twin.ground.finer_ground import terrain_questions
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
-from lunarsci.twin.ground.unresolved import terrain_questions
 from lunarsci.twin.jobs.predict import predict
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover, rover_questions

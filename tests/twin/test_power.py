@@ -11,15 +11,13 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
 from lunarsci.twin.choice.chances import verdicts
 from lunarsci.twin.designs.trade import mission_outcome
-from lunarsci.twin.electrics import Motors, PowerSupply
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.judgement.energy import energy_use, power_record, power_use
 from lunarsci.twin.judgement.keeping import extremes, kept, limited, limits_judged
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import Leg, Plan, check_plan, parse_sweep
-from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.plans.plan import Leg, Limit, Plan, check_plan, parse_sweep
+from lunarsci.twin.rover import Motors, PowerSupply, Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, PowerState, Prediction, predict
 
 MOTORS = Motors(stall_torque_nm=20.0, continuous_torque_nm=8.0, no_load_rate_rad_s=1.0, efficiency=0.5, idle_w=0.0)

@@ -11,8 +11,7 @@ from lunarsci.twin.figures.prediction import box_pages, grouped, path_fan, profi
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import path_table, profile_table, state_table
-from lunarsci.twin.plans.limits import Limit, own_limits
-from lunarsci.twin.plans.plan import ExclusionZone
+from lunarsci.twin.plans.plan import ExclusionZone, Limit, own_limits
 from lunarsci.twin.simulation.ensemble import Prediction
 
 

@@ -10,8 +10,8 @@ from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 

@@ -17,8 +17,7 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
-from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.terrain import Terrain, build_terrain, terrain_bytes
 from lunarsci.twin.jobs.predict import predict as predict_job
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

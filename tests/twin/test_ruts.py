@@ -12,8 +12,7 @@ from lunarsci.regolith.wheel import Wheel
 from lunarsci.twin.lanes import GROUP, WHEEL, new_work
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.simulation.ruts import (
+from lunarsci.twin.simulation.contact import (
     RISE_N_M4,
     SPACING_M,
     depth_at,
@@ -24,6 +23,7 @@ from lunarsci.twin.simulation.ruts import (
     still_deep,
     with_ruts,
 )
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 STRAIGHT = Plan(name="straight", speed_m_s=0.05, legs=(Leg(3.0),), sweep=())
 

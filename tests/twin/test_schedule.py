@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.lanes import BODY, new_work
-from lunarsci.twin.plans.path import CREEP, wheel_commands
-from lunarsci.twin.plans.plan import Fixes, Leg, Plan
-from lunarsci.twin.plans.schedule import (
+from lunarsci.twin.plans.path import (
+    CREEP,
     EASE_S,
     STEERING_RAD_S,
     _poses,
@@ -17,7 +16,9 @@ from lunarsci.twin.plans.schedule import (
     make_schedule,
     run_commands,
     start_motion,
+    wheel_commands,
 )
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 

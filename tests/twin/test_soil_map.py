@@ -14,10 +14,8 @@ from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.figures.maps import soil_pages
-from lunarsci.twin.ground.soil_layers import drawn_grounds, soil_layers
-from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
-from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain
-from lunarsci.twin.ground.terrain_files import read_terrain, terrain_bytes
+from lunarsci.twin.ground.soil_map import SoilMap, Zone, drawn_grounds, read_soil_map, soil_layers, soil_map_bytes
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, read_terrain, terrain_bytes
 from lunarsci.twin.judgement.endpoint import step_error_m
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

@@ -10,8 +10,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import FitVerdict, first_belief, verdict_line
 from lunarsci.twin.ground.driven_soil import read_soil_samples
-from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
-from lunarsci.twin.jobs.soils import Soils
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.plans.plan import Sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict

@@ -18,12 +18,13 @@ from lunarsci.twin.ground.terrain import (
     build_terrain,
     lay_soil,
     read_ground,
+    read_terrain,
     soil_override,
+    write_terrain,
 )
-from lunarsci.twin.ground.terrain_files import read_terrain, write_terrain
 from lunarsci.twin.lanes import FINISHED, GROUP, HOLE, LEFT, WHEEL, new_work
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import read_plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import build_rover
 
 NOTHING = np.full(8, np.nan)

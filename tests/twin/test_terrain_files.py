@@ -9,8 +9,8 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestE
 from lunarsci.heights.units import HeightUnit
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility
-from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, read_terrain, write_terrain
+from lunarsci.twin.ground.hazards import assess, ground_maps, maps_bytes, maps_geotiff, read_mobility
+from lunarsci.twin.ground.terrain import read_terrain, write_terrain
 from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
 from lunarsci.twin.jobs.plan import plan as find_path
 from lunarsci.twin.jobs.terrain import terrain

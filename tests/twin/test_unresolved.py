@@ -10,19 +10,17 @@ from scipy.interpolate import CubicSpline
 
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.twin.ground.height_errors import fractal_power
-from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
-from lunarsci.twin.ground.unresolved import (
+from lunarsci.twin.ground.finer_ground import (
     lunar_relief,
     relief_of_kind,
     roughness_of_map,
     unresolved_grain,
     with_unresolved,
 )
+from lunarsci.twin.ground.height_errors import fractal_power
+from lunarsci.twin.ground.terrain import Terrain, build_terrain, write_terrain
 from lunarsci.twin.jobs.predict import predict
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.plan import Leg, Limit, Plan
 
 WHEEL = read_wheel("yutu2")
 PLACES = np.array([[0.0, 0.0], [6.0, 0.0]])

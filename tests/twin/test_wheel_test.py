@@ -9,9 +9,8 @@ import quasi_static
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.plans.plan import Fixes, Leg, Plan, WheelTest, check_plan, parse_plan
-from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.plans.schedule import all_commands, commanded_ratios, make_schedule, run_commands
+from lunarsci.twin.plans.path import all_commands, commanded_ratios, make_schedule, run_commands
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan, WheelTest, check_plan, parse_plan, plan_text
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 

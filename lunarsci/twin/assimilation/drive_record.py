@@ -18,7 +18,7 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions

@@ -8,7 +8,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.keeping import CONFIDENCE, Chance, broken, limited, limits_judged
-from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.ensemble import Prediction
 
 UNFINISHED = "unfinished"

@@ -10,8 +10,8 @@ from lunarsci.twin.choice.chances import Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import Chance, extremes, least_drives, least_of_95
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
 
 Progress = Callable[[int, int], None]

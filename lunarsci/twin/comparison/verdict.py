@@ -39,7 +39,7 @@ from lunarsci.twin.comparison.scores import (
     standing,
     worst_of,
 )
-from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import DEEPEST, VALID_SLIP
 
 STEPS, MODES = 6, 3
 """Places where the smooth course may step, ends included, and shapes that the members' differences give it."""

@@ -16,8 +16,7 @@ from lunarsci.twin.assimilation.segments import SoilChange
 from lunarsci.twin.assimilation.update import SoilUpdate
 from lunarsci.twin.figures.panels import GOLD, LABELS
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.ground.soil_layers import SoilLayers
-from lunarsci.twin.ground.soil_map import SoilMap
+from lunarsci.twin.ground.soil_map import SoilLayers, SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath

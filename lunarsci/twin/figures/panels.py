@@ -11,7 +11,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import spread
-from lunarsci.twin.plans.limits import AT_LEAST
+from lunarsci.twin.plans.plan import AT_LEAST
 from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
-"""Which soil is driven on: what was asked for, the terrain's, a common one, or one for each member from a table."""
+"""Which soil is driven on: what was given as the soil of drives, what the terrain has, and samples for each drive."""
 
-from collections.abc import Iterable
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -8,17 +9,20 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, RequestError
+from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
-from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si, soil_override
-from lunarsci.twin.ground.terrain_files import TerrainFile
+from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
+from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior
+from lunarsci.regolith.soil import Soil, known_soils
+from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
+from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, TerrainFile, from_si, soil_override
 
 if TYPE_CHECKING:
     import pandas as pd
-
 
 Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", "map"]
 
@@ -126,3 +130,132 @@ def _rows(count: int, members: int | None, seed: int) -> IntArray:
     if members > count:
         raise DataError(f"{count} soils for {members} members; give at most {count}")
     return np.sort(np.random.default_rng(seed).choice(count, members, replace=False))
+
+
+PRIORS = "priors"
+"""Name of what is believed of the soil before any drive."""
+DEFAULT_SOIL = "longji"
+"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenSoil:
+    """What was given as the soil: a soil that lies everywhere, and a file that has one for each drive.
+
+    Attributes
+    ----------
+    named : a soil's name, or its TOML file; None where none was given.
+    file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
+    belief, soil_map : what it holds.
+    """
+
+    named: str | None = None
+    file: InputFile | None = None
+    of: Literal["none", "belief", "map", "samples"] = "none"
+    belief: SoilBelief | None = None
+    soil_map: SoilMap | None = None
+
+    @classmethod
+    def read(cls, soil: str | Sequence[str] | None) -> "GivenSoil":
+        """Read names and files, each taken for what is in it.
+
+        Raises RequestError where one of them leaves no room for another, DataError for a file that is no soil.
+        """
+        found = cls()
+        for name in (soil,) if isinstance(soil, str) else soil or ():
+            found = found._with(name)
+        if found.named is not None and found.of in ("belief", "map"):
+            raise RequestError(no_use(found.named, found.name))
+        return found
+
+    def _of_laws(self, file: InputFile, laws: Mapping[str, Law]) -> "GivenSoil":
+        """With the belief before any drive by these laws."""
+        if self.file is not None:
+            raise RequestError(f"{self.name} and {file.name} as `soil` are two ways to name the soils; give one")
+        return replace(self, file=file, of="belief", belief=first_belief(laws))
+
+    @property
+    def name(self) -> str:
+        """Of the file with soils for the drives; '' where there is none."""
+        return "" if self.file is None else self.file.name
+
+    @property
+    def verdict(self) -> FitVerdict | None:
+        """Of the fit that the soils come from, None where they come from none. Raises DataError."""
+        if self.belief is not None:
+            return self.belief.verdict
+        return read_verdict(self.file) if self.file is not None and self.of == "samples" else None
+
+    @property
+    def one_soil(self) -> bool:
+        """Whether all drives have one soil."""
+        return self.file is None
+
+    def _with(self, name: str) -> "GivenSoil":
+        if name == PRIORS:
+            name_only = InputFile(PRIORS, first_belief().to_json().encode())
+            return self._of_laws(name_only, default_prior())
+        file = None if _is_name(name) else read_input(name)
+        if file is not None and _is_prior(file):
+            return self._of_laws(file, read_prior(file))
+        is_json = file is not None and (file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"))
+        if file is None or (not is_json and _is_toml(file)):
+            if self.named is not None:
+                raise RequestError(f"{self.named} and {name} as `soil` are two ways to name the soil; give one")
+            return replace(self, named=name)
+        if self.file is not None:
+            raise RequestError(f"{self.name} and {name} as `soil` are two ways to name the soils; give one")
+        if not is_json:
+            return replace(self, file=file, of="samples")
+        if MAP_SCHEMA.encode() in file.data:
+            return replace(self, file=file, of="map", soil_map=read_soil_map(file))
+        return replace(self, file=file, of="belief", belief=read_belief(file))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the result: the drives that a belief rests on, and those of them that taught it something."""
+        if self.belief is None:
+            return {}
+        return {"belief": self.name, "drives": len(self.belief.history), "learned_from": self.learned}
+
+    @property
+    def learned(self) -> int:
+        """Drives that the belief rests on, without those from which nothing was learned."""
+        return sum(not entry.get("refused") for entry in self.belief.history) if self.belief else 0
+
+
+def doubt_of(name: str, belief: SoilBelief | None) -> str:
+    """Why predictions from a belief of that name are doubtful; empty where they are not."""
+    return f"the belief {name} is doubtful: {belief.doubt}" if belief is not None and belief.doubt else ""
+
+
+def caution_of(name: str, belief: SoilBelief | None) -> str:
+    """What to know of a belief of that name that is no doubt; empty where there is nothing."""
+    return f"the belief {name} was learned with a warning: {belief.caution}" if belief and belief.caution else ""
+
+
+def _is_name(name: str) -> bool:
+    """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
+    return name in known_soils() or not (
+        name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
+    )
+
+
+def _is_prior(file: InputFile) -> bool:
+    """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
+    try:
+        found = toml_document(file.data.decode("utf-8")) if _is_toml(file) else {}
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+    return any(isinstance(found.get(name), dict) for name in PARAMETERS)
+
+
+def _is_toml(file: InputFile) -> bool:
+    """By the first line that is no comment: a key and its value, or a table's header."""
+    lines = (line.strip() for line in file.data.decode("utf-8", "replace").splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    return "=" in first or first.startswith("[")
+
+
+def no_use(soil: str, other: str) -> str:
+    """Why a soil that no drive meets is refused."""
+    return f"`soil` {soil} has no use beside {other}, which has every parameter of the soil; leave it out"

@@ -1,8 +1,10 @@
-"""Maps of a terrain as a rover meets it: slope, roughness and step height, and where it may drive."""
+"""Where a rover may drive: slope, roughness and step height of a terrain, circles to keep out of, layers of costs."""
 
+import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +13,262 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.heights.grid import HeightGrid
+from lunarsci.heights.grids import geotiff_bytes, read_grid
+from lunarsci.heights.projections import MapProjection, projection_of
+from lunarsci.io.inputs import InputFile, read_json
 from lunarsci.names import one_of
 from lunarsci.rovers import RoverDescription
-from lunarsci.twin.ground.cost_layers import CostLayer
-from lunarsci.twin.ground.keep_out import Zones, within
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
+
+ROUND = 0.6
+"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
+FINEST = 64
+"""Squares along the longer side of a polygon, at most, that circles stand for."""
+NEAR_M = 3.0
+"""Circles farther from a way than this, and a rover, are of no account for it; assumed. [m]"""
+
+
+FARTHEST_M = 1.1e7
+"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
+
+
+@dataclass(frozen=True, slots=True)
+class ExclusionZone:
+    """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
+
+    name: str
+    x_m: float
+    y_m: float
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
+            raise ParameterError(f"keep_out '{self.name}' needs finite x_m and y_m")
+        if not 0 < self.radius_m < math.inf:
+            raise ParameterError(f"keep_out '{self.name}' has radius_m {self.radius_m}; give a radius above 0 m")
+
+
+Zones = tuple[ExclusionZone, ...]
+
+
+def read_keep_outs(source: InputFile, crs: str = "") -> Zones:
+    """Circles of a GeoJSON file, in the coordinates of the terrain, in m.
+
+    Coordinates are those of the terrain. Where this has a coordinate system (`crs`, well-known text) they are longitude
+    and latitude on its body, as RFC 7946 has them, unless the file has a member `crs`.
+
+    A feature with `x_m`, `y_m` and `keepout_m`, as `images rocks` writes it, is that circle; a point needs
+    `keepout_m` or `radius_m`. A round polygon is the circle about it, another one is covered with circles. Raises
+    DataError.
+    """
+    return read_json(source, "a GeoJSON file of ground to keep out of", lambda document: _zones(document, crs))
+
+
+def _zones(document: Any, crs: str) -> Zones:
+    features = document.get("features") if isinstance(document, Mapping) else None
+    if not isinstance(features, Sequence) or isinstance(features, str):
+        raise ParameterError("no FeatureCollection; `lunarsci images rocks -o rocks.geojson` writes one")
+    projection = MapProjection(crs) if crs and "crs" not in document else None
+    return tuple(zone for number, feature in enumerate(features, 1) for zone in _zones_of(feature, number, projection))
+
+
+def _on_map(coordinates: Any, projection: MapProjection | None) -> FloatArray:
+    """Places (n, 2) in m, from such or from longitude and latitude."""
+    places = np.array(coordinates, dtype=float).reshape(-1, np.shape(coordinates)[-1])[:, :2]
+    try:
+        return places if projection is None else projection.metres(*places.T)
+    except ParameterError as error:
+        raise ParameterError(f"{error}; or say with a member 'crs' that coordinates are m of the map") from error
+
+
+def _zones_of(feature: Any, number: int, projection: MapProjection | None) -> Iterator[ExclusionZone]:
+    if not isinstance(feature, Mapping) or not isinstance(feature.get("geometry"), Mapping):
+        raise ParameterError(f"feature {number} has no geometry")
+    own, shape = feature.get("properties") or {}, feature["geometry"]
+    name = str(own.get("name", f"rock {own['id']}" if "id" in own else f"keep-out {number}"))
+    try:
+        if {"x_m", "y_m", "keepout_m"} <= set(own):
+            yield ExclusionZone(name, *(float(own[key]) for key in ("x_m", "y_m", "keepout_m")))
+        elif shape["type"] == "Point":
+            x, y = _on_map([shape["coordinates"]], projection)[0]
+            yield ExclusionZone(
+                name, float(x), float(y), float(own["keepout_m"] if "keepout_m" in own else own["radius_m"])
+            )
+        elif shape["type"] in ("Polygon", "MultiPolygon"):
+            for part in [shape["coordinates"]] if shape["type"] == "Polygon" else shape["coordinates"]:
+                yield from _covering(name, _on_map(part[0], projection))
+        else:
+            raise ParameterError(f"feature {number} is a {shape['type']}; give points with keepout_m, or polygons")
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise ParameterError(f"feature {number} ('{name}'): {error}") from error
+
+
+def _covering(name: str, ring: FloatArray) -> Iterator[ExclusionZone]:
+    """Circles that together hold a polygon (n, 2). [m]"""
+    corners = ring[:-1] if len(ring) > 1 and (ring[0] == ring[-1]).all() else ring
+    if len(corners) < 3 or not np.isfinite(corners).all():
+        raise ParameterError("a polygon needs three corners or more, in m")
+    if np.abs(corners).max() > FARTHEST_M:
+        raise ParameterError(f"a polygon has a corner at {np.abs(corners).max():g} m, farther than the Moon goes round")
+    x, y = corners.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle = 0.5 * (low + high)
+    reach = float(np.hypot(*(corners - middle).T).max())
+    if area > ROUND * math.pi * reach**2:
+        yield ExclusionZone(name, float(middle[0]), float(middle[1]), reach)
+        return
+    side = max(math.sqrt(area) / 8, float((high - low).max()) / FINEST)
+    counts = np.ceil((high - low) / side).astype(int) + 1
+    places = low + side * np.stack(np.meshgrid(*(np.arange(n) for n in counts)), axis=-1).reshape(-1, 2)
+    # A square with a point of the polygon has its middle inside, or within half a diagonal of an edge.
+    near = _inside(places, corners) | (_off_edges(places, corners) <= side / math.sqrt(2))
+    for place in places[near]:
+        yield ExclusionZone(name, float(place[0]), float(place[1]), side / math.sqrt(2))
+
+
+def _inside(places: FloatArray, corners: FloatArray) -> BoolArray:
+    odd = np.zeros(len(places), dtype=bool)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if ay != by:
+            crosses = (ay > places[:, 1]) != (by > places[:, 1])
+            odd ^= crosses & (places[:, 0] < ax + (places[:, 1] - ay) * (bx - ax) / (by - ay))
+    return odd
+
+
+def _off_edges(places: FloatArray, corners: FloatArray) -> FloatArray:
+    found = np.full(len(places), np.inf)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        way = b - a
+        share = np.clip((places - a) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+        found = np.minimum(found, np.linalg.norm(places - a - share[:, None] * way, axis=1))
+    return found
+
+
+def within(zones: Zones, terrain: Terrain) -> BoolArray:
+    """Nodes of a terrain that lie in a circle. (ny, nx)"""
+    inside = np.zeros(terrain.height_m.shape, dtype=bool)
+    x, y = terrain.x_m, terrain.y_m
+    for zone in zones:
+        columns, rows = (
+            slice(*np.searchsorted(axis, (at - zone.radius_m, at + zone.radius_m)))
+            for axis, at in ((x, zone.x_m), (y, zone.y_m))
+        )
+        inside[rows, columns] |= np.hypot(x[None, columns] - zone.x_m, y[rows, None] - zone.y_m) <= zone.radius_m
+    return inside
+
+
+def near_way(zones: Zones, places_m: FloatArray) -> Zones:
+    """The circles that a rover may come near to whose origin passes places (n, 2). [m]"""
+    return tuple(
+        zone for zone in zones if np.hypot(*(places_m - (zone.x_m, zone.y_m)).T).min() <= NEAR_M + zone.radius_m
+    )
+
+
+FORBIDDEN = "forbidden"
+SAME_CLASS = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CostLayer:
+    """How much a metre of some ground costs, in metres of other ground with the same slopes.
+
+    Attributes
+    ----------
+    name : what it is, for messages.
+    factor : above 0, infinite where no part of the rover may be; 1 where the layer says nothing. (ny, nx) [-]
+    known_share : share of the terrain's nodes of which it says something. [-]
+
+    Raises ParameterError for factors of 0 and below.
+    """
+
+    name: str
+    factor: npt.NDArray[np.float32]
+    known_share: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.factor > 0).all():
+            raise ParameterError(
+                f"layer '{self.name}' has costs of 0 or below; give factors above 0 (1 changes nothing), or classes"
+            )
+
+    @property
+    def forbidden(self) -> BoolArray:
+        """Nodes that no part of the rover may enter. (ny, nx)"""
+        return np.isinf(self.factor)
+
+
+def parse_cost(text: str) -> float:
+    """A factor above 0, or infinity for `forbidden`. Raises ParameterError."""
+    try:
+        cost = math.inf if text.strip() == FORBIDDEN else float(text)
+    except ValueError:
+        cost = math.nan
+    if not cost > 0 or (math.isinf(cost) and text.strip() != FORBIDDEN):
+        raise ParameterError(f"'{text}' is no cost; give a factor above 0, such as 2, or {FORBIDDEN}")
+    return cost
+
+
+def parse_classes(texts: Sequence[str]) -> dict[float, float]:
+    """Costs by class, from `VALUE=COST` each, COST a factor or `forbidden`. Raises ParameterError."""
+    found: dict[float, float] = {}
+    for text in texts:
+        value, sign, cost = text.partition("=")
+        try:
+            number = float(value) if sign else math.nan
+        except ValueError:
+            number = math.nan
+        if math.isnan(number):
+            raise ParameterError(f"class '{text}' is not VALUE=COST, for example 3=forbidden or 2=1.5")
+        found[number] = parse_cost(cost)
+    return found
+
+
+def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float]) -> CostLayer:
+    """A raster on any grid, as `heights.grids.read_grid` reads heights, of costs; or of classes where some are given.
+
+    A node of the terrain has the value of the raster's nearest node; beyond it, where it has no data, and of a class
+    without a cost, the factor is 1. Rasters of another coordinate system are looked up by longitude and latitude.
+    Raises DataError.
+    """
+    grid = read_grid(path, values=True)
+    values = _values_at(grid, terrain, path)
+    known = ~np.isnan(values)
+    if not known.any():
+        raise DataError(f"{path}: covers no node of the terrain; is it of the same place and coordinate system?")
+    factor = np.where(known, values, 1.0)
+    if classes:
+        factor = np.ones(values.shape)
+        for value, cost in classes.items():
+            factor[np.abs(values - value) < SAME_CLASS] = cost
+    try:
+        return CostLayer(name=Path(path).name, factor=factor.astype(np.float32), known_share=float(known.mean()))
+    except ParameterError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _values_at(grid: HeightGrid, terrain: Terrain, path: str) -> npt.NDArray[np.float64]:
+    """Values of a raster at the nodes of a terrain, NaN where it has none. (ny, nx)"""
+    x, y = terrain.x_m[None, :], terrain.y_m[:, None]
+    if grid.crs and terrain.crs and grid.crs != terrain.crs:
+        lonlat = projection_of(terrain.crs, terrain.name).lonlat(*(axis.ravel() for axis in np.broadcast_arrays(x, y)))
+        places = projection_of(grid.crs, path).metres(*lonlat.T).reshape(*terrain.height_m.shape, 2)
+        x, y = places[..., 0], places[..., 1]
+    column, row = (np.rint((at - first) / grid.spacing_m) for at, first in ((x, grid.x0_m), (y, grid.y0_m)))
+    ny, nx = grid.height_m.shape
+    row, column = np.broadcast_arrays(row, column)
+    inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+    values = np.full(terrain.height_m.shape, np.nan)
+    values[inside] = grid.height_m[row[inside].astype(int), column[inside].astype(int)]
+    return values
+
+
+def shadow_layer(lit: BoolArray, cost: float) -> CostLayer:
+    """What a metre in shadow costs; infinite forbids it."""
+    return CostLayer(name="shadow", factor=np.where(lit, 1.0, cost).astype(np.float32))
+
 
 # Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
 FALLBACK_STEP_IN_RADII = 1.0
@@ -383,3 +635,36 @@ def _near(hole: BoolMap, half: int) -> BoolMap:
 def _blank_edges(layers: FloatMap, half: int) -> None:
     layers[:, :half] = layers[:, -half:] = np.nan
     layers[:, :, :half] = layers[:, :, -half:] = np.nan
+
+
+def _layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
+    maps = surface.maps
+    return {
+        "slope_deg": maps.slope_deg,
+        "roughness_m": maps.roughness_m,
+        "step_m": maps.step_m,
+        "demand": surface.demand,
+        **({} if surface.sunlit is None else {"sunlit": surface.sunlit.astype(np.float32)}),
+    }
+
+
+def maps_bytes(surface: Traversability) -> bytes:
+    """NumPy archive: x_m (nx,), y_m (ny,), and slope_deg, roughness_m, step_m, demand (ny, nx), NaN where unknown.
+
+    `sunlit` is 1 where the Sun reaches the ground, where its direction is given; `crs` the coordinate system as
+    well-known text, where the terrain has one.
+    """
+    archive = io.BytesIO()
+    terrain = surface.terrain
+    place = {"x_m": terrain.x_m, "y_m": terrain.y_m} | ({"crs": np.array(terrain.crs)} if terrain.crs else {})
+    np.savez_compressed(archive, **place, **_layers(surface))  # type: ignore[arg-type]
+    return archive.getvalue()
+
+
+def maps_geotiff(surface: Traversability) -> bytes:
+    """GeoTIFF with the bands slope_deg, roughness_m, step_m and demand, in the coordinate system of the terrain.
+
+    Raises ParameterError without rasterio.
+    """
+    terrain = surface.terrain
+    return geotiff_bytes(_layers(surface), (terrain.x0_m, terrain.y0_m, terrain.spacing_m), crs=terrain.crs)

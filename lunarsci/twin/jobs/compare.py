@@ -31,9 +31,8 @@ from lunarsci.twin.comparison.forecast import (
 )
 from lunarsci.twin.comparison.scores import ALL, BandCheck, EndCheck, Standing
 from lunarsci.twin.comparison.verdict import DriveComparison
-from lunarsci.twin.jobs.given_soil import doubt_of
-from lunarsci.twin.plans.plan import read_plan
-from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.ground.driven_soil import doubt_of
+from lunarsci.twin.plans.plan import plan_text, read_plan
 from lunarsci.twin.rover import Rover, build_rover, rover_questions
 from lunarsci.twin.telemetry.checks import WheelPace
 

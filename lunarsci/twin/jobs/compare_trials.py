@@ -16,12 +16,10 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.assimilation.drive_record import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
-from lunarsci.twin.ground.driven_soil import read_soil_samples
+from lunarsci.twin.ground.driven_soil import PRIORS, GivenSoil, read_soil_samples
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.compare import CompareRequest, whole_record
-from lunarsci.twin.jobs.drive_inputs import soil_hashes
-from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
-from lunarsci.twin.jobs.soils import OF_A_BELIEF
+from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, soil_hashes
 from lunarsci.twin.jobs.states import MeasuredStates, StatesRequest, states
 from lunarsci.twin.plans.motion import read_motion
 

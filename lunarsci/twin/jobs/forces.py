@@ -9,9 +9,8 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.predict import DriveRequest, predict_drives
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement.load_check import WheelLoads, wheel_loads
 from lunarsci.twin.judgement.quantities import abscissa
 from lunarsci.twin.judgement.tables import state_table

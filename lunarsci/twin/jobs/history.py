@@ -18,7 +18,7 @@ from lunarsci.regolith.belief_history import (
 )
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.result import MadeFrom, Result, request_of
-from lunarsci.twin.jobs.given_soil import doubt_of
+from lunarsci.twin.ground.driven_soil import doubt_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,10 +13,9 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.result import MadeFrom, Result, job, request_of
-from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+from lunarsci.twin.ground.driven_soil import DrivenSoil, doubt_of, soil_record
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.forces import load_record
-from lunarsci.twin.jobs.given_soil import doubt_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 from lunarsci.twin.judgement.load_check import WheelLoads, force_table, wheel_loads
 from lunarsci.twin.judgement.tables import held_table

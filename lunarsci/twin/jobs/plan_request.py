@@ -14,10 +14,8 @@ from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, SurveyedSite
-from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.made_for_check import limits_of_rover
-from lunarsci.twin.plans.plan import read_plan
-from lunarsci.twin.plans.plan_files import read_limits
+from lunarsci.twin.plans.plan import Limit, read_limits, read_plan
 from lunarsci.twin.simulation.ensemble import PowerState
 
 Place = str | tuple[float, ...]

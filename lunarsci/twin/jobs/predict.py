@@ -14,12 +14,11 @@ from lunarsci.regolith.questions import Question
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
+from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.illumination import parse_sun
-from lunarsci.twin.ground.unresolved import Unresolved, with_unresolved
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement import tables as judged
 from lunarsci.twin.judgement.endpoint import EndpointSensitivity, endpoint_sensitivity, step_error_m
 from lunarsci.twin.judgement.energy import PowerUse, energy_record, power_record, power_use

@@ -15,8 +15,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.soil import read_soil
 from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.drives.layouts import read_public_drive
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain import Terrain, read_terrain
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 from lunarsci.twin.plans.plan import Plan

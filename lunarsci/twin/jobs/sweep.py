@@ -18,9 +18,8 @@ from lunarsci.twin.designs.trade import (
     try_design,
     unchanged,
 )
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
 from lunarsci.twin.jobs.predict import PoweredRequest
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -110,10 +109,10 @@ class DesignTrade(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.twin.figures.designs import curve_page, front_page
+        from lunarsci.twin.figures.choice import curve_page, design_front_page
 
         synthetic = any(soils.inputs.terrain.synthetic for soils in self.soils)
-        yield front_page(self.designs, self.front, synthetic=synthetic)
+        yield design_front_page(self.designs, self.front, synthetic=synthetic)
         yield curve_page(self.designs, [entry.name for entry in self.variations], synthetic=synthetic)
 
 

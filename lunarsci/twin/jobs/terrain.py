@@ -14,19 +14,30 @@ from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.result import MadeFrom, Result, request_of
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription, made_for, read_rover
 from lunarsci.twin.ground import synthetic
-from lunarsci.twin.ground.cost_layers import CostLayer, parse_classes, parse_cost, read_cost_layer, shadow_layer
-from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
-from lunarsci.twin.ground.hazards import Mobility, Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.driven_soil import DEFAULT_SOIL, DrivenSoil, lay_soil_on, soil_record
+from lunarsci.twin.ground.hazards import (
+    CostLayer,
+    Mobility,
+    Traversability,
+    Zones,
+    assess,
+    ground_maps,
+    map_scales,
+    maps_bytes,
+    maps_geotiff,
+    parse_classes,
+    parse_cost,
+    read_cost_layer,
+    read_keep_outs,
+    read_mobility,
+    shadow_layer,
+)
 from lunarsci.twin.ground.illumination import sunlit
-from lunarsci.twin.ground.keep_out import Zones, read_keep_outs
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import TerrainFile, maps_bytes, maps_geotiff, read_terrain_file, terrain_bytes
+from lunarsci.twin.ground.terrain import Terrain, TerrainFile, read_terrain_file, terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
-from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
 from lunarsci.twin.plans.made_for_check import MadeForCheck
-from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.routes.path_geojson import path_geojson
-from lunarsci.twin.routes.planner import PlannedPath, path_table, share_on
+from lunarsci.twin.plans.plan import plan_text
+from lunarsci.twin.routes.planner import PlannedPath, path_geojson, path_table, share_on
 from lunarsci.twin.rover import Rover, build_rover, check_turning
 
 if TYPE_CHECKING:

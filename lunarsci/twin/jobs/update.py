@@ -18,12 +18,10 @@ from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.assimilation.drive_record import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
-from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
-from lunarsci.twin.ground.soil_layers import soil_layers
-from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_map_bytes
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.driven_soil import PRIORS, DrivenSoil, doubt_of, soil_record
+from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_layers, soil_map_bytes
+from lunarsci.twin.ground.terrain import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
-from lunarsci.twin.jobs.given_soil import PRIORS, doubt_of
 from lunarsci.twin.jobs.rover_on_ground import RoverOnGround
 from lunarsci.twin.telemetry.checks import WheelPace
 

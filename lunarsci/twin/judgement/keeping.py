@@ -13,7 +13,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.energy import power_use, wheel_turns_rad
 from lunarsci.twin.judgement.quantities import along, clearance
-from lunarsci.twin.plans.limits import AT_LEAST, QUANTITIES, Limit, own_limits
+from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, own_limits
 from lunarsci.twin.simulation.ensemble import Prediction
 
 NEVER_BROKEN = ("keep_out_m", "battery_charge")

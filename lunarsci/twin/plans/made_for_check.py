@@ -20,8 +20,7 @@ from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.synthetic import STAND_IN
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
-from lunarsci.twin.plans.limits import Limit, own_limits
-from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.plan import Limit, Plan, own_limits
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.regolith.written_names import check_written_for
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:

@@ -1,19 +1,154 @@
-"""The planned drive: legs, speed, limits of safety, and which soil parameters are uncertain."""
+"""The planned drive: legs, speed, limits of safety and uncertain soil parameters; plans as TOML files."""
 
+import json
 import math
+import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.resources import files
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.io.documents import toml_of
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.names import one_of
 from lunarsci.rovers import MadeFor
-from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
-from lunarsci.twin.plans.limits import Limit, check_keys, check_limits, default_limits, number_of, parse_limit
 from lunarsci.twin.rover import Rover
+
+# Quantities that can be limited, and their units.
+QUANTITIES = {
+    "slip_ratio": "-",
+    "side_slip_deg": "deg",
+    "sinkage_m": "m",
+    "tilt_deg": "deg",
+    "endpoint_miss_m": "m",
+    "clearance_m": "m",
+    "keep_out_m": "m",
+    "motor_torque_nm": "N m",
+    "motor_load": "-",
+    "battery_charge": "-",
+}
+SINKAGE_IN_RADII = 1.0 / 3.0
+"""Assumed, as in the embedded plan."""
+AT_LEAST = ("clearance_m", "keep_out_m", "battery_charge")
+"""Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
+MOST = {
+    "slip_ratio": (1.0, "write a share, 0.3 for 30 %"),
+    "side_slip_deg": (90.0, "is it in another unit than degrees?"),
+    "tilt_deg": (90.0, "is it in another unit than degrees?"),
+    "battery_charge": (1.0, "write a share, 0.3 for 30 %"),
+}
+"""The largest values that limits can have, and what a larger one was meant to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What counts as safe of a quantity, its unit, where the number comes from, whether it is a guess.
+
+    It is the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which. Raises
+    ParameterError for a value that the quantity cannot have.
+    """
+
+    quantity: str
+    unit: str
+    limit: float
+    source: str
+    assumed: bool
+
+    def __post_init__(self) -> None:
+        lowest_fits = self.quantity in AT_LEAST and self.limit == 0
+        if not (0 < self.limit < math.inf or lowest_fits):
+            raise ParameterError(f"limit {self.quantity} is {self.limit}; give a number above 0")
+        most, meant = MOST.get(self.quantity, (math.inf, ""))
+        if self.limit > most:
+            raise ParameterError(f"limit {self.quantity} is {self.limit:g}, and it can be {most:g} at most; {meant}")
+
+    @property
+    def sense(self) -> Literal["at most", "at least"]:
+        """Whether values up to the limit are safe, or values from it on."""
+        return "at least" if self.quantity in AT_LEAST else "at most"
+
+
+@cache
+def _embedded_limits() -> tuple[Limit, ...]:
+    return tuple(parse_limit(quantity, entry) for quantity, entry in default_limits().items())
+
+
+def own_limits(rover: Rover) -> tuple[Limit, ...]:
+    """What is safe of a rover where a plan does not say: slip, side slip, sinkage, tilt and clearance.
+
+    Sinkage a third of the wheel's radius, tilt the steepest slope of the rover file, the others as in the embedded
+    plan: all assumed, as no mission published its thresholds.
+    """
+    changed = {
+        "sinkage_m": (SINKAGE_IN_RADII * rover.wheel.radius_m, "a third of the wheel radius"),
+        "tilt_deg": (rover.max_slope_deg, "the steepest slope of the rover's limits, taken as a limit of the tilt"),
+    }
+    return tuple(
+        replaced(limit, *changed[limit.quantity]) if limit.quantity in changed else limit
+        for limit in _embedded_limits()
+        if limit.quantity != "endpoint_miss_m"
+    )
+
+
+def replaced(limit: Limit, value: float, source: str) -> Limit:
+    """The limit with another value, assumed; itself where it has this value already."""
+    if math.isclose(limit.limit, value, rel_tol=1e-9):
+        return limit
+    return replace(limit, limit=value, source=source, assumed=True)
+
+
+def check_limits(limits: Iterable[Limit], rover: Rover, origin: str = "") -> None:
+    """Raises ParameterError for limits that say nothing of this rover: in another unit, as it seems."""
+    where = f"{origin}: " if origin else ""
+    radius, body = rover.wheel.radius_m, rover.body
+    for limit in limits:
+        if limit.quantity == "sinkage_m" and limit.limit > radius:
+            raise ParameterError(
+                f"{where}limit sinkage_m is {limit.limit:g}, and the wheels of {rover.name} have a radius of "
+                f"{radius:g} m; is it in mm?"
+            )
+        belly = math.inf if body is None else body.belly_z_m - rover.wheel_positions_m[:, 2].min() + radius
+        if limit.quantity == "clearance_m" and limit.limit > belly + rover.wheel.grouser_height_m:
+            raise ParameterError(
+                f"{where}limit clearance_m is {limit.limit:g}, and {rover.name} has {belly:.3g} m on level ground; is "
+                "it in mm?"
+            )
+
+
+def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
+    """A limit from a number, or a table with value, source, and whether it is assumed. Raises ParameterError."""
+    check_keys({quantity: entry}, QUANTITIES, "[limits]")
+    table = entry if isinstance(entry, dict) else {"value": entry, "source": source}
+    check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
+    value = number_of(table.get("value"), quantity)
+    return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
+
+
+def default_limits() -> dict[str, Any]:
+    """The [limits] of the embedded plan."""
+    return dict(tomllib.loads((files(__package__) / "plan.toml").read_text("utf-8"))["limits"])
+
+
+def check_keys(table: Any, known: Iterable[str], where: str) -> None:
+    """Raises ParameterError for what is no table, and for a key that is not known."""
+    if not isinstance(table, dict):
+        raise ParameterError(f"{where} must be a table")
+    for key in table:
+        if key not in known:
+            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
+
+
+def number_of(value: Any, name: str) -> float:
+    """A number of a file. Raises ParameterError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ParameterError(f"{name} is {value!r}; give a number")
+    return float(value)
+
 
 _KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
@@ -356,3 +491,77 @@ def _check_complete(table: Any, needed: Iterable[str], where: str, *optional: st
     for name in needed:
         if name not in table:
             raise ParameterError(f"{where} has no {name}")
+
+
+def plan_text(plan: Plan) -> str:
+    """The TOML text that `read_plan` reads back as the same plan, but for `origin`."""
+    lines = [
+        f"name = {_quoted(plan.name)}",
+        *([f"crs = {_quoted(plan.crs)}"] if plan.crs else []),
+        *_maker_lines(plan),
+        "",
+        "[start]",
+        *(f"{name} = {float(getattr(plan, name))!r}" for name in ("x_m", "y_m", "heading_deg")),
+        "",
+        "[drive]",
+        *(f"{name} = {float(getattr(plan, name))!r}" for name in ("speed_m_s", "blend_m")),
+        *([] if plan.accepted_risk is None else [f"accepted_risk = {float(plan.accepted_risk)!r}"]),
+    ]
+    for leg in plan.legs:
+        values = ((name, float(getattr(leg, name))) for name in Leg.__slots__ if name != "wheel_test")
+        lines += ["", "[[leg]]", *(f"{name} = {value!r}" for name, value in values if value)]
+        if (test := leg.wheel_test) is not None:
+            ratio = float(test.rate_ratio)
+            lines.append(f"wheel_test = {{ wheel = {_quoted(test.wheel)}, rate_ratio = {ratio!r} }}")
+    if plan.fixes is not None:
+        names = ("position_sigma_m", "heading_sigma_deg", *(("halt_s",) if plan.fixes.halt_s else ()))
+        lines += ["", "[fixes]", *(f"{name} = {float(getattr(plan.fixes, name))!r}" for name in names)]
+    for circle in plan.exclusion_zones:
+        places = (f"{name} = {float(getattr(circle, name))!r}" for name in ("x_m", "y_m", "radius_m"))
+        lines += ["", "[[keep_out]]", f"name = {_quoted(circle.name)}", *places]
+    lines += ["", "[limits]"]
+    for limit in plan.limits:
+        source, assumed = _quoted(limit.source), "true" if limit.assumed else "false"
+        lines.append(f"{limit.quantity} = {{ value = {limit.limit!r}, assumed = {assumed}, source = {source} }}")
+    lines += ["", "[sweep]"]
+    lines += [f"{sweep.name} = {_quoted(_range(sweep.low, sweep.high, sweep.count))}" for sweep in plan.sweep]
+    return "\n".join(lines) + "\n"
+
+
+def read_limits(source: Source) -> tuple[Limit, ...]:
+    """The [limits] of a TOML file, which may be a plan. Raises DataError, also for one without any."""
+    file = read_input(source)
+    try:
+        table = toml_of(file.name, file.data).get("limits")
+        if not isinstance(table, dict) or not table:
+            raise ParameterError("no [limits] in it; write quantities and their limits there, as endpoint_miss_m = 0.5")
+        if "keep_out_m" in table:
+            raise ParameterError("limit keep_out_m is of the circles of one plan; leave it out, or make these wider")
+        return tuple(parse_limit(quantity, entry, file.name) for quantity, entry in table.items())
+    except ParameterError as error:
+        raise DataError(f"{file.name}: {error}") from error
+
+
+def write_plan(plan: Plan, path: str | Path) -> None:
+    """Write a plan as `read_plan` reads it. Raises OutputError."""
+    try:
+        Path(path).write_text(plan_text(plan), "utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror}") from error
+
+
+def _maker_lines(plan: Plan) -> list[str]:
+    if plan.made_for is None:
+        return []
+    table = plan.made_for.to_table().items()
+    rows = (f"{name} = {_quoted(value) if isinstance(value, str) else repr(float(value))}" for name, value in table)
+    return ["", "[made_for]", *rows]
+
+
+def _range(low: float, high: float, count: int) -> str:
+    return f"{float(low)!r}:{float(high)!r}:{count}"
+
+
+def _quoted(text: str) -> str:
+    # The escapes of JSON are among those of TOML, which also forbids a bare delete character.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

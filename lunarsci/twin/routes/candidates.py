@@ -13,9 +13,8 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import RoverFootprint
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.path import arc_end
-from lunarsci.twin.plans.plan import Fixes, Leg, Plan
+from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
 from lunarsci.twin.routes.arc_search import ArcProblem, Course, keeps_clear, lattice_courses, refine
 from lunarsci.twin.routes.planner import RouteSearch, commanded_speed
 from lunarsci.twin.rover import Rover

@@ -14,11 +14,10 @@ from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.finer_ground import laid_over, patch
 from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import COST_CAP, Traversability
-from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.path import poses_along
-from lunarsci.twin.routes.arc_search import FINEST_M
+from lunarsci.twin.plans.plan import Limit
+from lunarsci.twin.routes.arc_search import FINEST_M, Window, drive_arcs, search_ground
 from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, beyond, check_free, plan_path, search_margin_m
-from lunarsci.twin.routes.search_ground import Window, drive_arcs, search_ground
 from lunarsci.twin.rover import Rover
 
 LONG_M = 30.0

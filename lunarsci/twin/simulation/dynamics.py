@@ -37,8 +37,7 @@ from lunarsci.twin.lanes import (
     seen_from,
     times,
 )
-from lunarsci.twin.simulation.contact import add_wheel
-from lunarsci.twin.simulation.ruts import read_ruts
+from lunarsci.twin.simulation.contact import add_wheel, read_ruts
 
 COS_OVERTURNED = 0.5
 """Cosine of 60 deg, as the outcome says; assumed."""

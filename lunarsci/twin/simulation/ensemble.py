@@ -13,12 +13,11 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.lanes import OUTCOMES
+from lunarsci.twin.plans.path import Schedule, make_schedule
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
-from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
-from lunarsci.twin.simulation.drives import drive_all, drive_finer
-from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds
+from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
+from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
@@ -256,7 +255,7 @@ def predict(
         hold. 0.1 s puts the end of the embedded plan within 1.5 mm, which holds for no other ground: 5 m over a ramp
         10 cm high and long end 9 to 37 mm off. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
-    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them. What makes
+    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.contact` has them. What makes
         forces or soils of states takes every wheel's ground as undisturbed.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too. Where that
         drive did not end, this one has its outcome.

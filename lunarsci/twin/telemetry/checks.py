@@ -10,10 +10,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 from lunarsci.twin.telemetry.rests import GAP, held
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at
+from lunarsci.twin.plans.path import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.checks import UNDER_WAY, taken
 from lunarsci.twin.telemetry.nodes import Rows
