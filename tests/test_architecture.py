@@ -20,6 +20,7 @@ SHARED = {
     "spectra_data",
     "result",
     "names",
+    "ranges",
     "printable",
     "sun",
     "io",

@@ -2,9 +2,9 @@
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,9 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import GRAVITIES, LUNAR_GRAVITY
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.io.documents import record_of
 from lunarsci.names import one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges
 from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
 from lunarsci.regolith.questions import Question, question
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -21,15 +23,6 @@ from lunarsci.rovers import RoverDescription, read_rover
 
 SOLAR_CONSTANT_W_M2 = 1360.8
 """Power of sunlight through a square metre at 1 au: Kopp & Lean (2011), 10.1029/2010GL045777. [W/m2]"""
-
-
-def _check(what: str, given: object, positive: tuple[str, ...], shares: tuple[str, ...] = ()) -> None:
-    for name in positive:
-        if not 0 < getattr(given, name) < math.inf:
-            raise ParameterError(f"{what} {name} is {getattr(given, name)}; give a number above 0")
-    for name in shares:
-        if not 0 < getattr(given, name) <= 1:
-            raise ParameterError(f"{what} {name} is {getattr(given, name)}; give a share above 0, at most 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,11 +47,10 @@ class Motors:
     idle_w: float = 0.0
 
     def __post_init__(self) -> None:
-        _check("motors", self, ("stall_torque_nm", "continuous_torque_nm", "no_load_rate_rad_s"), ("efficiency",))
-        if self.continuous_torque_nm > self.stall_torque_nm:
-            raise ParameterError("motors continuous_torque_nm is above stall_torque_nm; give at most that")
-        if not 0 <= self.idle_w < math.inf:
-            raise ParameterError(f"motors idle_w is {self.idle_w}; give 0 or more")
+        most = f"(0, {self.stall_torque_nm}]"
+        positive = "stall_torque_nm no_load_rate_rad_s"
+        names = {POSITIVE: positive, most: "continuous_torque_nm", "(0, 1]": "efficiency", NOT_NEGATIVE: "idle_w"}
+        check_ranges(self, names, "motors")
 
     def torque_nm(self, rate_rad_s: npt.ArrayLike) -> FloatArray:
         """Most torque that the motor gives for long at rates of the wheel, 0 from the no-load rate on. [N m]"""
@@ -90,35 +82,13 @@ class PowerSupply:
     standby_w: float | None = None
 
     def __post_init__(self) -> None:
-        _check("power", self, ("battery_wh",), ("cell_efficiency",))
-        for name in ("electronics_w", "panel_area_m2", "standby_w"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise ParameterError(f"power {name} is {value}; give 0 or more")
-        if not 0 <= self.least_charge < 1:
-            raise ParameterError(f"power least_charge is {self.least_charge}; give a share from 0 to less than 1")
+        names = {POSITIVE: "battery_wh", NOT_NEGATIVE: "electronics_w panel_area_m2 standby_w"}
+        check_ranges(self, names | {"(0, 1]": "cell_efficiency", "[0, 1)": "least_charge"}, "power")
 
     @property
     def standing_w(self) -> float:
         """Draw of everything while the rover stands. [W]"""
         return self.electronics_w if self.standby_w is None else self.standby_w
-
-
-Part = TypeVar("Part", Motors, PowerSupply)
-
-
-def read_part(description: RoverDescription, table: str, kind: type[Part]) -> Part | None:
-    """[motors] or [power] of a rover file, None where it has none. Raises DataError."""
-    found: dict[str, Any] | None = description.tables.get(table)
-    if found is None:
-        return None
-    known = [field.name for field in fields(kind)]
-    if unknown := set(found) - set(known):
-        raise DataError(f"{description.origin}: [{table}] has no '{min(unknown)}'; {one_of(min(unknown), known)}")
-    try:
-        return kind(**{name: float(value) for name, value in found.items()})
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{description.origin}: [{table}]: {error}") from error
 
 
 PAIRS = ("front", "middle", "rear")
@@ -138,6 +108,14 @@ LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2}
 MASS_UNITS = {"g": 1e-3, "t": 1e3}
 """In kilograms, by definition."""
 Vector3 = tuple[float, float, float]
+PLACES = "body_center_m front_wheel_m middle_wheel_m rear_wheel_m bogie_pivot_m"
+VECTORS = ("body_inertia_kg_m2", *PLACES.split())
+RANGES = {
+    POSITIVE: "body_kg wheel_kg body_inertia_kg_m2 rocker_pivot_y_m max_speed_m_s gravity_m_s2",
+    NOT_NEGATIVE: "joint_damping_n_m_s steering_offset_m",
+    FINITE: PLACES,
+    "(0, 90]": "max_slope_deg",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,12 +137,7 @@ class Body:
     center_x_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("length_m", "width_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"rover body {name} is {getattr(self, name)}; give a number above 0")
-        for name in ("belly_z_m", "center_x_m"):
-            if not math.isfinite(getattr(self, name)):
-                raise ParameterError(f"rover body {name} is {getattr(self, name)}; give a finite number")
+        check_ranges(self, {POSITIVE: "length_m width_m", FINITE: "belly_z_m center_x_m"}, "rover body")
 
 
 class RoverVector(NamedTuple):
@@ -239,27 +212,15 @@ class Rover:
     max_slope_deg: float = FALLBACK_SLOPE_DEG
 
     def __post_init__(self) -> None:
-        for name in ("body_kg", "wheel_kg", "rocker_pivot_y_m", "max_speed_m_s", "gravity_m_s2"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"rover {name} is {getattr(self, name)}; give a number above 0")
-        for name in ("joint_damping_n_m_s", "steering_offset_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ParameterError(f"rover {name} is {getattr(self, name)}; give 0 or more")
-        if not 0 < self.max_slope_deg <= 90.0:
-            raise ParameterError(f"rover max_slope_deg is {self.max_slope_deg}; give a number above 0, at most 90 deg")
+        check_ranges(self, RANGES, "rover")
         self._check_bogie()
-        for name in ("body_center_m", "front_wheel_m", "rear_wheel_m", "middle_wheel_m", "bogie_pivot_m"):
-            value = getattr(self, name)
-            if value is not None and not all(map(math.isfinite, value)):
-                raise ParameterError(f"rover {name} is {value}; give three finite numbers")
-        if not all(0 < moment < math.inf for moment in self.body_inertia_kg_m2):
-            raise ParameterError(f"rover body_inertia_kg_m2 is {self.body_inertia_kg_m2}; give three numbers above 0")
         if unknown := set(self.steered) - set(self.pairs):
             raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; {one_of(min(unknown), self.pairs)}")
         x = self.wheel_positions_m[::2, 0]
         if not (np.diff(x) < 0).all():
             raise ParameterError("the rover's wheels must follow each other from front to rear; check their x")
-        check_limits(self)
+        if impossible := next(_impossible(self), None):
+            raise ParameterError(impossible)
 
     def _check_bogie(self) -> None:
         if self.bogie not in BOGIES:
@@ -363,22 +324,24 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
     description = read_rover(rover) if isinstance(rover, str) else rover
     mass, suspension = description.table("mass"), description.table("suspension")
     steering, drive = description.table("steering"), description.table("drive")
+    suspended = ("front_wheel_m", "rear_wheel_m", "rocker_pivot_y_m", "joint_damping_n_m_s")
+    bogie = str(suspension.get("bogie", "rear"))
+    suspended += () if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m")
+    of_others = ((mass, ("body_kg", "wheel_kg", "body_inertia_kg_m2", "body_center_m")), (drive, ("max_speed_m_s",)))
+    parts: dict[str, type[Any]] = {"body": Body, "motors": Motors, "power": PowerSupply}
     try:
+        numbers = {n: _numbers(table[n], n) for table, names in (*of_others, (suspension, suspended)) for n in names}
         built = Rover(
             name=description.name,
             wheel=read_wheel(description),
-            **_numbers(mass, "body_kg", "wheel_kg"),
-            **_vectors(mass, "body_inertia_kg_m2", "body_center_m"),
-            **_numbers(suspension, "rocker_pivot_y_m", "joint_damping_n_m_s"),
-            **_suspension(suspension),
+            bogie=bogie,
             steered=tuple(str(pair) for pair in steering["steered_wheels"]),
             steering_offset_m=float(steering.get("offset_m", 0.0)),
-            **_numbers(drive, "max_speed_m_s"),
-            body=_body(description.tables.get("body")),
-            motors=read_part(description, "motors", Motors),
-            power=read_part(description, "power", PowerSupply),
             max_slope_deg=float(description.tables.get("limits", {}).get("max_slope_deg", FALLBACK_SLOPE_DEG)),
-        )
+            **numbers,
+            **{name: record_of(kind, description.tables[name], f"[{name}]")
+               for name, kind in parts.items() if name in description.tables},
+        )  # fmt: skip
         if not varied:
             check_speed(built)
             warn_of_unusual(built, description.origin)
@@ -391,32 +354,13 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
         raise DataError(f"{description.origin}: {error}") from error
 
 
-def _suspension(table: dict[str, Any]) -> dict[str, Any]:
-    bogie = str(table.get("bogie", "rear"))
-    own = ("front_wheel_m", "rear_wheel_m") + (() if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m"))
-    return {"bogie": bogie} | _vectors(table, *own)
-
-
-def _body(table: dict[str, Any] | None) -> Body | None:
-    if table is None:
-        return None
-    return Body(**_numbers(table, "length_m", "width_m", "belly_z_m"), center_x_m=float(table.get("center_x_m", 0.0)))
-
-
-def _numbers(table: dict[str, Any], *names: str) -> dict[str, Any]:
-    return {name: float(table[name]) for name in names}
-
-
-def _vectors(table: dict[str, Any], *names: str) -> dict[str, Any]:
-    for name in names:
-        if not isinstance(table[name], list) or len(table[name]) != 3:
-            raise ValueError(f"{name} must be a list of three numbers")
-    return {name: _floats(table[name]) for name in names}
-
-
-def _floats(values: Sequence[float]) -> Vector3:
-    x, y, z = values
-    return float(x), float(y), float(z)
+def _numbers(value: Any, name: str) -> Any:
+    """A number, or the three of a vector."""
+    if name not in VECTORS:
+        return float(value)
+    if not isinstance(value, list) or len(value) != 3:
+        raise ParameterError(f"{name} is {value}; give a list of three numbers")
+    return tuple(map(float, value))
 
 
 def rover_questions(rover: Rover) -> list[Question]:
@@ -439,28 +383,38 @@ def warn_of_unusual(rover: Rover, called: str) -> None:
         warnings.warn(f"{called}: {asked.doubt}", LunarSciWarning, stacklevel=3)
 
 
-def check_limits(rover: Rover) -> None:
-    """Raises ParameterError for a rover that cannot be built, with the unit that is likely."""
-    check_wheels(rover)
-    _check_center(rover)
-    _check_inertia(rover)
-    _check_density(rover)
+def _impossible(rover: Rover) -> Iterator[str]:
+    """Why a rover cannot be built, with the unit that is likely.
 
-
-def check_wheels(rover: Rover) -> None:
-    """Raises ParameterError for wheels that overlap."""
-    wheel, places = rover.wheel, rover.wheel_positions_m[::2]
-    outer = wheel.radius_m + wheel.grouser_height_m
-    gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if 2.0 * outer > gaps.min():
-        raise ParameterError(
-            f"wheels of {2 * outer:.3g} m across do not fit {gaps.min():.3g} m from one axle to the next; they meet "
-            "(is wheel.radius_m a diameter, or in mm?)"
-        )
+    Wheels overlap; the centre of mass is not between them, or higher than the rover is long or wide; moments of a body
+    obey I1 + I2 >= I3, and its mass is not further from its centre than the rover is large; nothing is denser than
+    osmium, neither a wheel nor the box about the rover.
+    """
+    wheel, places, kg = rover.wheel, rover.wheel_positions_m, rover.body_kg
+    outer, gap = wheel.radius_m + wheel.grouser_height_m, np.linalg.norm(np.diff(places[::2], axis=0), axis=1).min()
+    if 2.0 * outer > gap:
+        yield (f"wheels of {2 * outer:.3g} m across do not fit {gap:.3g} m from one axle to the next; they meet "
+               "(is wheel.radius_m a diameter, or in mm?)")  # fmt: skip
     if wheel.width_m > 2.0 * (rover.rocker_pivot_y_m + rover.steering_offset_m):
-        raise ParameterError(
-            f"wheels {wheel.width_m:.3g} m wide meet in the middle of the rover; is wheel.width_m in mm?"
-        )
+        yield f"wheels {wheel.width_m:.3g} m wide meet in the middle of the rover; is wheel.width_m in mm?"
+    center = (kg * np.array(rover.body_center_m) + rover.wheel_kg * places.sum(axis=0))[:2] / rover.mass_kg
+    span, given = np.ptp(places, axis=0), f"body_center_m is {list(rover.body_center_m)}"
+    length, width = float(span[0]) + 2.0 * outer, float(span[1]) + wheel.width_m
+    height = float(rover.body_center_m[2] - places[:, 2].min() + outer)
+    if (center < places.min(axis=0)[:2]).any() or (center > places.max(axis=0)[:2]).any():
+        yield f"{given}: the rover falls over, its centre of mass is not between its wheels; in mm?"
+    if not 0 < height <= max(length, width):
+        yield (f"{given}: {height:.3g} m above the ground, for a rover {max(length, width):.3g} m long or wide; "
+               "is it in mm?")  # fmt: skip
+    moments, given = sorted(rover.body_inertia_kg_m2), f"body_inertia_kg_m2 is {list(rover.body_inertia_kg_m2)}"
+    if moments[0] + moments[1] < moments[2] * (1 - 1e-6):
+        yield f"{given}; of no body is one moment more than the sum of the others"
+    if moments[2] > kg * (length**2 + width**2):
+        yield f"{given}: more than {kg:g} kg have {math.hypot(length, width):.3g} m away; is it in g cm2?"
+    volumes = {"wheel_kg": math.pi * outer**2 * wheel.width_m, "body_kg": length * width * 2.0 * height}
+    for name, volume in volumes.items():
+        if (mass := getattr(rover, name)) > DENSEST_KG_M3 * volume:
+            yield f"{name} is {mass:g} in {volume:.3g} m3, denser than osmium; is it in g?"
 
 
 def check_speed(rover: Rover) -> None:
@@ -482,52 +436,3 @@ def check_turning(rover: Rover, radius_m: float | None) -> None:
             f"`turning_radius` is {radius_m:g} m, and the smallest arc of {rover.name} has {least:.3g} m: within it "
             f"the turning centre lies between the wheels; give {math.ceil(100 * least) / 100:g} m or more"
         )
-
-
-def _size_m(rover: Rover) -> tuple[float, float]:
-    """Length and width over the outer edges of the wheels. [m]"""
-    span = np.ptp(rover.wheel_positions_m, axis=0)
-    outer = 2.0 * (rover.wheel.radius_m + rover.wheel.grouser_height_m)
-    return float(span[0]) + outer, float(span[1]) + rover.wheel.width_m
-
-
-def _height_m(rover: Rover) -> float:
-    """Height of the chassis' centre of mass above the ground that the wheels stand on. [m]"""
-    outer = rover.wheel.radius_m + rover.wheel.grouser_height_m
-    return float(rover.body_center_m[2] - rover.wheel_positions_m[:, 2].min() + outer)
-
-
-def _check_center(rover: Rover) -> None:
-    """The rover stands: its centre of mass lies between the wheels, no higher than the rover is long or wide."""
-    places, shares = rover.wheel_positions_m, (rover.body_kg, rover.wheel_kg)
-    center = (shares[0] * np.array(rover.body_center_m) + shares[1] * places.sum(axis=0)) / rover.mass_kg
-    low, high = places.min(axis=0)[:2], places.max(axis=0)[:2]
-    given = f"body_center_m is {list(rover.body_center_m)}"
-    if (center[:2] < low).any() or (center[:2] > high).any():
-        raise ParameterError(f"{given}: the rover falls over, its centre of mass is not between its wheels; in mm?")
-    if not 0 < _height_m(rover) <= max(_size_m(rover)):
-        raise ParameterError(
-            f"{given}: {_height_m(rover):.3g} m above the ground, for a rover {max(_size_m(rover)):.3g} m long or wide;"
-            " is it in mm?"
-        )
-
-
-def _check_inertia(rover: Rover) -> None:
-    """Moments of a body obey I1 + I2 >= I3; its mass is not further from its centre than the rover is large."""
-    moments = sorted(rover.body_inertia_kg_m2)
-    given = f"body_inertia_kg_m2 is {list(rover.body_inertia_kg_m2)}"
-    if moments[0] + moments[1] < moments[2] * (1 - 1e-6):
-        raise ParameterError(f"{given}; of no body is one moment more than the sum of the others")
-    largest = math.hypot(*_size_m(rover))
-    if moments[2] > rover.body_kg * largest**2:
-        raise ParameterError(f"{given}: more than {rover.body_kg:g} kg have {largest:.3g} m away; is it in g cm2?")
-
-
-def _check_density(rover: Rover) -> None:
-    """Neither a wheel nor the box about the rover is denser than osmium."""
-    wheel, (length, width) = rover.wheel, _size_m(rover)
-    disc = math.pi * (wheel.radius_m + wheel.grouser_height_m) ** 2 * wheel.width_m
-    box = length * width * 2.0 * _height_m(rover)
-    for name, mass, volume in (("wheel_kg", rover.wheel_kg, disc), ("body_kg", rover.body_kg, box)):
-        if mass > DENSEST_KG_M3 * volume:
-            raise ParameterError(f"{name} is {mass:g} in {volume:.3g} m3, denser than osmium; is it in g?")

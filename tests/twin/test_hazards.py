@@ -213,7 +213,7 @@ def test_a_rover_without_limits_gets_assumed_ones_and_a_wrong_one_is_refused() -
     assert (mobility.max_slope_deg, mobility.max_step_m) == (15.0, rover.wheel.radius_m)
     for entry in ({"max_slop_deg": 3.0}, {"max_slope_deg": "steep"}, {"max_slope_deg": -1.0}, {"max_step_m": [1]}):
         wrong = dataclasses.replace(bare, tables=tables | {"limits": entry})
-        with pytest.raises(DataError, match=r"yutu2: \[limits\]"):
+        with pytest.raises(DataError, match=r"yutu2: .*\[limits\]"):
             read_mobility(wrong, rover)
 
 

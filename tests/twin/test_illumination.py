@@ -145,8 +145,8 @@ def test_by_night_the_sun_is_below_the_horizon_and_times_that_are_none_are_refus
     assert sun_over("2019-01-21T05:16:00", 0.0, 0.0).elevation_deg > 85.0
     for text, words in (
         ("noon@1,2", "is no time"),
-        ("2019-01-03T02:26:00@177.6", "not TIME@LONGITUDE,LATITUDE"),
-        ("2019-01-03T02:26:00@177.6,-95", "no longitude and latitude"),
+        ("2019-01-03T02:26:00@177.6", "or TIME@LONGITUDE,LATITUDE"),
+        ("2019-01-03T02:26:00@177.6,-95", "latitude is -95; give -90 to 90"),
     ):
         with pytest.raises(ParameterError, match=words):
             parse_sun(text)

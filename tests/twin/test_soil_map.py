@@ -146,8 +146,8 @@ def _file(soil: SoilMap, **changes: object) -> InputFile:
     ("changes", "says"),
     [
         ({"schema": "lunarsci/soil-belief/1"}, "not a soil map"),
-        ({"correlation_m": 0}, "correlation length is 0"),
-        ({"reach_m": -1}, "reach of a zone is -1"),
+        ({"correlation_m": 0}, "correlation_m is 0; give a number above 0"),
+        ({"reach_m": -1}, "reach_m is -1; give 0 or more"),
         ({"zones": [{"name": "a"}]}, "no 'x_m'"),
         ({"zones": 3}, "not iterable"),
         ({"laws": {}}, "no 'stiffness_kpa_m_n'"),

@@ -16,8 +16,9 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.heights.grid import HeightGrid
 from lunarsci.heights.grids import geotiff_bytes, read_grid
 from lunarsci.heights.projections import MapProjection, projection_of
+from lunarsci.io.documents import check_keys, number_of
 from lunarsci.io.inputs import InputFile, read_json
-from lunarsci.names import one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges
 from lunarsci.rovers import RoverDescription
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
@@ -44,10 +45,7 @@ class ExclusionZone:
     radius_m: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
-            raise ParameterError(f"keep_out '{self.name}' needs finite x_m and y_m")
-        if not 0 < self.radius_m < math.inf:
-            raise ParameterError(f"keep_out '{self.name}' has radius_m {self.radius_m}; give a radius above 0 m")
+        check_ranges(self, {FINITE: "x_m y_m", POSITIVE: "radius_m"}, f"keep_out '{self.name}'")
 
 
 Zones = tuple[ExclusionZone, ...]
@@ -300,14 +298,8 @@ class Mobility:
     assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 < self.max_slope_deg < 90:
-            raise ParameterError(f"max_slope_deg is {self.max_slope_deg}; give a slope between 0 and 90 deg")
-        for name in ("max_step_m", "min_turning_radius_m", "max_roughness_m"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ParameterError(f"{name} is {value}; give a length above 0 m")
-        if not 0 <= self.hazard_distance_m < math.inf:
-            raise ParameterError(f"hazard_distance_m is {self.hazard_distance_m}; give 0 m or more")
+        lengths = {POSITIVE: "max_step_m min_turning_radius_m max_roughness_m", NOT_NEGATIVE: "hazard_distance_m"}
+        check_ranges(self, lengths | {"(0, 90)": "max_slope_deg"}, "[limits]")
 
     def with_limits(self, **limits: float | None) -> "Mobility":
         """The same with some limits replaced where they are not None; these are no longer assumed."""
@@ -324,8 +316,6 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     """
     table = description.tables.get("limits", {})
     names = [field.name for field in fields(Mobility) if field.name != "assumed"]
-    if unknown := set(table) - set(names):
-        raise DataError(f"{description.origin}: [limits] has no '{min(unknown)}'; {one_of(min(unknown), names)}")
     track = 2.0 * rover.rocker_pivot_y_m
     values: dict[str, float | None] = {
         "max_slope_deg": rover.max_slope_deg,
@@ -336,10 +326,11 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     assumed = {name for name in values if name not in table}
     assumed |= {key.removeprefix("limits.") for key in description.assumed if key.startswith("limits.")}
     try:
-        values |= {name: float(value) for name, value in table.items()}
+        check_keys(table, names, "[limits]")
+        values |= {name: number_of(value, f"[limits] {name}") for name, value in table.items()}
         return Mobility(**values, assumed=tuple(sorted(assumed)))  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{description.origin}: [limits]: {error}") from error
+    except ParameterError as error:
+        raise DataError(f"{description.origin}: {error}") from error
 
 
 FloatMap = npt.NDArray[np.float32]
@@ -487,9 +478,8 @@ def ground_maps(
     ParameterError.
     """
 
-    for name, value in (("baseline_m", baseline_m), ("wheel_window_m", wheel_window_m)):
-        if not 0 < value < math.inf:
-            raise ParameterError(f"{name} is {value}; give a length above 0 m")
+    check_range("baseline_m", baseline_m, POSITIVE)
+    check_range("wheel_window_m", wheel_window_m, POSITIVE)
     spacing, shape = terrain.spacing_m, terrain.height_m.shape
     plane, wheel = (_half_width(value, spacing, shape) for value in (baseline_m, wheel_window_m))
     layers = np.full((3, *shape), np.nan, dtype=np.float32)

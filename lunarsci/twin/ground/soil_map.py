@@ -22,6 +22,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile, read_json
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_range, check_ranges
 from lunarsci.regolith.belief import SoilBelief, belief_of
 from lunarsci.regolith.belief_history import effective_rows
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
@@ -62,10 +63,9 @@ class Zone:
     belief: SoilBelief
 
     def __post_init__(self) -> None:
-        if self.place_m.ndim != 2 or self.place_m.shape[1:] != (2,) or not len(self.place_m):
-            raise ParameterError(f"zone '{self.name}' has places of shape {self.place_m.shape}; give x and y of each")
-        if not np.isfinite(self.place_m).all():
-            raise ParameterError(f"zone '{self.name}' has a place that is not finite")
+        shape = self.place_m.shape
+        if shape[1:] != (2,) or not shape[0] or not np.isfinite(self.place_m).all():
+            raise ParameterError(f"zone '{self.name}' has places of shape {shape}; give finite x and y of each")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,10 +106,7 @@ class SoilMap:
     zones: tuple[Zone, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 < self.correlation_m < np.inf:
-            raise ParameterError(f"the correlation length is {self.correlation_m:g}; give a length above 0 m")
-        if not 0 <= self.reach_m < np.inf:
-            raise ParameterError(f"the reach of a zone is {self.reach_m:g}; give 0 m or more")
+        check_ranges(self, {POSITIVE: "correlation_m", NOT_NEGATIVE: "reach_m"}, "the map's")
         for zone in self.zones:
             if dict(zone.belief.laws) != dict(self.laws):
                 raise ParameterError(f"zone '{zone.name}' began with other first laws than the map's")
@@ -416,8 +413,7 @@ def drawn_grounds(
     tells is the same draw from the first laws everywhere: at each node the draws have the mean and covariance that
     `SoilMap.moments` says. Raises ParameterError.
     """
-    if members < 1:
-        raise ParameterError(f"{members} members; give 1 or more")
+    check_range("members", members, "[1, inf)")
     random = np.random.default_rng(seed)
     zones = _zone_draws(soil_map, members, random)
     elsewhere = random.standard_normal((members, len(PARAMETERS)))

@@ -1,18 +1,18 @@
 """A mission: targets in order, ground to keep out of, hours of communication; and how it is driven leg by leg."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.io.documents import toml_of
+from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.names import one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.judgement.energy import charge_left, stood
 from lunarsci.twin.judgement.keeping import broken, in_the_way, limits_judged
@@ -21,10 +21,9 @@ from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
-LONGEST_LEG_M, SHORTEST_LEG_M = 25.0, 0.5
+LEGS_M = "[0.5, 25]"
 """Between two localisations of a rover; assumed: longer legs are not planned on what cameras show."""
 MOST_TARGETS = 100
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,12 +44,8 @@ class MissionTarget:
     stay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
-            raise ParameterError(f"target '{self.name}' needs finite x_m and y_m")
-        if not 0 < self.tolerance_m < math.inf:
-            raise ParameterError(f"target '{self.name}' has tolerance_m {self.tolerance_m:g}; give more than 0 m")
-        if not 0 <= self.stay_s < math.inf:
-            raise ParameterError(f"target '{self.name}' has stay_s {self.stay_s:g}; give 0 s or more")
+        names = {FINITE: "x_m y_m", POSITIVE: "tolerance_m", NOT_NEGATIVE: "stay_s"}
+        check_ranges(self, names, f"target '{self.name}'")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +69,7 @@ class MissionStart:
     heading_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
-            raise ParameterError("[start] needs finite x_m, y_m and heading_deg")
+        check_ranges(self, {FINITE: "x_m y_m heading_deg"}, "[start]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,18 +108,12 @@ class Mission:
         names = [target.name for target in self.targets]
         if len(set(names)) < len(names):
             raise ParameterError("two targets have one name; name each of them differently")
-        if not SHORTEST_LEG_M <= self.leg_m <= LONGEST_LEG_M:
-            raise ParameterError(f"leg_m is {self.leg_m:g}; give {SHORTEST_LEG_M:g} to {LONGEST_LEG_M:g} m")
         if self.fixes.halt_s:
             raise ParameterError(
                 "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
             )
-        if not 0 <= self.localisation_s < math.inf:
-            raise ParameterError(f"localisation_s is {self.localisation_s:g}; give 0 s or more")
-        if not self.time_budget_s > 0:
-            raise ParameterError(f"time_budget_s is {self.time_budget_s:g}; give more than 0 s")
-        if self.speed_m_s is not None and not 0 < self.speed_m_s < math.inf:
-            raise ParameterError(f"speed_m_s is {self.speed_m_s:g}; give a speed above 0 m/s")
+        names = {LEGS_M: "leg_m", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s", POSITIVE: "speed_m_s"}
+        check_ranges(self, names)
         for one, after in pairwise(self.windows):
             if after.begin_s < one.end_s:
                 raise ParameterError(f"the [[window]] from {after.begin_s:g} s begins before the one before it ends")
@@ -149,62 +137,22 @@ def read_mission(source: Source) -> Mission:
     """
     file = read_input(source)
     try:
-        return _mission(toml_of(file.name, file.data), file.name)
+        document = toml_of(file.name, file.data)
+        check_keys(document, ("name", *NUMBERS, "start", "fixes", "target", "keep_out", "window"), "a mission")
+        return Mission(
+            name=str(document.get("name", file.name)),
+            start=record_of(MissionStart, document.get("start", {"x_m": 0.0, "y_m": 0.0}), "[start]"),
+            fixes=record_of(Fixes, document.get("fixes"), "[fixes]"),
+            targets=records_of(MissionTarget, document.get("target", []), "target"),
+            keep_outs=records_of(ExclusionZone, document.get("keep_out", []), "keep_out"),
+            windows=records_of(CommWindow, document.get("window", []), "window"),
+            **{name: number_of(document[name], name) for name in NUMBERS if name in document},
+        )
     except ParameterError as error:
         raise DataError(f"{file.name}: {error}") from error
 
 
-OWN = {"leg_m": float, "localisation_s": float, "time_budget_s": float, "speed_m_s": float}
-TABLES = {"target": MissionTarget, "keep_out": ExclusionZone, "window": CommWindow}
-
-
-def _mission(document: Mapping[str, Any], origin: str) -> Mission:
-    known = ("name", *OWN, "start", "fixes", *TABLES)
-    for key in document:
-        if key not in known:
-            raise ParameterError(f"'{key}' is not a key of a mission; {one_of(key, known)}")
-    lists = {name: _records(kind, document.get(name, []), name) for name, kind in TABLES.items()}
-    return Mission(
-        name=_value(document.get("name", origin), str, "name"),
-        start=_record(MissionStart, document.get("start", {"x_m": 0.0, "y_m": 0.0}), "[start]"),
-        fixes=_record(Fixes, document.get("fixes"), "[fixes]"),
-        targets=lists["target"],
-        keep_outs=lists["keep_out"],
-        windows=lists["window"],
-        **{name: _value(document[name], kind, name) for name, kind in OWN.items() if name in document},
-    )
-
-
-def _records(kind: type[Any], tables: Any, name: str) -> tuple[Any, ...]:
-    if not isinstance(tables, list):
-        raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
-    return tuple(_record(kind, table, f"[[{name}]] {number}") for number, table in enumerate(tables, 1))
-
-
-def _record(kind: type[T], table: Any, where: str) -> T:
-    """A dataclass from a table with its fields as keys."""
-    known = {one.name: one for one in fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(table, Mapping):
-        raise ParameterError(f"{where} is missing, or no table; its keys are: {', '.join(known)}")
-    for key in table:
-        if key not in known:
-            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
-    for name, one in known.items():
-        if name not in table and one.default is MISSING:
-            raise ParameterError(f"{where} has no {name}")
-    return kind(**{name: _value(value, str if name == "name" else float, name) for name, value in table.items()})
-
-
-def _value(value: Any, kind: type[Any], name: str) -> Any:
-    if kind is str:
-        if not isinstance(value, str):
-            raise ParameterError(f"{name} is {value!r}; give a text")
-        return value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ParameterError(f"{name} is {value!r}; give a number")
-    return float(value)
-
-
+NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
 Pose = tuple[float, float, float]
 Way = Callable[[Pose, tuple[float, float]], Plan]
 Drive = Callable[[Plan], Prediction]

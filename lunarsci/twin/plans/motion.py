@@ -16,6 +16,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.ranges import POSITIVE, check_range
 from lunarsci.regolith.written_names import check_written_for
 from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Plan
@@ -274,10 +275,8 @@ def drawn_motions(motion: Motion, count: int, correlation_m: float, rng: np.rand
     Raises ParameterError. Waves of random length have that correlation on average (Rahimi & Recht 2007, Random features
     for large-scale kernel machines, NIPS 20, 1177).
     """
-    if count < 1:
-        raise ParameterError(f"{count} draws of the motion; give 1 or more")
-    if not 0 < correlation_m < np.inf:
-        raise ParameterError(f"the errors' correlation length is {correlation_m:g} m; give a number above 0")
+    check_range("draws of the motion", count, "[1, inf)")
+    check_range("the errors' correlation length", correlation_m, POSITIVE)
     return _motions(motion, count, motion.rolled_m / correlation_m, rng)
 
 

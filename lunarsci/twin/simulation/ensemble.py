@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, check_range
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
@@ -189,8 +190,8 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
     names = [entry.name for entry in sweep]
     if len(set(names)) < len(names):
         raise ParameterError(f"a parameter is swept twice: {', '.join(names)}")
-    if members is not None and members < 1:
-        raise ParameterError(f"members is {members}; give 1 or more")
+    if members is not None:
+        check_range("members", members, "[1, inf)")
     if members is not None and not sweep:
         raise ParameterError(
             f"{members} members but no soil parameter to sample; give `sweep` NAME=LOW:HIGH:N, or soils to draw from "
@@ -268,7 +269,9 @@ def predict(
     ParameterError for a plan the rover cannot follow or a value that is no step, seed or sweep.
     """
     _check_plans(plan, before, rover, ruts)
-    _check_steps(time_step_s, sample_m, seed)
+    check_range("time_step_s", time_step_s, f"(0, {LONGEST_STEP_S}]")
+    check_range("sample_m", sample_m, f"(0, {LONGEST_SAMPLE_M}]")
+    check_range("seed", seed, NOT_NEGATIVE)
     if grounds is not None and samples is not None:
         raise ParameterError("samples and grounds are two ways to name the soils; give one")
     given = samples if grounds is None else grounds.parameters
@@ -329,14 +332,6 @@ def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool) -> N
         check_plan(before, rover)
         if not ruts:
             raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; ask for ruts, too")
-
-
-def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
-    for name, value, most in (("time_step_s", time_step_s, LONGEST_STEP_S), ("sample_m", sample_m, LONGEST_SAMPLE_M)):
-        if not 0 < value <= most:
-            raise ParameterError(f"{name} is {value:g}; give a number above 0, at most {most:g}")
-    if seed < 0:
-        raise ParameterError(f"seed is {seed}; give 0 or more")
 
 
 def for_people(scene: DriveSetup, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray) -> None:
