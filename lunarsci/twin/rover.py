@@ -309,9 +309,9 @@ def with_gravity(rover: Rover, gravity: str | None) -> Rover:
     """
     if gravity is None:
         return rover
-    known = GRAVITIES.get(gravity.strip().lower())
+    tabulated = GRAVITIES.get(gravity.strip().lower())
     try:
-        return replace(rover, gravity_m_s2=float(gravity) if known is None else known.value)
+        return replace(rover, gravity_m_s2=float(gravity) if tabulated is None else tabulated.value)
     except ValueError as error:
         raise ParameterError(f"gravity is '{gravity}'; give {', '.join(GRAVITIES)}, or m/s2 above 0") from error
 
@@ -324,7 +324,7 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
     description = read_rover(rover) if isinstance(rover, str) else rover
     mass, suspension = description.table("mass"), description.table("suspension")
     steering, drive = description.table("steering"), description.table("drive")
-    suspended = ("front_wheel_m", "rear_wheel_m", "rocker_pivot_y_m", "joint_damping_n_m_s")
+    suspended: tuple[str, ...] = ("front_wheel_m", "rear_wheel_m", "rocker_pivot_y_m", "joint_damping_n_m_s")
     bogie = str(suspension.get("bogie", "rear"))
     suspended += () if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m")
     of_others = ((mass, ("body_kg", "wheel_kg", "body_inertia_kg_m2", "body_center_m")), (drive, ("max_speed_m_s",)))

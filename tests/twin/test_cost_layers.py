@@ -85,7 +85,7 @@ def test_a_layer_has_its_own_grid_and_holes(tmp_path: Path) -> None:
     for (x, y), factor in at.items():
         assert layer.factor[round(10 * (y + 10)), round(10 * (x + 10))] == factor, (x, y)
     # Eight of nine cells of 2 m on a map of 20 m: 32 m2 of 404 m2.
-    assert layer.known_share == pytest.approx(32.0 / 20.1**2, rel=0.05)
+    assert layer.covered_share == pytest.approx(32.0 / 20.1**2, rel=0.05)
     with pytest.raises(DataError, match="covers no node"):
         read_cost_layer(raster(tmp_path / "far.asc", values, (500.0, 500.0)), terrain, {})
     with pytest.raises(DataError, match="costs of 0 or below"):

@@ -72,7 +72,7 @@ def driven(rover: Rover, mission: Mission = MISSION, short: float | np.ndarray =
 def test_legs_are_as_long_as_asked_and_add_up(yutu2: Rover) -> None:
     found = driven(yutu2)
     assert [leg.plan.length_m for leg in found.legs] == pytest.approx([5.0] * 4)
-    assert found.reached == 1 and found.kept.all()
+    assert found.reached == 1 and found.safe.all()
     assert found.end_s == pytest.approx(sum(leg.drive_s for leg in found.legs))
     assert found.end_s == pytest.approx(20.0 / SPEED_M_S, rel=0.05)
 
@@ -122,9 +122,9 @@ def test_a_member_that_broke_a_limit_once_has_failed(yutu2: Rover) -> None:
         return np.arange(MEMBERS) % 10 != next(leg)
 
     found = drive_mission(MISSION, yutu2, straight, world.drive, others)
-    assert found.kept.mean() == pytest.approx(0.6)
+    assert found.safe.mean() == pytest.approx(0.6)
     found = drive_mission(MISSION, yutu2, straight, world.drive, lambda p: np.arange(MEMBERS) % 10 != 3)
-    assert found.kept.mean() == pytest.approx(0.9)
+    assert found.safe.mean() == pytest.approx(0.9)
 
 
 def test_the_last_target_that_fits_the_time(yutu2: Rover) -> None:
@@ -134,7 +134,7 @@ def test_the_last_target_that_fits_the_time(yutu2: Rover) -> None:
     fates = [one.fate for one in found.targets]
     assert fates == ["reached", "reached", "reached", "no time"]
     assert found.end_s <= 350.0 < found.end_s + 5.0 / SPEED_M_S + 10.0
-    assert not found.kept.any()
+    assert not found.safe.any()
     assert "350 s are given" in found.targets[-1].why
 
 
@@ -164,7 +164,7 @@ def test_the_battery_goes_on_from_leg_to_leg(yutu2: Rover) -> None:
     legs = [leg.drive_s for leg in found.legs]
     drawn = np.cumsum(66.0 * np.array(legs) + 600.0 * 40.0 * (np.arange(4) > 0)) / 3600.0
     assert [float(leg.charge[0]) for leg in found.legs] == pytest.approx(1.0 - drawn / 100.0, abs=1e-9)
-    assert found.kept.all()
+    assert found.safe.all()
     windows = (CommWindow(begin_s=0.0, end_s=710.0), CommWindow(begin_s=2000.0, end_s=9000.0))
     later = powered(yutu2, 100.0, windows=windows)
     more = 40.0 * later.waited_s / 3600.0 / 100.0
@@ -173,14 +173,14 @@ def test_the_battery_goes_on_from_leg_to_leg(yutu2: Rover) -> None:
 
 def test_a_battery_that_gets_too_low_ends_the_mission(yutu2: Rover) -> None:
     """What is taken after the last leg: 4 x 100 s at 66 W, 3 x 600 s at 40 W: 27.3 Wh, with its localisation 34."""
-    assert powered(yutu2, 35.0).kept.all()
+    assert powered(yutu2, 35.0).safe.all()
     low = powered(yutu2, 30.0)
     assert low.targets[0].fate == "no drive" and len(low.legs) == 3
     assert "up to leg 4: the battery gets too low while the rover stands" in low.targets[0].why
     assert f"leg 3: battery_charge ({MEMBERS} of {MEMBERS} drives)" in powered(yutu2, 18.0).targets[0].why
-    assert powered(yutu2, 50.0, least=0.3).kept.all() and not powered(yutu2, 50.0, least=0.34).kept.any()
+    assert powered(yutu2, 50.0, least=0.3).safe.all() and not powered(yutu2, 50.0, least=0.34).safe.any()
     stays = dataclasses.replace(FAR, stay_s=1000.0)
-    assert not powered(yutu2, 35.0, targets=(stays,)).kept.any() and powered(yutu2, 46.0, targets=(stays,)).kept.all()
+    assert not powered(yutu2, 35.0, targets=(stays,)).safe.any() and powered(yutu2, 46.0, targets=(stays,)).safe.all()
 
 
 def test_what_no_way_leads_to_is_said(yutu2: Rover) -> None:
@@ -205,7 +205,7 @@ def test_a_target_beyond_the_horizon_is_come_near_to(yutu2: Rover) -> None:
     )
     assert found.targets[0].fate == "horizon"
     assert found.legs[-1].fixed[0] == pytest.approx(12.0, abs=0.5)
-    assert not found.kept.any()
+    assert not found.safe.any()
 
 
 GOOD = """

@@ -115,8 +115,8 @@ def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
     weak = best.weakest
     look: Any = {"color": HAZARD, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
     axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
-    said = f"least margin after {weak.distance_m:z.1f} m: {_why(weak)}"
-    axes.set_xlabel(f"{axes.get_xlabel()}\n{wrapped(said)}")
+    text = f"least margin after {weak.distance_m:z.1f} m: {_why(weak)}"
+    axes.set_xlabel(f"{axes.get_xlabel()}\n{wrapped(text)}")
 
 
 def _why(weak: Weakest) -> str:
@@ -203,15 +203,15 @@ def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthe
     figure = page(5.0, 6.0)
     axes = figure.subplots()
     rows = [design.row() for design in designs]
-    known = [n for n, row in enumerate(rows) if row["energy_p50_j"] is not None]
+    finished = [n for n, row in enumerate(rows) if row["energy_p50_j"] is not None]
     name = next(iter(designs[0].values))
-    if known:
-        risk = {n: 100.0 * (1.0 - rows[n]["kept_share"]) for n in known}
-        energy = {n: rows[n]["energy_p50_j"] for n in known}
+    if finished:
+        risk = {n: 100.0 * (1.0 - rows[n]["kept_share"]) for n in finished}
+        energy = {n: rows[n]["energy_p50_j"] for n in finished}
         dots = axes.scatter(
-            [energy[n] for n in known],
-            [risk[n] for n in known],
-            c=[designs[n].values[name] for n in known],
+            [energy[n] for n in finished],
+            [risk[n] for n in finished],
+            c=[designs[n].values[name] for n in finished],
             s=36,
             cmap="viridis",
             edgecolors="white",
@@ -225,15 +225,15 @@ def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthe
         )  # fmt: skip
         figure.colorbar(dots, ax=axes, label=_label(name))
         legend_below(figure, axes, 1)
-    highest = max(10.0, *(100.0 * (1.0 - rows[n]["kept_share"]) for n in known), 0.0)
+    highest = max(10.0, *(100.0 * (1.0 - rows[n]["kept_share"]) for n in finished), 0.0)
     axes.set_ylim(-0.04 * highest, 1.08 * highest)
     axes.set_xlabel("work of the motors at the wheels, median [J]")
     axes.set_ylabel("drives that break a limit or do not end [%]")
     axes.grid()
-    left = len(designs) - len(known)
+    left = len(designs) - len(finished)
     more = f"; {left} impossible or without an end are not shown" if left else ""
     headline(figure, f"{len(designs)} designs on the same soils{more}", synthetic=synthetic)
-    if known:
+    if finished:
         named = [(_values(designs[n]), energy[n], risk[n]) for n in list(front)[:MOST_NAMED]]
         name_points(figure, {axes: named}, clear_pt=5.0, color=INK)
     return figure
@@ -270,13 +270,13 @@ def _label(name: str) -> str:
 
 
 def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:
-    known = np.isfinite(measured)
-    axes.plot(values[known], measured[known], "o", color=ACCENT, markersize=4, alpha=0.55, markeredgewidth=0)
-    places = np.unique(values[known])
-    if 1 < len(places) <= max(12, known.sum() // 2):
-        middle = [np.median(measured[known & (values == place)]) for place in places]
+    finished = np.isfinite(measured)
+    axes.plot(values[finished], measured[finished], "o", color=ACCENT, markersize=4, alpha=0.55, markeredgewidth=0)
+    places = np.unique(values[finished])
+    if 1 < len(places) <= max(12, finished.sum() // 2):
+        middle = [np.median(measured[finished & (values == place)]) for place in places]
         axes.plot(places, middle, "-", color=INK, linewidth=1.4)
-    for place in np.unique(values[~known]):
+    for place in np.unique(values[~finished]):
         axes.axvline(place, color=LIMIT, linewidth=0.8, linestyle=":", alpha=0.6)
     axes.grid()
 
@@ -333,7 +333,7 @@ def _places(driven: DrivenMission) -> FloatArray:
 
 def _headline(driven: DrivenMission) -> str:
     reached = f"{driven.reached} of {len(driven.targets)} targets reached in {len(driven.legs)} legs"
-    return f"{reached}; all limits kept by {100 * driven.kept.mean():.0f} % of {driven.kept.size} drives"
+    return f"{reached}; all limits kept by {100 * driven.safe.mean():.0f} % of {driven.safe.size} drives"
 
 
 def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
@@ -341,11 +341,11 @@ def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
     color = (PATH, ACCENT)[leg.number % 2]
     axes.plot(x, y, color="white", linewidth=4.4, zorder=5)
     axes.plot(x, y, color=color, linewidth=2.6, zorder=6)
-    kept = leg.kept
+    safe = leg.safe
     label = "ends, before localisation" if leg.number == 1 else None
-    axes.plot(*leg.ends_m[kept].T, ".", color=color, markersize=3, alpha=0.6, zorder=7, label=label)
-    if not kept.all():
-        axes.plot(*leg.ends_m[~kept].T, "x", color=HAZARD, markersize=5, alpha=0.8, zorder=7)
+    axes.plot(*leg.ends_m[safe].T, ".", color=color, markersize=3, alpha=0.6, zorder=7, label=label)
+    if not safe.all():
+        axes.plot(*leg.ends_m[~safe].T, "x", color=HAZARD, markersize=5, alpha=0.8, zorder=7)
 
 
 def _mark(axes: "Axes", driven: DrivenMission) -> None:
@@ -372,11 +372,11 @@ def timetable(driven: DrivenMission, *, synthetic: bool = False) -> "Figure":
     panels: Any = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
     _draw_times(panels[0], driven)
     legend_below(figure, panels[0], 6)
-    kept, times, shares = np.ones_like(driven.kept), [0.0], [1.0]
+    safe, times, shares = np.ones_like(driven.safe), [0.0], [1.0]
     for leg in driven.legs:
-        kept = kept & leg.kept
+        safe = safe & leg.safe
         times.append((leg.begin_s + leg.drive_s) / 3600)
-        shares.append(float(kept.mean()))
+        shares.append(float(safe.mean()))
     panels[1].step(times, shares, where="post", color=PATH, linewidth=2.0)
     panels[1].set(xlabel="time [h]", ylabel="drives that kept\nall limits [-]", ylim=(0.0, 1.05))
     panels[1].grid()

@@ -161,12 +161,12 @@ class GivenSoil:
 
         Raises RequestError where one of them leaves no room for another, DataError for a file that is no soil.
         """
-        found = cls()
+        result = cls()
         for name in (soil,) if isinstance(soil, str) else soil or ():
-            found = found._with(name)
-        if found.named is not None and found.of in ("belief", "map"):
-            raise RequestError(no_use(found.named, found.name))
-        return found
+            result = result._with(name)
+        if result.named is not None and result.of in ("belief", "map"):
+            raise RequestError(no_use(result.named, result.name))
+        return result
 
     def _of_laws(self, file: InputFile, laws: Mapping[str, Law]) -> "GivenSoil":
         """With the belief before any drive by these laws."""
@@ -243,10 +243,10 @@ def _is_name(name: str) -> bool:
 def _is_prior(file: InputFile) -> bool:
     """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
     try:
-        found = toml_document(file.data.decode("utf-8")) if _is_toml(file) else {}
+        tables = toml_document(file.data.decode("utf-8")) if _is_toml(file) else {}
     except (UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
-    return any(isinstance(found.get(name), dict) for name in PARAMETERS)
+    return any(isinstance(tables.get(name), dict) for name in PARAMETERS)
 
 
 def _is_toml(file: InputFile) -> bool:

@@ -71,12 +71,12 @@ def terrain_questions(terrain: Terrain) -> list[Question]:
     """Whether its median slope is one of the Moon at its spacing, or would be in another unit of heights."""
     height = terrain.height_m
     slope = np.hypot(np.diff(height, axis=0)[:, :-1], np.diff(height, axis=1)[:-1]) / terrain.spacing_m
-    known = slope[np.isfinite(slope)]
-    if not known.size:
+    finite = slope[np.isfinite(slope)]
+    if not finite.size:
         return []
     relief, _ = lunar_relief()
     usual = math.sqrt(relief.at_one_m * 2.0 * math.log(2.0)) * terrain.spacing_m ** (relief.hurst - 1.0)
-    law, median = Law("ln", usual, SLOPE_SD), float(np.median(known))
+    law, median = Law("ln", usual, SLOPE_SD), float(np.median(finite))
     asked = question("median slope of the terrain [m/m]", median, law, HEIGHT_UNITS, "--height-unit m")
     # Ground may be as level as it will: only another unit makes it doubtful.
     return [asked] if asked is not None and asked.likely_unit else []
@@ -122,8 +122,8 @@ def with_unresolved(
     relief, _ = lunar_relief()
     rms_at_one_m = math.sqrt(relief.at_one_m) * math.exp(rougher[0])
     deciding = (step_m / (OBSTACLE_SIGMAS * rms_at_one_m)) ** (1.0 / relief.hurst)
-    told = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), deciding)
-    return dataclasses.replace(finer, errors=errors), told
+    unresolved = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), deciding)
+    return dataclasses.replace(finer, errors=errors), unresolved
 
 
 def unresolved_grain(
@@ -159,9 +159,9 @@ def roughness_of_map(terrain: Terrain) -> tuple[float, float]:
     relief, apart = lunar_relief()
     away = np.linspace(-5.0, 5.0, 1001)
     density = -0.5 * away**2 / (apart**2 + WITHIN_KIND**2)
-    found = [size for lag in LAGS if (size := _second_differences(terrain, lag, relief)) > 0]
-    if found:
-        off = (away - float(np.mean(np.log(found)))) / OF_A_MAP
+    sizes = [size for lag in LAGS if (size := _second_differences(terrain, lag, relief)) > 0]
+    if sizes:
+        off = (away - float(np.mean(np.log(sizes)))) / OF_A_MAP
         density -= 0.5 * (DEGREES + 1.0) * np.log1p(off**2 / DEGREES)
     weight = np.exp(density - density.max())
     mean = float(weight @ away / weight.sum())
@@ -170,12 +170,12 @@ def roughness_of_map(terrain: Terrain) -> tuple[float, float]:
 
 def _second_differences(terrain: Terrain, lag: int, relief: Relief) -> float:
     """Their size in that of the law; 0 where there are too few, or where the map is level."""
-    height, found = terrain.height_m, []
+    height, parts = terrain.height_m, []
     for one in (height, height.T):
         if len(one) > 2 * lag:
             bent = one[2 * lag :] - 2.0 * one[lag:-lag] + one[: -2 * lag]
-            found.append(bent[np.isfinite(bent)])
-    together = np.concatenate(found) if found else np.empty(0)
+            parts.append(bent[np.isfinite(bent)])
+    together = np.concatenate(parts) if parts else np.empty(0)
     if together.size < 10:
         return 0.0
     law = relief.at_one_m * (lag * terrain.spacing_m) ** (2.0 * relief.hurst) * (4.0 - 2.0 ** (2.0 * relief.hurst))
@@ -236,9 +236,9 @@ class _Cells:
 
     @classmethod
     def of(cls, axis: FloatArray, over: FloatArray) -> "_Cells":
-        spacing, own = over[1] - over[0], axis[1] - axis[0]
-        if spacing < own:
-            cell = np.rint((over - axis[0]) / own).astype(np.int64)
+        spacing, coarse = over[1] - over[0], axis[1] - axis[0]
+        if spacing < coarse:
+            cell = np.rint((over - axis[0]) / coarse).astype(np.int64)
             inside = np.flatnonzero((cell >= 0) & (cell < len(axis)))
             nodes, first = np.unique(cell[inside], return_index=True)
             return cls(nodes, inside[first], int(inside[-1]) + 1 if inside.size else 0)
@@ -260,7 +260,8 @@ def check_finer(path: str, finer: Terrain, terrain: Terrain) -> None:
             "a local terrain must be finer; give the finer one as local, or leave it out"
         )
     if any(
-        own[-1] < other[0] or own[0] > other[-1] for own, other in ((finer.x_m, terrain.x_m), (finer.y_m, terrain.y_m))
+        axis[-1] < other[0] or axis[0] > other[-1]
+        for axis, other in ((finer.x_m, terrain.x_m), (finer.y_m, terrain.y_m))
     ):
         raise DataError(
             f"{path}: covers no part of {terrain.name}: x {finer.x_m[0]:g} to {finer.x_m[-1]:g} m, y "
@@ -351,9 +352,13 @@ def driven_ground(terrain: Terrain, finer: Sequence[Terrain], points_m: FloatArr
     x, y = (low[k] + spacing * np.arange(math.floor((high[k] - low[k]) / spacing + 1e-9) + 1) for k in (0, 1))
     height, below = terrain.height_at(x[None, :], y[:, None]), terrain.spacing_m
     for one in near:
-        own = one.height_at(x[None, :], y[:, None])
-        share = _evenly(~np.isnan(own), below / spacing)
-        height = np.where(np.isnan(own), height, np.where(np.isnan(height), own, height + share * (own - height)))
+        finer_height = one.height_at(x[None, :], y[:, None])
+        share = _evenly(~np.isnan(finer_height), below / spacing)
+        height = np.where(
+            np.isnan(finer_height),
+            height,
+            np.where(np.isnan(height), finer_height, height + share * (finer_height - height)),
+        )
         below = one.spacing_m
     soil = terrain.soil
     if soil.shape[:2] != (1, 1):
@@ -369,11 +374,11 @@ def driven_ground(terrain: Terrain, finer: Sequence[Terrain], points_m: FloatArr
     )  # fmt: skip
 
 
-def _evenly(known: npt.NDArray[np.bool_], nodes: float) -> FloatArray:
+def _evenly(covered: npt.NDArray[np.bool_], nodes: float) -> FloatArray:
     """0 at the rim of what is known, 1 so many nodes within it."""
     from scipy.ndimage import distance_transform_edt
 
-    return np.asarray(np.clip((distance_transform_edt(known) - 1.0) / nodes, 0.0, 1.0))
+    return np.asarray(np.clip((distance_transform_edt(covered) - 1.0) / nodes, 0.0, 1.0))
 
 
 def lengths_checked(
@@ -393,8 +398,8 @@ def lengths_checked(
         )
         ny, nx = one.demand.shape
         inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
-        known = inside & ~one.unknown[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)]
-        here = left & known.all(axis=1)
+        covered = inside & ~one.unknown[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)]
+        here = left & covered.all(axis=1)
         left &= ~here
         lengths.append(step_m * float(here.sum()))
     return lengths[::-1]

@@ -48,7 +48,7 @@ class RoverFootprint:
 
         Poses (..., 3) [m, m, rad]; their leading axes and those of the points broadcast together.
         """
-        u, v = self._own(pose, x_m, y_m)
+        u, v = self._in_frame(pose, x_m, y_m)
         beside = np.maximum(np.abs(v) - self.half_width_m, 0.0)
         return np.asarray(np.hypot(np.maximum(np.maximum(self.rear_m - u, u - self.front_m), 0.0), beside))
 
@@ -60,7 +60,7 @@ class RoverFootprint:
         return np.column_stack([pose[0] + cos * u - sin * v, pose[1] + sin * u + cos * v])
 
     @staticmethod
-    def _own(pose: FloatArray, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def _in_frame(pose: FloatArray, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         dx, dy = np.asarray(x_m) - pose[..., 0], np.asarray(y_m) - pose[..., 1]
         return cos * dx + sin * dy, cos * dy - sin * dx

@@ -84,15 +84,18 @@ def _on_map(coordinates: Any, projection: MapProjection | None) -> FloatArray:
 def _zones_of(feature: Any, number: int, projection: MapProjection | None) -> Iterator[ExclusionZone]:
     if not isinstance(feature, Mapping) or not isinstance(feature.get("geometry"), Mapping):
         raise ParameterError(f"feature {number} has no geometry")
-    own, shape = feature.get("properties") or {}, feature["geometry"]
-    name = str(own.get("name", f"rock {own['id']}" if "id" in own else f"keep-out {number}"))
+    properties, shape = feature.get("properties") or {}, feature["geometry"]
+    name = str(properties.get("name", f"rock {properties['id']}" if "id" in properties else f"keep-out {number}"))
     try:
-        if {"x_m", "y_m", "keepout_m"} <= set(own):
-            yield ExclusionZone(name, *(float(own[key]) for key in ("x_m", "y_m", "keepout_m")))
+        if {"x_m", "y_m", "keepout_m"} <= set(properties):
+            yield ExclusionZone(name, *(float(properties[key]) for key in ("x_m", "y_m", "keepout_m")))
         elif shape["type"] == "Point":
             x, y = _on_map([shape["coordinates"]], projection)[0]
             yield ExclusionZone(
-                name, float(x), float(y), float(own["keepout_m"] if "keepout_m" in own else own["radius_m"])
+                name,
+                float(x),
+                float(y),
+                float(properties["keepout_m"] if "keepout_m" in properties else properties["radius_m"]),
             )
         elif shape["type"] in ("Polygon", "MultiPolygon"):
             for part in [shape["coordinates"]] if shape["type"] == "Polygon" else shape["coordinates"]:
@@ -137,12 +140,12 @@ def _inside(places: FloatArray, corners: FloatArray) -> BoolArray:
 
 
 def _off_edges(places: FloatArray, corners: FloatArray) -> FloatArray:
-    found = np.full(len(places), np.inf)
+    distance = np.full(len(places), np.inf)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         way = b - a
         share = np.clip((places - a) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
-        found = np.minimum(found, np.linalg.norm(places - a - share[:, None] * way, axis=1))
-    return found
+        distance = np.minimum(distance, np.linalg.norm(places - a - share[:, None] * way, axis=1))
+    return distance
 
 
 def within(zones: Zones, terrain: Terrain) -> BoolArray:
@@ -177,14 +180,14 @@ class CostLayer:
     ----------
     name : what it is, for messages.
     factor : above 0, infinite where no part of the rover may be; 1 where the layer says nothing. (ny, nx) [-]
-    known_share : share of the terrain's nodes of which it says something. [-]
+    covered_share : share of the terrain's nodes of which it says something. [-]
 
     Raises ParameterError for factors of 0 and below.
     """
 
     name: str
     factor: npt.NDArray[np.float32]
-    known_share: float = 1.0
+    covered_share: float = 1.0
 
     def __post_init__(self) -> None:
         if not (self.factor > 0).all():
@@ -211,7 +214,7 @@ def parse_cost(text: str) -> float:
 
 def parse_classes(texts: Sequence[str]) -> dict[float, float]:
     """Costs by class, from `VALUE=COST` each, COST a factor or `forbidden`. Raises ParameterError."""
-    found: dict[float, float] = {}
+    costs: dict[float, float] = {}
     for text in texts:
         value, sign, cost = text.partition("=")
         try:
@@ -220,8 +223,8 @@ def parse_classes(texts: Sequence[str]) -> dict[float, float]:
             number = math.nan
         if math.isnan(number):
             raise ParameterError(f"class '{text}' is not VALUE=COST, for example 3=forbidden or 2=1.5")
-        found[number] = parse_cost(cost)
-    return found
+        costs[number] = parse_cost(cost)
+    return costs
 
 
 def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float]) -> CostLayer:
@@ -233,16 +236,16 @@ def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float])
     """
     grid = read_grid(path, values=True)
     values = _values_at(grid, terrain, path)
-    known = ~np.isnan(values)
-    if not known.any():
+    covered = ~np.isnan(values)
+    if not covered.any():
         raise DataError(f"{path}: covers no node of the terrain; is it of the same place and coordinate system?")
-    factor = np.where(known, values, 1.0)
+    factor = np.where(covered, values, 1.0)
     if classes:
         factor = np.ones(values.shape)
         for value, cost in classes.items():
             factor[np.abs(values - value) < SAME_CLASS] = cost
     try:
-        return CostLayer(name=Path(path).name, factor=factor.astype(np.float32), known_share=float(known.mean()))
+        return CostLayer(name=Path(path).name, factor=factor.astype(np.float32), covered_share=float(covered.mean()))
     except ParameterError as error:
         raise DataError(f"{path}: {error}") from error
 
@@ -370,11 +373,11 @@ class GroundMaps:
 
 
 def _spread(values: FloatMap) -> dict[str, float | None]:
-    known = values[~np.isnan(values)]
+    finite = values[~np.isnan(values)]
     names = ("p5", "p50", "p95", "max")
-    if not known.size:
+    if not finite.size:
         return dict.fromkeys(names)
-    return dict(zip(names, np.percentile(known, (5, 50, 95, 100)).tolist(), strict=True))
+    return dict(zip(names, np.percentile(finite, (5, 50, 95, 100)).tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -422,18 +425,18 @@ class Traversability:
         if math.isnan(self.terrain.height_m[row, column]):
             return f"the height is unknown {at}"
         x, y = self.terrain.x_m[column], self.terrain.y_m[row]
-        found = [
+        reasons = [
             f"'{zone.name}' is to be kept out of {at}"
             for zone in self.keep_outs
             if math.hypot(x - zone.x_m, y - zone.y_m) <= zone.radius_m
         ]
-        found += [f"layer '{layer.name}' forbids it {at}" for layer in self.layers if layer.forbidden[row, column]]
+        reasons += [f"layer '{layer.name}' forbids it {at}" for layer in self.layers if layer.forbidden[row, column]]
         for name, value, limit, unit in self._limited():
             if value[row, column] > limit:
-                found.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
-        if not found and self.unknown[row, column]:
+                reasons.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
+        if not reasons and self.unknown[row, column]:
             return f"a hole or the edge of the map is too near {at}"
-        return "; ".join(found)
+        return "; ".join(reasons)
 
     def _limited(self) -> list[tuple[str, FloatMap, float, str]]:
         rows = [

@@ -140,20 +140,20 @@ class SoilMap:
         taken = nearest + within[..., None] * (place_m[:, None] - nearest)
         gap = np.linalg.norm(taken[:, :, None] - taken[:, None], axis=-1)
         correlation = np.exp(-gap / self.correlation_m)
-        own = np.exp(-np.maximum(distance - self.reach_m, 0.0) / self.correlation_m)
-        share = np.linalg.solve(correlation + NUGGET * np.eye(j), own[..., None])[..., 0]
+        to_place = np.exp(-np.maximum(distance - self.reach_m, 0.0) / self.correlation_m)
+        share = np.linalg.solve(correlation + NUGGET * np.eye(j), to_place[..., None])[..., 0]
         inside = distance[:, 0] <= self.reach_m
         share[inside] = np.eye(j)[0]
-        unknown = np.where(inside, 0.0, np.clip(1.0 - (own * share).sum(axis=1), 0.0, 1.0))
+        unknown = np.where(inside, 0.0, np.clip(1.0 - (to_place * share).sum(axis=1), 0.0, 1.0))
         return Blend(zone, share, correlation, unknown)
 
     def _nearest(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance to every zone, (n, zones), and its nearest place, (n, zones, 2)."""
         from scipy.spatial import cKDTree
 
-        found = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
-        distance = np.column_stack([distance for _, distance, _ in found])
-        return distance, np.stack([places[index] for places, _, index in found], axis=1)
+        by_zone = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
+        distance = np.column_stack([distance for _, distance, _ in by_zone])
+        return distance, np.stack([places[index] for places, _, index in by_zone], axis=1)
 
     def moments(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (n, 8) and covariance (n, 8, 8) of the transforms at places (n, 2).
@@ -218,12 +218,12 @@ class SoilMap:
         from scipy.spatial import cKDTree
 
         tree = cKDTree(np.concatenate([zone.place_m for zone in zones]))
-        kept = []
+        remaining = []
         for zone in self.zones:
             outside = np.asarray(tree.query(zone.place_m)[0] > self.reach_m)
             if outside.any():
-                kept.append(zone if outside.all() else replace(zone, place_m=zone.place_m[outside]))
-        return replace(self, zones=(*kept, *zones))
+                remaining.append(zone if outside.all() else replace(zone, place_m=zone.place_m[outside]))
+        return replace(self, zones=(*remaining, *zones))
 
 
 def zone_roots(soil_map: SoilMap) -> FloatArray:
@@ -392,9 +392,9 @@ class DrawnGrounds:
 
     def only(self, member: int) -> "DrawnGrounds":
         """One of them alone."""
-        own = slice(member, member + 1)
-        parameters = {name: values[own] for name, values in self.parameters.items()}
-        return replace(self, zones=self.zones[own], elsewhere=self.elsewhere[own], parameters=parameters)
+        part = slice(member, member + 1)
+        parameters = {name: values[part] for name, values in self.parameters.items()}
+        return replace(self, zones=self.zones[part], elsewhere=self.elsewhere[part], parameters=parameters)
 
 
 def drawn_grounds(
@@ -419,7 +419,7 @@ def drawn_grounds(
     elsewhere = random.standard_normal((members, len(PARAMETERS)))
     along = soil_map.blend(along_m)
     middle = np.array(
-        [_fields(soil_map, along, own, left).mean(axis=0) for own, left in zip(zones, elsewhere, strict=True)]
+        [_fields(soil_map, along, drawn, left).mean(axis=0) for drawn, left in zip(zones, elsewhere, strict=True)]
     )
     values = values_of(soil_map.laws, middle)
     parameters = {name: values[:, k] for k, name in enumerate(PARAMETERS)}

@@ -154,10 +154,10 @@ class Terrain:
 
     def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
         """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
-        own = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}
-        uniform = all(value.ndim == 0 for value in own.values())
+        changed = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}
+        uniform = all(value.ndim == 0 for value in changed.values())
         soil = self.soil.copy() if uniform else np.broadcast_to(self.soil, (*self.height_m.shape, 8)).copy()
-        for column, value in own.items():
+        for column, value in changed.items():
             soil[..., column] = value
         return dataclasses.replace(self, soil=soil)
 
@@ -484,8 +484,8 @@ def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
     maker = None if grid.made_for is None else MadeFor.from_table(json_document(grid.made_for))
     soils = {name: values for name, values in grid.layers.items() if name in SOIL_COLUMNS}
     errors = {name: _checked(name, values, grid) for name, values in grid.layers.items() if name not in soils}
-    said = (grid.crs_of_file, grid.read_as, grid.beside)
-    return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors, *said)
+    origin = (grid.crs_of_file, grid.read_as, grid.beside)
+    return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors, *origin)
 
 
 def _checked(name: str, values: npt.NDArray[Any], grid: HeightGrid) -> FloatArray:

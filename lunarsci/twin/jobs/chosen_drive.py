@@ -64,7 +64,7 @@ class LocalGround:
         """Raises DataError, and RequestError where heights have errors that drives on several terrains cannot have."""
         alone = GroundRequest(rover=asked.rover, keep_out=asked.keep_out)
         driven, inputs = asked.risk is not None or asked.mission is not None, dict(site.inputs)
-        found: list[tuple[Traversability, Terrain]] = []
+        grounds: list[tuple[Traversability, Terrain]] = []
         for path in asked.local:
             local = read_site(path, alone, next(iter(_names(asked)), None), asked.limits_of_ground(), site.terrain.crs)
             check_finer(path, local.terrain, site.terrain)
@@ -73,14 +73,14 @@ class LocalGround:
                     f"heights of {path if local.file.states_errors else site.terrain.name} have errors, and beside "
                     "`local` all are driven on as they are likely to be; give `exact_terrain`, too"
                 )
-            found.append((local.surface(asked.baseline, progress), likely_ground_of(local)))
+            grounds.append((local.surface(asked.baseline, progress), likely_ground_of(local)))
             inputs |= local.inputs
-        found.sort(key=lambda one: -one[0].terrain.spacing_m)
+        grounds.sort(key=lambda one: -one[0].terrain.spacing_m)
         return cls(
             site=replace(site, inputs=inputs),
             surface=surface,
-            finer=tuple(one for one, _ in found),
-            likely=(likely_ground_of(site), *(ground for _, ground in found)) if driven and found else (),
+            finer=tuple(one for one, _ in grounds),
+            likely=(likely_ground_of(site), *(ground for _, ground in grounds)) if driven and grounds else (),
         )
 
     def searched(self, points_m: FloatArray) -> Traversability:
@@ -157,13 +157,13 @@ class ChosenDrive(TerrainSurvey):
 
     @property
     def made_from(self) -> MadeFrom:
-        made, known = TerrainSurvey._made_from(self), self.soils.inputs
+        made, inputs = TerrainSurvey._made_from(self), self.soils.inputs
         return replace(
             made,
-            inputs={**made.inputs, **known.inputs},
+            inputs={**made.inputs, **inputs.inputs},
             sources=[*dict.fromkeys([*made.sources, *OF_DRIVES, *SOURCES])],
             seed=self.soils.seed,
-            options={**made.options, **known.options},
+            options={**made.options, **inputs.options},
         )
 
     @property
@@ -235,13 +235,13 @@ class ChosenDrive(TerrainSurvey):
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Those of a path, where one is feasible; the table of candidates, and the plans that none beats."""
-        found = TerrainSurvey.files(self, geotiff=geotiff)
+        contents = TerrainSurvey.files(self, geotiff=geotiff)
         if (ground := self.ground) is not None:
-            found["driven-terrain.npz"] = lambda: terrain_bytes(ground, made_for=self.site.made_for)
-        found["candidates.csv"] = lambda: csv_bytes(self._table())
+            contents["driven-terrain.npz"] = lambda: terrain_bytes(ground, made_for=self.site.made_for)
+        contents["candidates.csv"] = lambda: csv_bytes(self._table())
         for one in self.choice.front:
-            found[f"plan-{one.number:02d}.toml"] = lambda one=one: plan_text(one.plan).encode()  # type: ignore[misc]
-        return found
+            contents[f"plan-{one.number:02d}.toml"] = lambda one=one: plan_text(one.plan).encode()  # type: ignore[misc]
+        return contents
 
     def _table(self) -> "pd.DataFrame":
         import pandas as pd
@@ -262,9 +262,9 @@ class ChosenDrive(TerrainSurvey):
 
 def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     """One line of the table of candidates."""
-    said = record["promised"] or record["screened"]
+    chance_of = record["promised"] or record["screened"]
     plain = {name: record[name] for name in ("number", "name", "length_m", "duration_s", "energy_j")}
-    chance = {name: said[name] for name in ("drives", "failed", "risk", "risk_low", "risk_high")}
+    chance = {name: chance_of[name] for name in ("drives", "failed", "risk", "risk_low", "risk_high")}
     worst = {
         f"worst_{name}": record["worst"][name] for name in ("quantity", "value", "limit", "x_m", "y_m", "distance_m")
     }

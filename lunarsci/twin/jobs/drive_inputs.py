@@ -88,10 +88,10 @@ class DriveInputs:
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
-        found = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
+        record = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
         cautions = (self.caution_of_belief, other_law(self.given.name, self.given.verdict, self.rover.name))
-        told = {"doubt": self.doubt_of_belief, "caution": "; ".join(filter(None, cautions))}
-        return found | {key: text for key, text in told.items() if text}
+        remarks = {"doubt": self.doubt_of_belief, "caution": "; ".join(filter(None, cautions))}
+        return record | {key: text for key, text in remarks.items() if text}
 
     def soil_notes(self, members: int, drawn: int) -> list[str]:
         """Which soil `members` drives have, but for that of the stand-in, and what a belief in its place means.
@@ -137,12 +137,12 @@ class DriveInputs:
         """
         if as_written:
             return self
-        found, soil = rover_questions(self.rover), self.given.named
+        questions, soil = rover_questions(self.rover), self.given.named
         if heights:
-            found += terrain_questions(self.terrain)
+            questions += terrain_questions(self.terrain)
         if soil is not None and soil not in known_soils():
-            found += unusual(read_soil(soil), soil)
-        return replace(self, questions=(*found, *(() if states is None else states.questions(self.rover.wheel))))
+            questions += unusual(read_soil(soil), soil)
+        return replace(self, questions=(*questions, *(() if states is None else states.questions(self.rover.wheel))))
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""
@@ -207,7 +207,7 @@ def read_drive_inputs(
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
     check = MadeForCheck(description, built, rover is not None, surface, (named or below) is not None, file.read_as)
     drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
-    drive = _kept_out(drive, built, keep_out, inputs, surface.crs)
+    drive = _with_keep_outs(drive, built, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
@@ -244,13 +244,13 @@ def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | N
     if plan is None or isinstance(plan, Plan):
         return plan
     if isinstance(plan, str) and plan != "-" and not Path(plan).exists():
-        _check_found(Path(plan))
+        _check_missing(Path(plan))
     file = read_input(plan)
     inputs[file.name] = file.sha256
     return read_plan(file)
 
 
-def _check_found(plan: Path) -> None:
+def _check_missing(plan: Path) -> None:
     """Raises DataError where a plan is missing as `twin plan` found none, by the record in its folder."""
     try:
         record = json_document((plan.parent / "result.json").read_text("utf-8"))
@@ -266,7 +266,7 @@ def _check_found(plan: Path) -> None:
         )
 
 
-def _kept_out(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:
+def _with_keep_outs(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:
     """The plan with the circles of keep-out files that its way comes near to; their hashes go to the `inputs`."""
     for name in files:
         file = read_input(name)
@@ -290,12 +290,12 @@ def _read_ground(
 ) -> tuple[TerrainFile, Terrain, DrivenSoil]:
     """The terrain's file, the terrain with the soil that is driven on, and where this comes from."""
     name = given.named or DEFAULT_SOIL
-    own = read_soil(name)
-    made = below or (synthetic_longji(own) if terrain == SYNTHETIC else None)
+    soil = read_soil(name)
+    made = below or (synthetic_longji(soil) if terrain == SYNTHETIC else None)
     if made is not None and unit is not None:
         raise RequestError(f"`height_unit` does not apply to {terrain}; leave it out")
-    file = read_terrain_file(terrain, own, unit) if made is None else TerrainFile(made)
-    surface, driven = lay_soil_on(file, terrain, own, name, asked=given.named is not None)
+    file = read_terrain_file(terrain, soil, unit) if made is None else TerrainFile(made)
+    surface, driven = lay_soil_on(file, terrain, soil, name, asked=given.named is not None)
     return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
 
 
@@ -329,8 +329,8 @@ def on_gravity(rover: Rover, gravity: str | None) -> Rover:
 
 def named_option(name: str, error: Exception) -> str:
     """What is wrong with an option's value, with its name in backticks."""
-    said = str(error)
-    return f"`{name}`{said.removeprefix(name)}" if said.startswith(name) else f"`{name}`: {said}"
+    text = str(error)
+    return f"`{name}`{text.removeprefix(name)}" if text.startswith(name) else f"`{name}`: {text}"
 
 
 SOIL_TABLE = "soils.toml"
@@ -373,8 +373,8 @@ class Soils:
         ranges = None if sweep is None else _parsed_sweep(sweep)
         soils = cls(inputs, ranges, members, seed)
         if given.belief is not None:
-            drawn, known = given.belief.draws(members or OF_A_BELIEF, seed), given.belief
-            soils = replace(soils, samples=drawn, verdict=known.verdict, discrepancy=known.discrepancy)
+            drawn, belief = given.belief.draws(members or OF_A_BELIEF, seed), given.belief
+            soils = replace(soils, samples=drawn, verdict=belief.verdict, discrepancy=belief.discrepancy)
         elif given.soil_map is not None:
             law = given.soil_map.belief_along(planned_places(inputs.plan, inputs.rover)).discrepancy
             soils = replace(soils, discrepancy=law)
@@ -419,9 +419,9 @@ class Soils:
     def doubt(self) -> str:
         """Why soils should not be driven on, by their fit, its law or the drives of their belief; empty if they may."""
         fit = "" if self.verdict is None else doubt(self.verdict)
-        known = self.inputs
-        law = other_law(known.given.name, known.given.verdict, known.rover.name)
-        return "; ".join(part for part in (fit, law, known.doubt_of_belief) if part)
+        inputs = self.inputs
+        law = other_law(inputs.given.name, inputs.given.verdict, inputs.rover.name)
+        return "; ".join(part for part in (fit, law, inputs.doubt_of_belief) if part)
 
     def warn_of_fit(self) -> None:
         """Say the doubt of a fit."""
@@ -450,18 +450,23 @@ class Soils:
 
     def of_members(self) -> dict[str, Any]:
         """What `drive_ensemble` takes: rover, terrain and plan, ruts, and the soils of all members."""
-        known = self.inputs
-        found: dict[str, Any] = {"rover": known.rover, "terrain": known.terrain, "plan": known.plan, "seed": self.seed}
-        found |= {"ruts": known.ruts, "before": known.before}
-        if known.given.soil_map is not None:
-            along, members = planned_places(known.plan, known.rover), self.members or OF_A_BELIEF
-            grounds = drawn_grounds(known.given.soil_map, known.terrain, along, members, self.seed)
-            return found | {"grounds": grounds}
+        inputs = self.inputs
+        result: dict[str, Any] = {
+            "rover": inputs.rover,
+            "terrain": inputs.terrain,
+            "plan": inputs.plan,
+            "seed": self.seed,
+        }
+        result |= {"ruts": inputs.ruts, "before": inputs.before}
+        if inputs.given.soil_map is not None:
+            along, members = planned_places(inputs.plan, inputs.rover), self.members or OF_A_BELIEF
+            grounds = drawn_grounds(inputs.given.soil_map, inputs.terrain, along, members, self.seed)
+            return result | {"grounds": grounds}
         if self.samples is not None:
-            return found | {"samples": self.samples}
-        if self.kind == "one" and self.members is None and known.rough and known.terrain.errors is not None:
-            found |= {"draws": known.terrain.errors.draws(OF_A_BELIEF, self.seed)}
-        return found | {"sweep": self.sweep, "members": self.members}
+            return result | {"samples": self.samples}
+        if self.kind == "one" and self.members is None and inputs.rough and inputs.terrain.errors is not None:
+            result |= {"draws": inputs.terrain.errors.draws(OF_A_BELIEF, self.seed)}
+        return result | {"sweep": self.sweep, "members": self.members}
 
 
 def _parsed_sweep(sweep: Sequence[str]) -> tuple[Sweep, ...]:

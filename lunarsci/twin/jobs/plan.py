@@ -73,25 +73,25 @@ class PlannedMission(TerrainSurvey):
 
     @property
     def made_from(self) -> MadeFrom:
-        made, known = TerrainSurvey._made_from(self), self.soils.inputs
+        made, inputs = TerrainSurvey._made_from(self), self.soils.inputs
         return replace(
             made,
-            inputs={**made.inputs, **known.inputs, self.file[0]: self.file[1]},
+            inputs={**made.inputs, **inputs.inputs, self.file[0]: self.file[1]},
             sources=[*dict.fromkeys([*made.sources, *OF_DRIVES, *SOURCES])],
             seed=self.soils.seed,
-            options={**made.options, **known.options, "risk": self.risk},
+            options={**made.options, **inputs.options, "risk": self.risk},
         )
 
     @property
     def chance(self) -> Chance:
         """Of not keeping the whole mission."""
-        return chance_of(self.driven.kept)
+        return chance_of(self.driven.safe)
 
     @property
     def untrusted(self) -> str:
-        found = next((one for one in self.driven.targets if one.fate != "reached"), None)
-        parts = [] if found is None else [f"target '{found.target.name}' is not reached, {found.fate}: {found.why}"]
-        if found is None and self.chance.risk > self.risk:
+        missed = next((one for one in self.driven.targets if one.fate != "reached"), None)
+        parts = [] if missed is None else [f"target '{missed.target.name}' is not reached, {missed.fate}: {missed.why}"]
+        if missed is None and self.chance.risk > self.risk:
             parts = [f"the mission is not kept with a chance of {self.chance.risk:.2g}, {self.risk:g} is accepted"]
         return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
@@ -105,7 +105,7 @@ class PlannedMission(TerrainSurvey):
             "mission": {
                 "name": mission.name,
                 "risk": self.risk,
-                "members": int(driven.kept.size),
+                "members": int(driven.safe.size),
                 "kept": self.chance.to_dict(),
                 "last_target": reached[-1] if reached else None,
                 "reached": len(reached),
@@ -115,7 +115,7 @@ class PlannedMission(TerrainSurvey):
                 "targets": [
                     {
                         "name": one.target.name, "x_m": one.target.x_m, "y_m": one.target.y_m, "fate": one.fate,
-                        "why": one.why, "arrival_s": one.arrival_s, "kept": chance_of(one.kept).to_dict(),
+                        "why": one.why, "arrival_s": one.arrival_s, "kept": chance_of(one.safe).to_dict(),
                     }
                     for one in driven.targets
                 ],
@@ -127,11 +127,11 @@ class PlannedMission(TerrainSurvey):
         return self._legs()
 
     def _legs(self) -> list[dict[str, Any]]:
-        kept = np.ones_like(self.driven.kept)
+        safe = np.ones_like(self.driven.safe)
         rows = []
         for leg in self.driven.legs:
-            kept = kept & leg.kept
-            rows.append(_leg_row(leg) | {"kept_so_far": float(kept.mean())})
+            safe = safe & leg.safe
+            rows.append(_leg_row(leg) | {"kept_so_far": float(safe.mean())})
         return rows
 
     def figures(self) -> "Iterator[Figure]":
@@ -143,12 +143,12 @@ class PlannedMission(TerrainSurvey):
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain and maps, the table of legs, a plan for each, and all of it as GeoJSON."""
-        found = TerrainSurvey.files(self, geotiff=geotiff)
-        found["legs.csv"] = lambda: csv_bytes(self._table())
-        found["mission.geojson"] = lambda: (json.dumps(geojson(self.driven), indent=1) + "\n").encode()
+        contents = TerrainSurvey.files(self, geotiff=geotiff)
+        contents["legs.csv"] = lambda: csv_bytes(self._table())
+        contents["mission.geojson"] = lambda: (json.dumps(geojson(self.driven), indent=1) + "\n").encode()
         for leg in self.driven.legs:
-            found[f"leg-{leg.number:03d}.toml"] = lambda leg=leg: plan_text(leg.plan).encode()  # type: ignore[misc]
-        return found
+            contents[f"leg-{leg.number:03d}.toml"] = lambda leg=leg: plan_text(leg.plan).encode()  # type: ignore[misc]
+        return contents
 
     def _table(self) -> "pd.DataFrame":
         import pandas as pd
@@ -161,13 +161,13 @@ class PlannedMission(TerrainSurvey):
         return [
             *TerrainSurvey.notes(self),
             f"each leg begins where one drive, drawn by the seed, was localised with {fixes.position_sigma_m:g} m and "
-            f"{fixes.heading_sigma_deg:g} deg; shares are of {self.driven.kept.size} drives, each with one soil",
+            f"{fixes.heading_sigma_deg:g} deg; shares are of {self.driven.safe.size} drives, each with one soil",
         ]
 
 
-def chance_of(kept: Any) -> Chance:
+def chance_of(safe: Any) -> Chance:
     """Of failing, counted over members."""
-    return Chance(int((~kept).sum()), int(kept.size))
+    return Chance(int((~safe).sum()), int(safe.size))
 
 
 def _leg_row(leg: MissionLeg) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def _leg_row(leg: MissionLeg) -> dict[str, Any]:
         "end_xx_m2": float(xx),
         "end_xy_m2": float(xy),
         "end_yy_m2": float(yy),
-        "kept": float(leg.kept.mean()),
+        "kept": float(leg.safe.mean()),
         **charge,
     }
 
@@ -384,7 +384,7 @@ def _path(
 ) -> PlannedPath:  # fmt: skip
 
     (x0, y0, heading), (x, y, *_) = asked.places
-    found = way_to(
+    path = way_to(
         surface,
         site.rover,
         (x0, y0, heading),
@@ -396,6 +396,6 @@ def _path(
         progress=progress,
         finer=finer,
     )
-    near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
-    plan = replace(found.plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
-    return replace(found, plan=plan)
+    near = near_way(site.keep_outs, planned_places(path.plan, site.rover))
+    plan = replace(path.plan, made_for=made_for_on(site), exclusion_zones=near, crs=site.terrain.crs)
+    return replace(path, plan=plan)

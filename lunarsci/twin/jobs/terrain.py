@@ -193,8 +193,8 @@ class SurveyedSite:
     def surface(self, baseline_m: float | None, progress: Progress | None) -> Traversability:
         """The maps, compared with the limits."""
 
-        own, wheel = map_scales(self.rover)
-        maps = ground_maps(self.terrain, own if baseline_m is None else baseline_m, wheel, progress)
+        baseline, wheel = map_scales(self.rover)
+        maps = ground_maps(self.terrain, baseline if baseline_m is None else baseline_m, wheel, progress)
         if self.sun_deg is None:
             return assess(self.terrain, maps, self.mobility, self.keep_outs, self.layers)
 
@@ -239,8 +239,8 @@ class TerrainSurvey(Result):
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
         soil = {"soil": site.driven.name} if site.driven.of == "default" else {}
-        own, seed = {"rover": site.description.origin, "terrain": site.origin} | soil, site.made.get("seed")
-        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
+        options, seed = {"rover": site.description.origin, "terrain": site.origin} | soil, site.made.get("seed")
+        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=options)
 
     def to_dict(self) -> dict[str, Any]:
         surface = self.surface
@@ -294,17 +294,17 @@ class TerrainSurvey(Result):
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
 
         site, path = self.site, self.path
-        found: dict[str, Callable[[], bytes]] = {
+        contents: dict[str, Callable[[], bytes]] = {
             "terrain.npz": site.content,
             "maps.npz": lambda: maps_bytes(self.surface),
         }
         if geotiff:
-            found["maps.tif"] = lambda: maps_geotiff(self.surface)
+            contents["maps.tif"] = lambda: maps_geotiff(self.surface)
         if path is not None:
-            found["plan.toml"] = lambda: plan_text(path.plan).encode()
-            found["path.geojson"] = lambda: path_geojson(path, self.surface)
-            found["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
-        return found
+            contents["plan.toml"] = lambda: plan_text(path.plan).encode()
+            contents["path.geojson"] = lambda: path_geojson(path, self.surface)
+            contents["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
+        return contents
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
@@ -319,7 +319,7 @@ class TerrainSurvey(Result):
         if site.keep_outs:
             notes.append(f"ground to keep out of counts as hazards: {len(site.keep_outs)} circles")
         notes += [
-            f"layer {layer.name}: {layer.known_share:.1%} of the terrain, {layer.forbidden.mean():.1%} forbidden"
+            f"layer {layer.name}: {layer.covered_share:.1%} of the terrain, {layer.forbidden.mean():.1%} forbidden"
             for layer in site.layers
         ]
         if site.mobility.assumed:
@@ -354,15 +354,15 @@ def read_site(
 
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
     description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)
-    built, own_soil = on_gravity(build_rover(description), asked.gravity), read_soil(name)
+    built, named_soil = on_gravity(build_rover(description), asked.gravity), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
         make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
-        file, inputs = TerrainFile(make(own_soil, **made)), {}
+        file, inputs = TerrainFile(make(named_soil, **made)), {}
     else:
         inputs = {terrain: read_input(terrain).sha256}
-        file = read_terrain_file(terrain, own_soil, asked.height_unit, onto=onto)
-    laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
+        file = read_terrain_file(terrain, named_soil, asked.height_unit, onto=onto)
+    laid, driven = lay_soil_on(file, terrain, named_soil, name, asked=soil is not None)
     (sun, shadow_cost), costs = asked.light(), asked.costs()
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}

@@ -112,8 +112,8 @@ class Mission:
             raise ParameterError(
                 "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
             )
-        names = {LEGS_M: "leg_m", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s", POSITIVE: "speed_m_s"}
-        check_ranges(self, names)
+        ranges = {LEGS_M: "leg_m", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s", POSITIVE: "speed_m_s"}
+        check_ranges(self, ranges)
         for one, after in pairwise(self.windows):
             if after.begin_s < one.end_s:
                 raise ParameterError(f"the [[window]] from {after.begin_s:g} s begins before the one before it ends")
@@ -156,7 +156,7 @@ NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
 Pose = tuple[float, float, float]
 Way = Callable[[Pose, tuple[float, float]], Plan]
 Drive = Callable[[Plan], Prediction]
-Kept = Callable[[Prediction], BoolArray]
+Safe = Callable[[Prediction], BoolArray]
 Fate = Literal["reached", "horizon", "no way", "no time", "no window", "no drive", "not tried"]
 
 REST_SHARE = 0.3
@@ -175,7 +175,7 @@ class MissionLeg:
     number, target : of the leg, from 1, and the name of the target that it leads to.
     plan : from where the rover believes to be.
     begin_s, waited_s, drive_s : when it begins, how long was waited for a window before, and how long it takes. [s]
-    kept : members that keep all limits on it. (members,)
+    safe : members that keep all limits on it. (members,)
     ends_m : where members end, with the error of localisation at the begin. (members, 2) [m]
     charge : of the battery at its end; None where that does not count. (members,) [-]
     fixed : pose that the rover believes in after the localisation, of the drawn member. [m, m, deg]
@@ -187,7 +187,7 @@ class MissionLeg:
     begin_s: float
     waited_s: float
     drive_s: float
-    kept: BoolArray
+    safe: BoolArray
     ends_m: FloatArray
     fixed: Pose
     charge: FloatArray | None = None
@@ -211,14 +211,14 @@ class TargetFate:
     ----------
     target, fate : which, and what becomes of it; `why` in a sentence where it is not reached.
     arrival_s : when the rover is there, NaN where it never is. [s]
-    kept : members that keep all limits up to there, and end within the tolerance. (members,)
+    safe : members that keep all limits up to there, and end within the tolerance. (members,)
     """
 
     target: MissionTarget
     fate: Fate
     why: str = ""
     arrival_s: float = math.nan
-    kept: BoolArray = field(repr=False)
+    safe: BoolArray = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,9 +235,9 @@ class DrivenMission:
         return sum(one.fate == "reached" for one in self.targets)
 
     @property
-    def kept(self) -> BoolArray:
+    def safe(self) -> BoolArray:
         """Members that keep the whole mission; none where a target is not reached. (members,)"""
-        return self.targets[-1].kept & (self.reached == len(self.targets))
+        return self.targets[-1].safe & (self.reached == len(self.targets))
 
     @property
     def end_s(self) -> float:
@@ -257,7 +257,7 @@ def drive_mission(
     rover: Rover,
     way: Way,
     drive: Drive,
-    kept: Kept,
+    is_safe: Safe,
     *,
     seed: int = 0,
     goal_of: Callable[[MissionTarget], tuple[float, float] | None] = lambda target: None,
@@ -271,7 +271,7 @@ def drive_mission(
     mission, rover : what to do, and who does it.
     way : a plan from a pose [m, m, deg] to a place. Raises ParameterError where there is none.
     drive : a plan over the same soils each time, so that a member has one soil throughout.
-    kept : members of such a prediction that keep all limits.
+    is_safe : members of such a prediction that keep all limits.
     seed : of the errors of localisation, and of which member goes on.
     power : battery and light at the begin; each member has a battery of its own, which legs, waits and stays draw from.
         None where it does not count.
@@ -283,7 +283,7 @@ def drive_mission(
     depend on where each of them had come to, only on its soil. Members that broke a limit stay counted as failed. A
     leg is driven whose end the localisation follows at once; both lie within one window of communication.
     """
-    state = _Driven(mission, rover, way, drive, kept, np.random.default_rng([seed, 31]))
+    state = _Driven(mission, rover, way, drive, is_safe, np.random.default_rng([seed, 31]))
     state.power = power
     fates: list[TargetFate] = []
     for number, target in enumerate(mission.targets):
@@ -291,7 +291,7 @@ def drive_mission(
             progress(number, len(mission.targets))
         if fates and fates[-1].fate != "reached":
             fates.append(TargetFate(target=target, fate="not tried", why="the one before is not reached",
-                                    kept=fates[-1].kept & False))  # fmt: skip
+                                    safe=fates[-1].safe & False))  # fmt: skip
             continue
         fates.append(state.to_target(target, goal_of(target)))
     if progress is not None:
@@ -324,10 +324,10 @@ class _Driven:
     """Where a mission is: the pose that the rover believes in, the clock, and members that have kept all limits."""
 
     def __init__(
-        self, mission: Mission, rover: Rover, way: Way, drive: Drive, kept: Kept, random: np.random.Generator
+        self, mission: Mission, rover: Rover, way: Way, drive: Drive, is_safe: Safe, random: np.random.Generator
     ) -> None:
         self.mission, self.rover, self.random = mission, rover, random
-        self.way, self.drive, self.held = way, drive, kept
+        self.way, self.drive, self.held = way, drive, is_safe
         start = mission.start
         self.pose: Pose = (start.x_m, start.y_m, start.heading_deg)
         self.clock_s, self.legs = 0.0, list[MissionLeg]()
@@ -341,18 +341,18 @@ class _Driven:
         try:
             self._legs_to(target, goal)
         except _Stopped as stopped:
-            return TargetFate(target=target, fate=stopped.fate, why=str(stopped), kept=self._nobody())
+            return TargetFate(target=target, fate=stopped.fate, why=str(stopped), safe=self._nobody())
         self._stand_until(self.clock_s + target.stay_s)
-        arrival, kept = self.clock_s, self._those_there(target, goal)
+        arrival, safe = self.clock_s, self._those_there(target, goal)
         if instead is not None:
             far = math.dist(self.pose[:2], (target.x_m, target.y_m))
             why = f"the ground is not known farther; the rover stands {far:.1f} m from it and has to look from there"
-            return TargetFate(target=target, fate="horizon", why=why, kept=kept & False)
+            return TargetFate(target=target, fate="horizon", why=why, safe=safe & False)
         if arrival + target.stay_s > self.mission.time_budget_s:
             why = f"its stay would end after {arrival + target.stay_s:.0f} s"
-            return TargetFate(target=target, fate="no time", why=why, kept=kept & False)
+            return TargetFate(target=target, fate="no time", why=why, safe=safe & False)
         self.clock_s += target.stay_s
-        return TargetFate(target=target, fate="reached", arrival_s=arrival, kept=kept)
+        return TargetFate(target=target, fate="reached", arrival_s=arrival, safe=safe)
 
     def _legs_to(self, target: MissionTarget, goal: tuple[float, float]) -> None:
         corrections = 0
@@ -372,9 +372,9 @@ class _Driven:
     def _one_leg(self, target: MissionTarget, plan: Plan) -> None:
         begin, needed = self._when(plan)
         prediction = self._powered(self.drive(plan), begin)
-        kept = self.held(prediction)
-        before = np.ones_like(kept) if self.alive is None else self.alive
-        self.alive = before & kept
+        safe = self.held(prediction)
+        before = np.ones_like(safe) if self.alive is None else self.alive
+        self.alive = before & safe
         self.stands = (prediction, begin + needed - self.mission.localisation_s)
         self._stand_until(begin + needed)
         ends = self._moved_ends(prediction)
@@ -394,7 +394,7 @@ class _Driven:
                 begin_s=begin,
                 waited_s=begin - self.clock_s,
                 drive_s=needed - self.mission.localisation_s,
-                kept=kept,
+                safe=safe,
                 ends_m=ends,
                 fixed=fixed,
                 charge=None if self.power is None else charge_left(prediction),

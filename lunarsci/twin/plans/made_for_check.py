@@ -20,7 +20,7 @@ from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.synthetic import STAND_IN
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
-from lunarsci.twin.plans.plan import Limit, Plan, own_limits
+from lunarsci.twin.plans.plan import Limit, Plan, rover_limits
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -32,17 +32,17 @@ LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the 
 
 def limits_of_rover(limits: Iterable[Limit], rover: Rover) -> tuple[Limit, ...]:
     """Limits with those of the rover in place: sinkage a third of the wheel radius, tilt its steepest slope."""
-    own = {limit.quantity: limit for limit in own_limits(rover) if limit.quantity in OF_THE_ROVER}
-    return tuple(own.get(limit.quantity, limit) for limit in limits)
+    of_rover = {limit.quantity: limit for limit in rover_limits(rover) if limit.quantity in OF_THE_ROVER}
+    return tuple(of_rover.get(limit.quantity, limit) for limit in limits)
 
 
 def laxer(limits: Iterable[Limit], rover: Rover) -> list[str]:
     """Where limits allow more than those of the rover do: `sinkage_m 0.05 > 0.025`."""
-    own = {limit.quantity: limit.limit for limit in own_limits(rover) if limit.quantity in OF_THE_ROVER}
+    of_rover = {limit.quantity: limit.limit for limit in rover_limits(rover) if limit.quantity in OF_THE_ROVER}
     return [
-        f"{limit.quantity} {limit.limit:g} > {own[limit.quantity]:g}"
+        f"{limit.quantity} {limit.limit:g} > {of_rover[limit.quantity]:g}"
         for limit in limits
-        if limit.quantity in own and limit.limit > own[limit.quantity] * (1 + 1e-9)
+        if limit.quantity in of_rover and limit.limit > of_rover[limit.quantity] * (1 + 1e-9)
     ]
 
 
@@ -101,8 +101,8 @@ class MadeForCheck:
 
         A plan without limits of its own, and the embedded one, is judged by the rover's own.
         """
-        if path is None or not plan.own_limits:
-            return self._judged_by_its_own(plan, path) if judged else plan
+        if path is None or not plan.has_limits:
+            return self._judged_by_rover(plan, path) if judged else plan
         made = plan.made_for
         if made is not None and made.kinship(self.description) == "other":
             self._refuse(plan, made, path, judged=judged)
@@ -144,12 +144,12 @@ class MadeForCheck:
         kinship = "same" if not written else ground_kinship(written, self.terrain.written)
         if kinship == "same":
             return
-        name, own = written.rpartition("; ")[0], self.terrain.name
+        name, here = written.rpartition("; ")[0], self.terrain.name
         other = f"'{name}'" if kinship == "other" else f"'{name}' with other heights"
         if refused and not self.terrain_asked:
             raise RequestError(f"{path} was made on {other}, and no ground is named; give its file as `terrain`")
         if kinship == "other":
-            self.say(f"{path} was made on {other}, and this is on '{own}'; give its own file as `terrain`")
+            self.say(f"{path} was made on {other}, and this is on '{here}'; give its own file as `terrain`")
         else:
             self.say(f"{path} was made on {other} than here; give the same file as `terrain`, or make it anew")
 
@@ -158,13 +158,13 @@ class MadeForCheck:
         for file in files:
             self.ground(file.name, written_in(file.name, read_csv_table(file), GROUND))
 
-    def states(self, file: str, table: "pd.DataFrame", *, known: bool = False) -> None:
+    def states(self, file: str, table: "pd.DataFrame", *, named: bool = False) -> None:
         """Whether wheel states are of the rover and the ground that are taken where nobody names them.
 
-        `known` says that another file names the rover. Warns where nothing names rover or ground. Raises RequestError
+        `named` says that another file names the rover. Warns where nothing names rover or ground. Raises RequestError
         as `ground`, DataError where states of whole wheels of the rover are missing: another's may bear the same names.
         """
-        if not (self.asked or known or written_in(file, table)) and "wheel" in table:
+        if not (self.asked or named or written_in(file, table)) and "wheel" in table:
             self._default_rover(file, set(table["wheel"].dropna().str.strip()))
         self.ground(file, written := written_in(file, table, GROUND))
         if not written and not self.terrain_asked and short_name(self.rover.name) == DEFAULT_ROVER:
@@ -180,17 +180,17 @@ class MadeForCheck:
 
     def _refuse(self, plan: Plan, made: MadeFor, path: str, *, judged: bool) -> None:
         """RequestError where nobody asked for this rover, or where the limits allow more than its own."""
-        own = self.description.origin
+        this_file = self.description.origin
         if not self.asked:
             raise RequestError(
-                f"{path} was made for {made.name}; give `rover` {made.rover}, or `rover` {own} to drive it with that "
-                "all the same"
+                f"{path} was made for {made.name}; give `rover` {made.rover}, or `rover` {this_file} to drive it with "
+                "that all the same"
             )
         beyond = laxer(plan.limits, self.rover) if judged else []
         if beyond:
             raise RequestError(
                 f"{path} was made for {made.name}, and its limits are laxer than those of {self.rover.name} "
-                f"({', '.join(beyond)}); plan with `rover` {own}, or write its [limits] for this rover "
+                f"({', '.join(beyond)}); plan with `rover` {this_file}, or write its [limits] for this rover "
                 "and take [made_for] out"
             )
 
@@ -212,33 +212,33 @@ class MadeForCheck:
         RequestError where nobody asked for this rover, and on the stand-in if it was learned on measured ground.
         """
         last = belief.history[-1] if belief is not None and belief.history else {}
-        learned, own = str(last.get("rover", "")), self.rover.written
+        learned, this_rover = str(last.get("rover", "")), self.rover.written
         ground = str(last.get("ground", "")).rpartition("; ")[0]
         if learned and self.terrain.name == STAND_IN and not last.get("synthetic"):
             where = f"measured ground{f', {ground!r}' if ground else ''}"
             raise RequestError(f"{name} was learned on {where}, and this is the {STAND_IN}; give `terrain`")
         if ground and ground_kinship(str(last["ground"]), self.terrain.written) == "other":
             self.say(f"{name} was learned on '{ground}', and this is on '{self.terrain.name}': is the soil the same?")
-        if not learned or learned == own:
+        if not learned or learned == this_rover:
             return
         if not self.asked:
             raise RequestError(
                 f"{name} was learned with '{learned}'; give that one's file as `rover`, or `rover` "
-                f"{self.description.origin} to drive its soil with '{own}' all the same"
+                f"{self.description.origin} to drive its soil with '{this_rover}' all the same"
             )
-        self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
+        self.say(f"{name} was learned with '{learned}', not with '{this_rover}', whose wheels may meet another soil")
 
     def law(self, name: str, verdict: FitVerdict | None) -> None:
         """Say it where soils were found by another law than the twin's."""
-        if said := other_law(name, verdict, self.rover.name):
-            self.say(said)
+        if remark := other_law(name, verdict, self.rover.name):
+            self.say(remark)
 
     def stand_in(self) -> None:
         """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""
         if self.terrain.name == STAND_IN and short_name(self.rover.name) != DEFAULT_ROVER:
             self.say(f"this is on the {STAND_IN}, as no terrain is named; give `terrain` for the ground of your rover")
 
-    def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
+    def _judged_by_rover(self, plan: Plan, path: str | None) -> Plan:
         limits = limits_of_rover(plan.limits, self.rover)
         if limits == plan.limits:
             return plan
@@ -249,8 +249,8 @@ class MadeForCheck:
 
     def _changed(self, made: MadeFor) -> str:
         """Which limits of the ground a file was made by that the rover now does not have."""
-        own = read_mobility(self.description, self.rover)
-        now = {name: math.nan if (value := getattr(own, name, None)) is None else value for name in made.limits}
+        mobility = read_mobility(self.description, self.rover)
+        now = {name: math.nan if (value := getattr(mobility, name, None)) is None else value for name in made.limits}
         other = [
             f"{name} {value:g} then, {f'{now[name]:g}' if math.isfinite(now[name]) else 'none'} now"
             for name, value in made.limits.items()
@@ -270,7 +270,7 @@ class MadeForCheck:
             which = "when its file was another" if kinship == "changed" else "by another version of its file"
             self.say(f"{path} was made for {made.rover} {which}: {self._changed(made)}")
         elif kinship == "other":
-            kept = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
+            limits = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
             self.say(
-                f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {kept or 'not known'}"
+                f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {limits or 'not known'}"
             )

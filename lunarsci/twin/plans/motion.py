@@ -251,11 +251,11 @@ def correlation_of(motion: Motion, slip_ratio: FloatArray, slip_sigma: FloatArra
     ----------
     slip_ratio, slip_sigma : of any wheel states along the motion. (n,) [-]
     """
-    known = np.isfinite(slip_ratio) & np.isfinite(slip_sigma) & (slip_sigma > 0)
-    if motion.sigmas is None or not known.any():
+    given = np.isfinite(slip_ratio) & np.isfinite(slip_sigma) & (slip_sigma > 0)
+    if motion.sigmas is None or not given.any():
         return None
     sigma = float(np.median(np.sqrt((motion.sigmas[:, :2] ** 2).mean(axis=1))))
-    return sigma / float(np.median(slip_sigma[known])) if sigma > 0 else None
+    return sigma / float(np.median(slip_sigma[given])) if sigma > 0 else None
 
 
 def drawn_motions(motion: Motion, count: int, correlation_m: float, rng: np.random.Generator) -> Iterator[Motion]:

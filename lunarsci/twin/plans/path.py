@@ -69,22 +69,22 @@ def poses_along(plan: Plan, every_m: float) -> FloatArray:
     """Planned x, y, heading so far apart, and every 2 deg of a spot turn. (n, 3) [m, m, rad]"""
     if not any(leg.turn_deg for leg in plan.legs):
         return planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / every_m) + 1)))
-    pose, found = _start(plan), []
+    pose, poses = _start(plan), []
     for leg in plan.legs:
         pieces = max(1, math.ceil(max(leg.length_m / every_m, abs(leg.turn_deg) / TURN_DEG)))
-        found.append(leg_end(pose, leg, np.linspace(0.0, 1.0, pieces + 1)))
-        pose = found[-1][-1]
-    return np.concatenate(found)
+        poses.append(leg_end(pose, leg, np.linspace(0.0, 1.0, pieces + 1)))
+        pose = poses[-1][-1]
+    return np.concatenate(poses)
 
 
 def turn_poses(plan: Plan) -> list[tuple[FloatArray, float, float]]:
     """Pose before each spot turn [m, m, rad], its angle [rad], and the way before it [m]."""
-    pose, way, found = _start(plan), 0.0, []
+    pose, way, turns = _start(plan), 0.0, []
     for leg in plan.legs:
         if leg.turn_deg:
-            found.append((pose, math.radians(leg.turn_deg), way))
+            turns.append((pose, math.radians(leg.turn_deg), way))
         pose, way = leg_end(pose, leg), way + leg.length_m
-    return found
+    return turns
 
 
 def _start(plan: Plan) -> FloatArray:
@@ -376,8 +376,8 @@ def all_commands(rover: Rover, schedule: Schedule, times_s: FloatArray, legs: Fl
     runs: list[Commands] = []
     for number, piece in enumerate(steps_of_runs(schedule, times_s)):
         times = times_s[piece.start : piece.stop + 1]
-        own = None if legs is None or number == 0 else legs[:, number]
-        runs.append(run_commands(rover, schedule, number, times, runs[-1] if runs else None, own))
+        steered = None if legs is None or number == 0 else legs[:, number]
+        runs.append(run_commands(rover, schedule, number, times, runs[-1] if runs else None, steered))
     rows = max(len(run.speed_m_s) for run in runs)
     steering, speed = (
         np.concatenate([np.broadcast_to(part, (rows, *part.shape[1:])) for part in parts], axis=1)

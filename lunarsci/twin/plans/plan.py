@@ -81,7 +81,7 @@ def _embedded_plan() -> str:
     return (files(__package__) / "plan.toml").read_text("utf-8")
 
 
-def own_limits(rover: Rover) -> tuple[Limit, ...]:
+def rover_limits(rover: Rover) -> tuple[Limit, ...]:
     """What is safe of a rover where a plan does not say: slip, side slip, sinkage, tilt and clearance.
 
     Sinkage a third of the wheel's radius, tilt the steepest slope of the rover file, the others as in the embedded
@@ -239,7 +239,7 @@ class Plan:
     sweep : uncertain soil parameters.
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
-    own_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
+    has_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
     accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
     """
@@ -257,7 +257,7 @@ class Plan:
     exclusion_zones: tuple[ExclusionZone, ...] = ()
     origin: str = ""
     made_for: MadeFor | None = None
-    own_limits: bool = field(default=True, compare=False)
+    has_limits: bool = field(default=True, compare=False)
     crs: str = ""
     accepted_risk: float | None = None
 
@@ -354,17 +354,17 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
         check_keys(sweep, OVERRIDES, "[sweep]")
         if "speed_m_s" not in drive:
             raise ParameterError("[drive] has no speed_m_s")
-        own_limits = tuple(parse_limit(quantity, entry) for quantity, entry in limits.items())
+        given_limits = tuple(parse_limit(quantity, entry) for quantity, entry in limits.items())
         return Plan(
             name=str(document.get("name", origin)),
             legs=records_of(Leg, document.get("leg", []), "leg"),
             fixes=record_of(Fixes, document["fixes"], "[fixes]") if "fixes" in document else None,
-            limits=own_limits if "limits" in document else default_limits(),
+            limits=given_limits if "limits" in document else default_limits(),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in sweep.items()),
             exclusion_zones=records_of(ExclusionZone, document.get("keep_out", []), "keep_out"),
             origin=origin,
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
-            own_limits="limits" in document,
+            has_limits="limits" in document,
             crs=str(document.get("crs", "")),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )

@@ -332,12 +332,12 @@ class LatticeCourses:
 
     Attributes
     ----------
-    found : courses that end at the goal and keep the clearance.
+    complete : courses that end at the goal and keep the clearance.
     nearly : where there is none, those that fall least short of the clearance.
     nearest : the one that comes nearest to the goal.
     """
 
-    found: list[Course]
+    complete: list[Course]
     nearly: list[Course]
     nearest: Course
 
@@ -351,22 +351,22 @@ def lattice_courses(
     """
     closing = problem.closing
     branches = _Branches(arcs=np.empty((1, 0, 2)), poses=problem.start[None], cost=np.zeros(1), length=np.zeros(1))
-    found: list[Course] = []
+    complete: list[Course] = []
     nearly: list[Course] = []
     nearest = (math.inf, Course(np.empty((0, 2)), 0.0))
     for free in range(MOST_ARCS - closing + 1):
         if free:
-            if free + closing == MOST_ARCS and found:
+            if free + closing == MOST_ARCS and complete:
                 break
             branches = _grow(problem, branches)
         good, stopped = _closed(problem, branches, pick)
-        found += good
+        complete += good
         nearest = min(nearest, stopped, key=lambda pair: pair[0])
-        if not found and free + closing < MOST_ARCS:
+        if not complete and free + closing < MOST_ARCS:
             nearly += _shortest_falls(problem, branches)
         if progress is not None:
             progress(free + 1, MOST_ARCS)
-    return LatticeCourses(found=found, nearly=nearly, nearest=nearest[1])
+    return LatticeCourses(complete=complete, nearly=nearly, nearest=nearest[1])
 
 
 def find_courses(
@@ -378,7 +378,9 @@ def find_courses(
     can. All courses are deterministic.
     """
     lattice = lattice_courses(problem, progress=progress)
-    refined = [course for course in (refine(problem, course) for course in lattice.found or lattice.nearly) if course]
+    refined = [
+        course for course in (refine(problem, course) for course in lattice.complete or lattice.nearly) if course
+    ]
     if progress is not None:
         progress(MOST_ARCS, MOST_ARCS)
     return sorted(refined, key=lambda course: course.cost_m), lattice.nearest
@@ -413,13 +415,13 @@ def _grow(problem: ArcProblem, branches: _Branches) -> _Branches:
     branch, curvature, length = branch[wanted], curvature[wanted], length[wanted]
     poses = branches.poses[branch]
     cost = problem.drive(poses, length, curvature)[:, 0] + branches.cost[branch]
-    kept = np.isfinite(cost)
-    branch, curvature, length = branch[kept], curvature[kept], length[kept]
+    clear = np.isfinite(cost)
+    branch, curvature, length = branch[clear], curvature[clear], length[clear]
     arcs = np.concatenate([branches.arcs[branch], np.stack([length, curvature], axis=-1)[:, None]], axis=1)
     return _Branches(
         arcs=arcs,
-        poses=_moved(poses[kept], length, curvature),
-        cost=cost[kept],
+        poses=_moved(poses[clear], length, curvature),
+        cost=cost[clear],
         length=branches.length[branch] + length,
     )
 
@@ -492,10 +494,10 @@ def refine(coarse: ArcProblem, course: Course) -> Course | None:
     scale = np.array([0.1 * problem.distance_m, 0.1 * problem.tightest_per_m])
 
     def arcs_of(numbers: FloatArray) -> FloatArray:
-        own = free + numbers.reshape(-1, 2) * scale
-        pose = pose_after(problem.start, own)[None]
+        moved = free + numbers.reshape(-1, 2) * scale
+        pose = pose_after(problem.start, moved)[None]
         lengths, curvatures = problem.close(pose)
-        return np.concatenate([own, np.stack([lengths[0], curvatures[0]], axis=-1)])
+        return np.concatenate([moved, np.stack([lengths[0], curvatures[0]], axis=-1)])
 
     def score(numbers: FloatArray) -> float:
         arcs = arcs_of(numbers)
@@ -509,14 +511,14 @@ def refine(coarse: ArcProblem, course: Course) -> Course | None:
     if free.size:
         simplex = np.vstack([best, np.eye(free.size)])
         steps = 120 * free.size
-        found = minimize(
+        minimum = minimize(
             score, best, method="Nelder-Mead",
             options={"initial_simplex": simplex, "maxiter": steps, "xatol": 1e-3, "fatol": 1e-4},
         )  # fmt: skip
-        best = np.asarray(found.x)
+        best = np.asarray(minimum.x)
     arcs = _merged(arcs_of(best))
-    kept = np.isfinite(arcs).all() and keeps_clear(problem, arcs) and score(best) < PENALTY
-    return Course(arcs, _score(problem, arcs)) if kept else None
+    clear = np.isfinite(arcs).all() and keeps_clear(problem, arcs) and score(best) < PENALTY
+    return Course(arcs, _score(problem, arcs)) if clear else None
 
 
 def keeps_clear(problem: ArcProblem, arcs: FloatArray) -> bool:

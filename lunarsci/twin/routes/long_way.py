@@ -89,18 +89,18 @@ def long_way(
     strip = _strip(whole, rover, ends)
     way = way_over_nodes(whole, strip, ends)
     places = straightened(way, strip)
-    found: list[PlannedPath] = []
+    pieces: list[PlannedPath] = []
     pose, number = start, 0
     while number < len(places) - 1:
         if progress is not None:
             progress(number, len(places))
         piece, number = _joined(surface, finer, rover, pose, places, number, final_heading_deg, speed_m_s)
-        found.append(piece)
+        pieces.append(piece)
         end = piece.end
         pose = (float(end[0]), float(end[1]), math.degrees(end[2]))
     if progress is not None:
         progress(len(places), len(places))
-    return _chained(found, start, target, limits, name)
+    return _chained(pieces, start, target, limits, name)
 
 
 def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -> None:
@@ -190,10 +190,10 @@ def _nearest_free(free: BoolArray, place: FloatArray) -> tuple[int, int]:
     nearest = np.clip(np.rint(place[::-1]).astype(int), 0, np.array(free.shape) - 1)
     low = np.maximum(nearest - 3, 0)
     block = free[low[0] : nearest[0] + 4, low[1] : nearest[1] + 4]
-    found: IntArray = np.argwhere(block) + low
-    if not len(found):
+    nodes: IntArray = np.argwhere(block) + low
+    if not len(nodes):
         return int(nearest[0]), int(nearest[1])
-    row, column = found[np.hypot(*(found - place[::-1]).T).argmin()]
+    row, column = nodes[np.hypot(*(nodes - place[::-1]).T).argmin()]
     return int(row), int(column)
 
 
@@ -248,10 +248,10 @@ def _joined(
         for heading in _headings(places, goal, final_heading_deg):
             try:
                 x, y = places[goal]
-                found = _arcs_to(
+                path = _arcs_to(
                     surface, finer, rover, pose, (float(x), float(y)), final_heading_deg=heading, speed_m_s=speed_m_s
                 )
-                return found, goal
+                return path, goal
             except ParameterError as error:
                 failed = failed or error
     raise ParameterError(f"after place {number} of {len(places) - 1} of the way: {failed}")
@@ -268,10 +268,10 @@ def _arcs_to(
     """`plan_path`, on a patch where finer ground lies near; its swept nodes are those of the surface."""
     margin = search_margin_m(rover_footprint(rover), math.dist(start[:2], target)) + surface.terrain.spacing_m
     ground = patch(surface, finer, np.array([start[:2], target]), margin)
-    found = plan_path(ground, rover, start, target, **options)
+    path = plan_path(ground, rover, start, target, **options)
     if ground is surface:
-        return found
-    return replace(found, swept=swept_nodes(found.footprint, surface.terrain, poses_along(found.plan, PLACES_M)))
+        return path
+    return replace(path, swept=swept_nodes(path.footprint, surface.terrain, poses_along(path.plan, PLACES_M)))
 
 
 def _headings(places: FloatArray, goal: int, final_heading_deg: float | None) -> tuple[float | None, ...]:
@@ -317,14 +317,14 @@ def _no_way(surface: Traversability, window: Window, cost: FloatArray, spacing: 
     left = np.hypot(*(places - target_m).T)
     nearest, terrain = places[left.argmin()], surface.terrain
     ahead = (target_m - nearest) / max(float(left.min()), 1e-9)
-    said = ""
+    reason = ""
     for step in terrain.spacing_m * np.arange(1, 2 + round(left.min() / terrain.spacing_m)):
         x, y = nearest + step * ahead
         row, column = round((y - terrain.y0_m) / terrain.spacing_m), round((x - terrain.x0_m) / terrain.spacing_m)
         inside = 0 <= row < surface.demand.shape[0] and 0 <= column < surface.demand.shape[1]
-        if inside and (said := surface.reason(row, column)):
+        if inside and (reason := surface.reason(row, column)):
             break
-    beyond = f"; beyond it {said}" if said else ""
+    beyond = f"; beyond it {reason}" if reason else ""
     return (
         f"no way over the nodes of the map keeps the limits; the nearest place reached is x {nearest[0]:.1f} m, "
         f"y {nearest[1]:.1f} m, {left.min():.1f} m from the target{beyond}; try other limits or a nearer target"

@@ -279,9 +279,9 @@ def plan_path(
             heading_deg=start[2],
             limits=limits,
         )
-        found = measured_path(search, plan, course.cost_m)
-        if found.min_hazard_distance_m >= surface.mobility.hazard_distance_m and found.miss_m <= ARRIVAL_M:
-            return found
+        path = measured_path(search, plan, course.cost_m)
+        if path.min_hazard_distance_m >= surface.mobility.hazard_distance_m and path.miss_m <= ARRIVAL_M:
+            return path
     raise ParameterError(search.why_not(nearest))
 
 
@@ -387,8 +387,8 @@ def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> 
 
 
 def _largest(values: npt.NDArray[np.float32]) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.max()) if known.size else math.nan
+    finite = values[~np.isnan(values)]
+    return float(finite.max()) if finite.size else math.nan
 
 
 EVERY_M, SHOWN_M = 0.5, 10.0
@@ -460,7 +460,7 @@ def _feature(
 ) -> dict[str, Any]:
     shown = _shown(places_m, projection)
     coordinates = shown.tolist() if kind == "LineString" else shown[0].tolist()
-    own = {name: None if isinstance(value, float) and not math.isfinite(value) else value
+    values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
            for name, value in properties.items()}  # fmt: skip
     place = {"x_m": float(places_m[0, 0]), "y_m": float(places_m[0, 1])}
-    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": own | place}
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": values | place}

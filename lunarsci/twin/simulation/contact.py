@@ -56,7 +56,7 @@ def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
     return forward, cross(normal, forward), normal
 
 
-def own_tyre(tyre: Any, wheel: Any) -> Any:
+def lane_tyre(tyre: Any, wheel: Any) -> Any:
     """`Wheel.vector()` with what the wheel of each rover has for itself."""
     return (*tyre[:3], *wheel.tread[:4])
 
@@ -121,7 +121,7 @@ def stand(wheels: Any, w: Any, tyre: Any, time_step_s: Any, load: Any, lane: Any
     the resistance of the ground that the wheel has piled up is added: the ends of the law of a wheel that rolls.
     """
     wheel = WHEEL.of(wheels, w, lane)
-    tyre = own_tyre(tyre, wheel)
+    tyre = lane_tyre(tyre, wheel)
     d, v, rate = wheel.across, wheel.velocity, wheel.rate
     held_x, held_y = dot(wheel.hold, wheel.forward) + rate[0] * v[0], dot(wheel.hold, d) + rate[1] * v[1]
     still, on = abs(wheel.rim) < SLOWEST, wheel.normal > 0.0
@@ -138,7 +138,7 @@ def stand(wheels: Any, w: Any, tyre: Any, time_step_s: Any, load: Any, lane: Any
         wheel.force[2],
     )
     push = across[0] - across[2]
-    found = {
+    standing = {
         "force": force,
         "moment": (below * push, below * along[2] - torque, ahead * push),
         "by_forward": (-along[1], 0.0, below * along[1]),
@@ -147,7 +147,7 @@ def stand(wheels: Any, w: Any, tyre: Any, time_step_s: Any, load: Any, lane: Any
         "side": -across[0],
         "resistance": torque,
     }
-    for name, values in found.items():
+    for name, values in standing.items():
         old = getattr(wheel, name)
         one = not isinstance(values, tuple)
         new = choose(still, values, old) if one else tuple(map(choose, (still,) * 3, values, old))
@@ -158,7 +158,7 @@ def stand(wheels: Any, w: Any, tyre: Any, time_step_s: Any, load: Any, lane: Any
 def lean(wheels: Any, w: Any, tyre: Any, lane: Any) -> None:
     """Put the force of `hold`, as far as it lies along the surface, on a wheel that rests."""
     wheel = WHEEL.of(wheels, w, lane)
-    ahead, below = shear_center(pressed_depth(wheel.sinkage, tyre), 0.0, own_tyre(tyre, wheel))
+    ahead, below = shear_center(pressed_depth(wheel.sinkage, tyre), 0.0, lane_tyre(tyre, wheel))
     x, y = dot(wheel.hold, wheel.forward), dot(wheel.hold, wheel.across)
     wheel.force = plus(wheel.force, (x, y, 0.0))
     wheel.moment = (below * y, -below * x, ahead * y)
@@ -253,8 +253,8 @@ def read_ruts(work: Any, w: int) -> None:
         if frame[6] > 0.0:
             x, y = wheel[CENTER * GROUP + lane] - frame[0], wheel[(CENTER + 1) * GROUP + lane] - frame[1]
             column, row = frame[2] * x + frame[3] * y + frame[4], frame[2] * y - frame[3] * x + frame[5]
-            found = depth_at(work.ruts, lane, column, row)
-            wheel[RUT * GROUP + lane], wheel[(RUT + 1) * GROUP + lane] = found
+            depths = depth_at(work.ruts, lane, column, row)
+            wheel[RUT * GROUP + lane], wheel[(RUT + 1) * GROUP + lane] = depths
         left = wheel[(RUT + 1) * GROUP + lane]
         if left > 0.0:
             slope_x, slope_y = wheel[(GROUND + 1) * GROUP + lane], wheel[(GROUND + 2) * GROUP + lane]
@@ -360,7 +360,7 @@ def meet_ground(
     a touch-down. [N s/m]
     """
     body, wheel, kg = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane), rover.wheel_kg
-    tyre = own_tyre(tyre, wheel)
+    tyre = lane_tyre(tyre, wheel)
     driven, shear, free = mode == DRIVEN, mode != AT_REST, choose(mode == HELD, 0.0, 1.0)
     turning, ground, soil, last = abs(wheel.rim), wheel.ground, wheel.soil, wheel.last
     rim = highest(SLOWEST, turning)
@@ -405,11 +405,11 @@ def meet_ground(
 
 
 @formula
-def add_rows(work: Any, w: Any, own_side: Any, rover: Any, side: Any, time_step_s: Any, lane: Any) -> None:
+def add_rows(work: Any, w: Any, number: Any, rover: Any, side: Any, time_step_s: Any, lane: Any) -> None:
     """Add a wheel, its mass and the soil's wrench, to its side of the system.
 
-    A coordinate whose rate moves the wheel's centre by `own` along the contact axes, and turns it by `turn`, has a row
-    of coefficients by which it meets the others' levers.
+    A coordinate whose rate moves the wheel's centre by `moved` along the contact axes, and turns it by `turned`, has a
+    row of coefficients by which it meets the others' levers.
     """
     body, wheel, kg, hung = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane), rover.wheel_kg, rover.hung[w]
     axes = (wheel.forward, wheel.across, wheel.upward)
@@ -418,19 +418,19 @@ def add_rows(work: Any, w: Any, own_side: Any, rover: Any, side: Any, time_step_
     moves = list(zip(*axes, strict=True)) + list(zip(*arms, strict=True))
     moves += [seen_from(axes, wheel.swing), seen_from(axes, wheel.bogie_swing)]
     turns = [still] * 3 + list(zip(*axes, strict=True)) + [times(turn, side), times(turn, hung)]
-    system = SYSTEM.of(work.sides, own_side, lane)
+    system = SYSTEM.of(work.sides, number, lane)
     matrix, right = list(system.matrix), list(system.right)
     along, across = wheel.by_forward, wheel.by_across
-    for i, (own, turned) in enumerate(zip(moves, turns, strict=True)):
+    for i, (moved, turned) in enumerate(zip(moves, turns, strict=True)):
         row = (
-            kg * own[0] - time_step_s * (own[0] * along[0] + own[2] * along[1] + turned[1] * along[2]),
-            kg * own[1] - time_step_s * (own[1] * across[0] + turned[0] * across[1] + turned[2] * across[2]),
-            (kg + wheel.stiff[0]) * own[2],
+            kg * moved[0] - time_step_s * (moved[0] * along[0] + moved[2] * along[1] + turned[1] * along[2]),
+            kg * moved[1] - time_step_s * (moved[1] * across[0] + turned[0] * across[1] + turned[2] * across[2]),
+            (kg + wheel.stiff[0]) * moved[2],
         )
         for j, other in enumerate(moves):
             matrix[8 * i + j] = matrix[8 * i + j] + dot(row, other)
-        work_done = dot(own, wheel.force) + dot(turned, wheel.moment)
-        right[i] = right[i] + (time_step_s * work_done - own[2] * wheel.stiff[1])
+        work_done = dot(moved, wheel.force) + dot(turned, wheel.moment)
+        right[i] = right[i] + (time_step_s * work_done - moved[2] * wheel.stiff[1])
     system.matrix, system.right = tuple(matrix), tuple(right)
 
 

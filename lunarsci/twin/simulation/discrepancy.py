@@ -104,7 +104,7 @@ def _left(steps: FloatArray) -> FloatArray:
     return np.stack([-steps[..., 1], steps[..., 0]], axis=-1)
 
 
-def _kept(steps: FloatArray) -> FloatArray:
+def _correlation(steps: FloatArray) -> FloatArray:
     """Correlation of the share of each step with that of the one before, 0 for the first. (samples - 1,)"""
     lengths = np.hypot(*steps.T)
     return np.concatenate([[0.0], np.exp(-0.5 * (lengths[1:] + lengths[:-1]) / ALIKE_M)])
@@ -131,8 +131,8 @@ def way_matrix(planned_m: FloatArray, paths_m: FloatArray) -> FloatArray:
     steps = np.diff(planned_m, axis=0)
     shares = np.median(shares.reshape(-1, len(steps)), axis=0)
     result, past = np.zeros((2, 2)), np.zeros(2)
-    for step, kept in zip(shares[:, None] * steps, _kept(steps), strict=True):
-        past = kept * past
+    for step, alike in zip(shares[:, None] * steps, _correlation(steps), strict=True):
+        past = alike * past
         cross = np.outer(step, past)
         result += np.outer(step, step) + cross + cross.T
         past = past + step
@@ -192,8 +192,8 @@ def _states(
 
 def _shares(sizes: FloatArray, steps: FloatArray, random: np.random.Generator) -> FloatArray:
     """Of each step, alike over metres. (members, samples - 1) [-]"""
-    kept, noise = _kept(steps), random.standard_normal((len(sizes), len(steps)))
+    alike, noise = _correlation(steps), random.standard_normal((len(sizes), len(steps)))
     result = noise.copy()
     for k in range(1, len(steps)):
-        result[:, k] = kept[k] * result[:, k - 1] + np.sqrt(1.0 - kept[k] ** 2) * noise[:, k]
+        result[:, k] = alike[k] * result[:, k - 1] + np.sqrt(1.0 - alike[k] ** 2) * noise[:, k]
     return np.asarray(sizes[:, None] * result)

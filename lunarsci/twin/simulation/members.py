@@ -294,19 +294,19 @@ class DriveSetup:
         return rut_grid(self.schedule.poses[0], places, reach_m(self.rover) + STRAY_M)
 
 
-def _begin(scene: DriveSetup, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
+def _begin(scene: DriveSetup, inputs: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
     start = np.tile(scene.schedule.poses[0], (GROUP, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
-    begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
+    begin(*inputs, start, motion, commands.steering_rad, commands.speed_m_s, work)
 
 
 def drive_group(
     scene: DriveSetup,
-    known: tuple[Any, Any, Any, Any],
+    inputs: tuple[Any, Any, Any, Any],
     common: Commands | None,
     errors: FloatArray,
     work: Work,
-    kept: tuple[Any, ...],
+    records: tuple[Any, ...],
     steered: FloatArray,
 ) -> None:
     """Drive a group's plan, run by run where each of it leads from where the rover then believes to be.
@@ -315,9 +315,9 @@ def drive_group(
     """
     slow = scene.slow
     if common is not None:
-        _begin(scene, known, common, work)
+        _begin(scene, inputs, common, work)
         rims = (common.steering_rad, common.speed_m_s, scene.time_step_s)
-        drive(*known, *rims, 0, scene.every, True, scene.pressing, slow, work, *kept)
+        drive(*inputs, *rims, 0, scene.every, True, scene.pressing, slow, work, *records)
         return
     commands: Commands | None = None
     legs: FloatArray | None = None
@@ -330,10 +330,10 @@ def drive_group(
         begins = commands is None
         commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
         if begins:
-            _begin(scene, known, commands, work)
+            _begin(scene, inputs, commands, work)
         last = number == len(pieces) - 1
-        driven = (*known, commands.steering_rad, commands.speed_m_s, scene.time_step_s, piece.start, scene.every)
-        drive(*driven, last, scene.pressing, slow, work, *kept)
+        driven = (*inputs, commands.steering_rad, commands.speed_m_s, scene.time_step_s, piece.start, scene.every)
+        drive(*driven, last, scene.pressing, slow, work, *records)
 
 
 Driven = tuple[FloatArray, FloatArray, IntArray, FloatArray]
@@ -375,29 +375,29 @@ class MemberDrives:
         whole = self.empty(len(block))
         numbers = np.arange(len(self.overrides)) if scene.only is None else scene.only
         for first in range(block.start, block.stop, self.together):
-            own = slice(first - block.start, min(first + self.together, block.stop) - block.start)
-            lanes = np.minimum(np.arange(first, first + GROUP), block.start + own.stop - 1)
+            rows = slice(first - block.start, min(first + self.together, block.stop) - block.start)
+            lanes = np.minimum(np.arange(first, first + GROUP), block.start + rows.stop - 1)
             grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[first])).grid(scene.draws)
             if scene.draws is not None:
                 grid = grid._replace(draws=scene.draws[numbers[lanes]])
-            known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, self.overrides[lanes])
+            inputs = (scene.rover.vector(), scene.rover.wheel.vector(), grid, self.overrides[lanes])
             work = new_work(len(scene.rover.wheels))
             work = work if ruts is None else with_ruts(work, ruts)
-            size, before = own.stop - own.start, np.full(own.stop - own.start, FINISHED)
+            size, before = rows.stop - rows.start, np.full(rows.stop - rows.start, FINISHED)
             for part, common, errors in drives:
-                kept = self.empty(size, part, 2)
+                records = self.empty(size, part, 2)
                 if part is scene:
-                    kept = (whole[0][own], whole[1][own], whole[2][own], whole[3][own])
-                drive_group(part, known, common, errors[lanes], work, kept[:3], kept[3])
-                kept[2][:, 0] = np.where(before == FINISHED, kept[2][:, 0], before)
-                before = kept[2][:, 0]
+                    records = (whole[0][rows], whole[1][rows], whole[2][rows], whole[3][rows])
+                drive_group(part, inputs, common, errors[lanes], work, records[:3], records[3])
+                records[2][:, 0] = np.where(before == FINISHED, records[2][:, 0], before)
+                before = records[2][:, 0]
         return whole
 
     def empty(self, members: int, scene: DriveSetup | None = None, samples: int | None = None) -> Driven:
         """What is to be filled, of the scene or of another one."""
-        own = self.scene if scene is None else scene
-        wheels, rows = len(own.rover.wheels), self.samples if samples is None else samples
-        runs = 0 if own.schedule.plan.fixes is None else len(own.schedule.runs)
+        setup = self.scene if scene is None else scene
+        wheels, rows = len(setup.rover.wheels), self.samples if samples is None else samples
+        runs = 0 if setup.schedule.plan.fixes is None else len(setup.schedule.runs)
         results = np.zeros((members, 2), dtype=np.int64)
         steered = np.zeros((members, runs, 3))
         return np.zeros((members, rows, 6)), np.zeros((members, rows, wheels, 10)), results, steered
@@ -412,27 +412,27 @@ def drive_all(
     are a group each. A member whose drive before did not end has the outcome of that.
     """
     drives, count = MemberDrives(scene, overrides, samples), len(overrides)
-    kept = drives.empty(count)
-    for block, found in run_blocks(drives, spans(count, shared_out(count, drives.together)), progress=progress):
-        for whole, part in zip(kept, found, strict=True):
+    result = drives.empty(count)
+    for block, records in run_blocks(drives, spans(count, shared_out(count, drives.together)), progress=progress):
+        for whole, part in zip(result, records, strict=True):
             whole[block.start : block.stop] = part
-    return kept
+    return result
 
 
-def drive_finer(scene: DriveSetup, overrides: FloatArray, kept: Driven) -> IntArray:
+def drive_finer(scene: DriveSetup, overrides: FloatArray, driven: Driven) -> IntArray:
     """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
-    paths, states, results, steered = kept
+    paths, states, results, steered = driven
     finer = np.ones(len(overrides), dtype=np.int64)
     for factor in FINER:
         again = np.flatnonzero(results[:, 0] == DIVERGED)
         if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
             break
-        found = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
-        paths[again], states[again], results[again], steered[again] = found
+        records = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
+        paths[again], states[again], results[again], steered[again] = records
         finer[again] = factor
     for member in np.flatnonzero((results[:, 0] == DIVERGED) & (results[:, 1] > 0)):
-        own = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))
-        if _meets_cliff(scene, own, states[member, results[member, 1] - 1, :, :2]):
+        ground = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))
+        if _meets_cliff(scene, ground, states[member, results[member, 1] - 1, :, :2]):
             results[member, 0] = CLIFF
     return finer
 
