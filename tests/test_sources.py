@@ -38,7 +38,7 @@ SETTINGS = {
         "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _UNSCALED", "sun.py: _J2000_JD",
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/loads/load_ensemble.py: ALIKE",
-        "twin/plans/plan.py: MOST", "twin/plans/path.py: RAMP_COUNTS_S", "twin/plans/path.py: RAMP_S",
+        "twin/simulation/contact.py: BEHIND", "twin/plans/path.py: RAMP_COUNTS_S", "twin/plans/path.py: RAMP_S",
         "twin/telemetry/states.py: HELD", "twin/telemetry/readings.py: ANY",
         "twin/telemetry/readings.py: AS_NAMED", "twin/telemetry/readings.py: READINGS",
         "twin/telemetry/smoother.py: MEDIAN_OF_TWO",
@@ -52,7 +52,8 @@ SETTINGS = {
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
         "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/fit_file.py: PLOT_AXIS",
         "spectra/vnis/calibration.py: _SHADOW, _INVALID",
-        "twin/routes/planner.py: EVERY_M, NEAR_M", "twin/telemetry/simulated.py: DENSE_M"),
+        "twin/ground/soil_map.py: MARGIN_M, NODES_ABOUT",
+        "twin/routes/planner.py: EVERY_M, SHOWN_M", "twin/telemetry/simulated.py: DENSE_M"),
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (

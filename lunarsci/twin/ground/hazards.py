@@ -27,10 +27,8 @@ ROUND = 0.6
 """Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
 FINEST = 64
 """Squares along the longer side of a polygon, at most, that circles stand for."""
-NEAR_M = 3.0
-"""Circles farther from a way than this, and a rover, are of no account for it; assumed. [m]"""
-
-
+STRAY_M = 3.0
+"""Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
 FARTHEST_M = 1.1e7
 """Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
 
@@ -164,7 +162,7 @@ def within(zones: Zones, terrain: Terrain) -> BoolArray:
 def near_way(zones: Zones, places_m: FloatArray) -> Zones:
     """The circles that a rover may come near to whose origin passes places (n, 2). [m]"""
     return tuple(
-        zone for zone in zones if np.hypot(*(places_m - (zone.x_m, zone.y_m)).T).min() <= NEAR_M + zone.radius_m
+        zone for zone in zones if np.hypot(*(places_m - (zone.x_m, zone.y_m)).T).min() <= STRAY_M + zone.radius_m
     )
 
 

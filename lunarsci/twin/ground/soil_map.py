@@ -37,7 +37,7 @@ REACH_M = 0.6
 NEIGHBOURS = 4
 """Zones that a node looks at, the nearest ones; assumed."""
 MARGIN_M, NODES_ABOUT = 3.0, 120
-"""Ground that is drawn about the zones, and nodes of its longer side; assumed."""
+"""Ground that pictures show about the zones [m], and nodes of its longer side."""
 NUGGET = 1e-9
 NEAREST_M = 1e-9
 NODES_AT_ONCE = 16_384

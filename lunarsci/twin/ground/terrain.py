@@ -25,7 +25,7 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.written_names import ground_written
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors, likely_ground
-from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
+from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, STEEPEST_DEG, WHEEL
 
 # Column of `Soil.vector()` that holds each parameter.
 SOIL_COLUMNS = {
@@ -42,8 +42,7 @@ OVERRIDES = SOIL_COLUMNS | {name: len(SOIL_COLUMNS) + k for k, name in enumerate
 """Columns of what a member has for itself: of its soil, and of its wheels."""
 
 
-STEEPEST = math.tan(math.radians(60.0))
-"""Assumed: no soil stands so steep, and a wheel no longer meets it in one plane. [-]"""
+STEEPEST = math.tan(math.radians(STEEPEST_DEG))
 INTERPOLATIONS = ("smooth", "triangles")
 
 

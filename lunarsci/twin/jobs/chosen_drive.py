@@ -17,7 +17,7 @@ from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
 from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import Traversability, near_way
+from lunarsci.twin.ground.hazards import STRAY_M, Traversability, near_way
 from lunarsci.twin.ground.terrain import Terrain, terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, DriveInputs, Soils, parsed_fixes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CHECKED_EVERY_M = 0.1
-DRIFT_M = 3.0
-"""Ground beyond what is searched that drives may come to; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,7 +91,7 @@ class LocalGround:
         """What is driven on about places (n, 2); None without local terrains."""
         if not self.likely:
             return None
-        return driven_ground(self.likely[0], self.likely[1:], points_m, self._margin_m(points_m) + DRIFT_M)
+        return driven_ground(self.likely[0], self.likely[1:], points_m, self._margin_m(points_m) + STRAY_M)
 
     def _margin_m(self, points_m: FloatArray) -> float:
         return search_margin_m(rover_footprint(self.site.rover), float(np.hypot(*np.ptp(points_m, axis=0))))
@@ -130,7 +128,7 @@ def likely_ground_of(site: SurveyedSite) -> Terrain:
 
 
 FRESH = 2
-"""Fresh soils for each one by which drives are chosen: assumed, so that a risk of 5 % is known to 2 %."""
+"""Fresh soils for each one by which drives are chosen: 128 know a risk of 5 % to sqrt(0.05 x 0.95 / 128), 2 %."""
 SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
 
 

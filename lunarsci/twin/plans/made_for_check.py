@@ -66,8 +66,6 @@ def _carried(plan: Plan, crs: str, onto: str) -> Plan:
 OF_THE_ROVER = ("sinkage_m", "tilt_deg")
 """Limits that follow from the rover's size and file."""
 EMBEDDED = "the embedded plan"
-SAME_PLACE_M = 1e-3
-"""Two texts of one coordinate system differ by less; assumed. [m]"""
 
 
 @dataclass(slots=True)
@@ -129,7 +127,7 @@ class MadeForCheck:
             ) from error
         if not plan.crs and not _is_on(self.terrain, moved):
             return plan
-        if math.dist((plan.x_m, plan.y_m), (moved.x_m, moved.y_m)) > SAME_PLACE_M:
+        if round(math.dist((plan.x_m, plan.y_m), (moved.x_m, moved.y_m)), 2) > 0:
             self.say(
                 f"{plan.origin}: x and y are of '{name_of(crs)}', and are taken to those of the terrain: it starts at "
                 f"x {moved.x_m:.2f}, y {moved.y_m:.2f} m, heading {moved.heading_deg:.2f} deg"

@@ -18,7 +18,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.ranges import POSITIVE, check_range
 from lunarsci.regolith.written_names import check_written_for
-from lunarsci.twin.plans.path import commands_at, make_schedule
+from lunarsci.twin.plans.path import UNDER_WAY, commands_at, make_schedule
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 
@@ -31,9 +31,8 @@ GAP = 5.0
 """Times the median step between poses from which on a step is a gap; assumed."""
 CLOCK_S = 1.0
 """How far the clocks of motion and plan may differ unsaid; assumed. [s]"""
-UNDER_WAY, STANDSTILL = 0.95, 0.5
-"""Share of the full speed of the plan, and of the usual speed of the commanded rims, below which it is a halt; assumed:
-slip compares with a speed that is not there."""
+STANDSTILL = 0.5
+"""Share of the usual speed of the commanded rims below which it is a halt; assumed."""
 SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")
 
 

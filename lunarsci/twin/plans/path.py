@@ -127,11 +127,11 @@ def _blended(legs: tuple[Leg, ...], values: list[float], distance_m: npt.ArrayLi
     return result
 
 
-SLOWEST_RIM = 0.02
-"""Share of the rover's speed below which no rim falls while it drives: at zero the slip ratio has no meaning.
-Assumed."""
 CREEP = 2e-2
-"""Share of the plan's speed from which a start speeds up, and to which a stop slows down; assumed."""
+"""Share of the plan's speed from which a start speeds up, to which a stop slows down, and below which no rim falls
+while the rover drives, as the slip ratio has no meaning at zero; assumed."""
+UNDER_WAY = 0.95
+"""Share of the full speed below which it is a halt, where slip, compared with the speed, does not count; assumed."""
 CREEP_M_S = 5e-5
 """Rim speed that stands for none where a slip ratio is wanted all the same. [m/s]"""
 STILL_M_S = 1e-9
@@ -183,7 +183,7 @@ def wheel_commands(
     sign = np.where(along < -1e-9 * length, -1.0, 1.0)
     steering = np.where(length > 0, np.arctan2(sign * aside, sign * along), 0.0)
     rim = sign * length - turn * offset
-    rim = np.copysign(np.maximum(np.abs(rim), SLOWEST_RIM), np.where(rim == 0, sign, rim))
+    rim = np.copysign(np.maximum(np.abs(rim), CREEP), np.where(rim == 0, sign, rim))
     return Commands(np.broadcast_to(steering, rim.shape), rim * np.asarray(speed_m_s, dtype=float)[..., None])
 
 

@@ -234,7 +234,8 @@ LENGTHS = 8
 HALVINGS = 5
 """and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
 LONGEST = 2.5
-"""A course is at most this many distances of the target long, and two tightest turns; assumed."""
+"""A course is at most this many distances of the target long, and two tightest turns, and costs at most as many times
+what the cheapest one does; assumed."""
 TURNING_M2 = 0.5
 """Cost of a change of curvature by 1/m: assumed. [m2]"""
 ARC_M = 0.1

@@ -15,7 +15,7 @@ from lunarsci.twin.ground.footprint import RoverFootprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import arc_end
 from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
-from lunarsci.twin.routes.arc_search import ArcProblem, Course, keeps_clear, lattice_courses, refine
+from lunarsci.twin.routes.arc_search import LONGEST, ArcProblem, Course, keeps_clear, lattice_courses, refine
 from lunarsci.twin.routes.planner import RouteSearch, commanded_speed
 from lunarsci.twin.rover import Rover
 
@@ -128,8 +128,6 @@ LEAST_TURN_DEG = 15.0
 """Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
 FIX_EVERY_M = (5.0, 2.5)
 """Way between localisation updates, where there are any; assumed. [m]"""
-LONGEST_WAY = 2.5
-"""Candidates cost at most so many times as much as the cheapest one; assumed."""
 MOST = 50
 
 
@@ -211,7 +209,7 @@ def candidate_plans(
     if not any(by_manner):
         raise ParameterError(search.why_not(lattice_courses(ahead).nearest))
     least = min(cost for plans in by_manner for cost, _ in plans)
-    near = [[one for one in plans if one[0] <= LONGEST_WAY * least] for plans in by_manner]
+    near = [[one for one in plans if one[0] <= LONGEST * least] for plans in by_manner]
     first = sorted((plans[0] for plans in near if plans), key=lambda one: one[0])
     rest = sorted((one for plans in near for one in plans[1:]), key=lambda one: one[0])
     plans = [plan for _, plan in (*first, *rest)]

@@ -17,7 +17,16 @@ from lunarsci.twin.ground.hazards import COST_CAP, Traversability
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.routes.arc_search import FINEST_M, Window, drive_arcs, search_ground
-from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, beyond, check_free, plan_path, search_margin_m
+from lunarsci.twin.routes.planner import (
+    FAR_MARGIN_M,
+    MARGIN_SHARE,
+    PLACES_M,
+    PlannedPath,
+    beyond,
+    check_free,
+    plan_path,
+    search_margin_m,
+)
 from lunarsci.twin.rover import Rover
 
 LONG_M = 30.0
@@ -28,10 +37,6 @@ AS_CHEAP = 1.02
 """A straight line may cost so many times the way over the nodes that it replaces; assumed."""
 MOST_NODES = 2_000_000
 """Of a larger map every second, third ... node is searched."""
-END_M = 2.0
-"""Finer ground so near to start or target is looked at for whether a rover can be there; assumed. [m]"""
-MARGIN_SHARE, MARGIN_M = 0.5, 50.0
-"""Ground beyond both ends that is searched, as a share of their distance and beside it [m]; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,7 +89,7 @@ def long_way(
     arcs.
     """
     for what, place in (("start", start[:2]), ("target", target)):
-        _check_end(patch(surface, finer, np.array([place]), END_M), what, place)
+        _check_end(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place)
     ends, whole = np.array([start[:2], target]), laid_over(surface, finer) if finer else surface
     strip = _strip(whole, rover, ends)
     way = way_over_nodes(whole, strip, ends)
@@ -118,7 +123,7 @@ def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -
 
 
 def _strip(surface: Traversability, rover: Rover, ends_m: FloatArray) -> Strip:
-    ground = search_ground(surface, ends_m, MARGIN_SHARE * math.dist(*ends_m) + MARGIN_M)
+    ground = search_ground(surface, ends_m, MARGIN_SHARE * math.dist(*ends_m) + FAR_MARGIN_M)
     footprint, spacing = rover_footprint(rover), surface.terrain.spacing_m
     discs, radius = footprint.discs()
     # As in `plan_path`: between nodes the distance may be less by a small part of the spacing.

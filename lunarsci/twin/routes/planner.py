@@ -41,8 +41,8 @@ NEAR_M = 1.0
 """From a footprint farther than this an obstacle is not taken for what is in the way; assumed. [m]"""
 ARRIVAL_M = 0.01
 """A path ends at least this near to its target; assumed. [m]"""
-MARGIN_SHARE, MARGIN_M = 0.5, 3.0
-"""The search looks this share of the distance, and so far, beyond start and target; assumed."""
+MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
+"""The search looks this share of the distance, and so far, beyond start and target; farther on long ways; assumed."""
 PLACES_M = 0.02
 
 

@@ -170,9 +170,8 @@ RISE_N_M4 = 503e6
 none is published. [N m^-4]"""
 SPACING_M = 0.0353
 """Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
-BEHIND = 3.0
-"""How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off.
-Assumed."""
+BEHIND = 2.0 + 1.0
+"""How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off."""
 MOST_NODES = 2e7
 """Of one rover's grid; memory is taken only where a wheel rolls."""
 

@@ -25,7 +25,9 @@ TURNS = VarianceLaw(5.0, 0.2)
 `tests/benchmarks/spot_turns.py`, of other physics, turned farther or less far than the twin by a share of that size,
 alike within a tenth for turns of 30 to 180 deg to either side."""
 ALWAYS = 0.1
-"""Share of a turn that counts like an angle lost, as for the way; assumed."""
+"""Share of a way, or of a turn, that counts like one lost, so that drives without slip are not taken for exact.
+Measured by the likelihood of `ALIKE_M`, which hardly tells 0.02 from 0.08; this is the largest that keeps the errors of
+`physics_discrepancy.FIRST`."""
 STILL_M = 1e-9
 """A step of the planned path that is shorter is one of a turn or a halt. [m]"""
 
@@ -93,11 +95,8 @@ def turn_matrix(plan: Plan, planned: FloatArray, distance_m: FloatArray, paths: 
 
 
 ALIKE_M = 5.0
-"""Way over which the physics is off by much the same share; assumed, as measured: the likelihood of the returns that
-set `physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
-ALWAYS = 0.1
-"""Share of the way that counts like a way lost, so that drives without slip are not taken for exact; assumed, as that
-likelihood hardly tells 0.02 from 0.08, and this is the largest that keeps the spread named with `FIRST`."""
+"""Way over which the physics is off by much the same share, as measured: the likelihood of the returns that set
+`physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
 
 
 def _left(steps: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ so free fall is exact, and the stiff parts (shear: 12-18 ms at 0.05 m/s, less wh
 at any time_step_s. First order in time_step_s.
 """
 
+import math
 from typing import Any
 
 from lunarsci.compiled import compiled, joined
@@ -29,6 +30,7 @@ from lunarsci.twin.lanes import (
     FINISHED,
     GROUP,
     OVERTURNED,
+    STEEPEST_DEG,
     SYSTEM,
     WHEEL,
     cross,
@@ -39,8 +41,7 @@ from lunarsci.twin.lanes import (
 )
 from lunarsci.twin.simulation.contact import add_wheel, read_ruts
 
-COS_OVERTURNED = 0.5
-"""Cosine of 60 deg, as the outcome says; assumed."""
+COS_OVERTURNED = math.cos(math.radians(STEEPEST_DEG))
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
 FALLING = 1.0

@@ -14,7 +14,7 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.lanes import OUTCOMES
-from lunarsci.twin.plans.path import Schedule, make_schedule
+from lunarsci.twin.plans.path import UNDER_WAY, Schedule, make_schedule
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
@@ -38,8 +38,6 @@ LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
 """Measured: beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between
 samples."""
 MOST_MEMBERS = 100_000
-UNDER_WAY = 0.95
-"""Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
 

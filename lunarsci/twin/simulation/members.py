@@ -339,7 +339,7 @@ def drive_group(
 Driven = tuple[FloatArray, FloatArray, IntArray, FloatArray]
 """Paths, states, results, and legs as steered after position fixes."""
 FINER = (4, 16)
-"""How many times shorter steps are where a soil is not held by the step asked for; assumed."""
+"""How many times shorter the steps are that are tried in turn where a soil is not held by those asked for."""
 
 
 @dataclass(frozen=True, eq=False)
