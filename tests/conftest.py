@@ -57,8 +57,10 @@ QUICK = {
     "origin": "catalogue composition ejecta exposure likelihood match mineral_map prior rock sphere",
     "photometry": "correction disk experiment geometry phase",
     "readers": "assemble dispatch ecsv envi fits likely reference relab splib text units",
-    "twin": "compare_parts drive_record ellipse illumination likely_terrain mission plan smoother state_tables "
-    "synthetic terrain terrain_files",
+    "twin": "compare_parts drive_record ellipse smoother state_tables",
+    "ground": "illumination synthetic terrain",
+    "mission": "mission",
+    "plans": "plan",
     "images": "cameras",
 }
 """Files of `make quick` by their folder, but for what is marked slow: truths by hand of every part, in plain Python,

@@ -1,9 +1,9 @@
 """Grounds drawn from elevation models, beside true ones that they were made without."""
 
 import dataclasses
-import sys
 from pathlib import Path
 
+import drawn_terrain
 import numpy as np
 import pytest
 
@@ -17,9 +17,6 @@ from lunarsci.twin.judgement.terrain_share import likely_drives, terrain_shares
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import drawn_terrain
 
 SPACING = 0.02
 
