@@ -1,7 +1,7 @@
 """Intervals that numbers of an input must lie in, and one refusal for all of them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 
 from lunarsci.errors import ParameterError
@@ -58,3 +58,9 @@ def check_ranges(given: object, names: Mapping[str, str], what: str = "") -> Non
             value = getattr(given, name)
             for number in value if isinstance(value, tuple) else () if value is None else (value,):
                 check_range(f"{what} {name}".strip(), number, interval)
+
+
+def refuse(reasons: Iterable[str], where: str = "") -> None:
+    """Raises ParameterError with the first of some reasons, if there is any."""
+    for reason in reasons:
+        raise ParameterError(f"{where}: {reason}" if where else reason)

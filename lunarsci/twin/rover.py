@@ -14,7 +14,7 @@ from lunarsci.constants import GRAVITIES, LUNAR_GRAVITY
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.documents import record_of
 from lunarsci.names import one_of
-from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges, refuse
 from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law
 from lunarsci.regolith.questions import Question, question
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -213,22 +213,20 @@ class Rover:
 
     def __post_init__(self) -> None:
         check_ranges(self, RANGES, "rover")
-        self._check_bogie()
-        if unknown := set(self.steered) - set(self.pairs):
-            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; {one_of(min(unknown), self.pairs)}")
-        x = self.wheel_positions_m[::2, 0]
-        if not (np.diff(x) < 0).all():
-            raise ParameterError("the rover's wheels must follow each other from front to rear; check their x")
-        if impossible := next(_impossible(self), None):
-            raise ParameterError(impossible)
+        refuse(self._ill_made())
+        refuse(_impossible(self))
 
-    def _check_bogie(self) -> None:
+    def _ill_made(self) -> Iterator[str]:
         if self.bogie not in BOGIES:
-            raise ParameterError(f"rover bogie is '{self.bogie}'; {one_of(self.bogie, BOGIES)}")
+            yield f"rover bogie is '{self.bogie}'; {one_of(self.bogie, BOGIES)}"
         for name in ("middle_wheel_m", "bogie_pivot_m"):
             if (getattr(self, name) is None) != (self.bogie == "none"):
                 wanted = "leave it out" if self.bogie == "none" else "give it"
-                raise ParameterError(f"rover with bogie '{self.bogie}': {wanted}: {name}")
+                yield f"rover with bogie '{self.bogie}': {wanted}: {name}"
+        if unknown := set(self.steered) - set(self.pairs):
+            yield f"rover steered_wheels has '{min(unknown)}'; {one_of(min(unknown), self.pairs)}"
+        if not (np.diff(self.wheel_positions_m[::2, 0]) < 0).all():
+            yield "the rover's wheels must follow each other from front to rear; check their x"
 
     @property
     def pairs(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Which soil is driven on: what was given as the soil of drives, what the terrain has, and samples for each drive."""
 
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,7 +15,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
-from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior
+from lunarsci.regolith.prior import PARAMETERS, read_prior
 from lunarsci.regolith.soil import Soil, known_soils
 from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
 from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
@@ -163,16 +163,35 @@ class GivenSoil:
         """
         result = cls()
         for name in (soil,) if isinstance(soil, str) else soil or ():
-            result = result._with(name)
+            one = cls._of(name)
+            taken = result.named if one.file is None else result.name
+            if taken:
+                what = "soil" if one.file is None else "soils"
+                raise RequestError(f"{taken} and {name} as `soil` are two ways to name the {what}; give one")
+            result = replace(result, named=name) if one.file is None else replace(one, named=result.named)
         if result.named is not None and result.of in ("belief", "map"):
             raise RequestError(no_use(result.named, result.name))
         return result
 
-    def _of_laws(self, file: InputFile, laws: Mapping[str, Law]) -> "GivenSoil":
-        """With the belief before any drive by these laws."""
-        if self.file is not None:
-            raise RequestError(f"{self.name} and {file.name} as `soil` are two ways to name the soils; give one")
-        return replace(self, file=file, of="belief", belief=first_belief(laws))
+    @classmethod
+    def _of(cls, name: str) -> "GivenSoil":
+        """What one name or file is: priors, a soil by name or as TOML, laws of its parameters, JSON, or samples."""
+        if name == PRIORS:
+            file = InputFile(PRIORS, first_belief().to_json().encode())
+            return cls(file=file, of="belief", belief=first_belief())
+        like_a_file = name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
+        if name in known_soils() or not like_a_file:
+            return cls(named=name)
+        file = read_input(name)
+        if file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"):
+            if MAP_SCHEMA.encode() in file.data:
+                return cls(file=file, of="map", soil_map=read_soil_map(file))
+            return cls(file=file, of="belief", belief=read_belief(file))
+        if not _is_toml(file):
+            return cls(file=file, of="samples")
+        if _has_laws(file):
+            return cls(file=file, of="belief", belief=first_belief(read_prior(file)))
+        return cls(named=name)
 
     @property
     def name(self) -> str:
@@ -190,26 +209,6 @@ class GivenSoil:
     def one_soil(self) -> bool:
         """Whether all drives have one soil."""
         return self.file is None
-
-    def _with(self, name: str) -> "GivenSoil":
-        if name == PRIORS:
-            name_only = InputFile(PRIORS, first_belief().to_json().encode())
-            return self._of_laws(name_only, default_prior())
-        file = None if _is_name(name) else read_input(name)
-        if file is not None and _is_prior(file):
-            return self._of_laws(file, read_prior(file))
-        is_json = file is not None and (file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"))
-        if file is None or (not is_json and _is_toml(file)):
-            if self.named is not None:
-                raise RequestError(f"{self.named} and {name} as `soil` are two ways to name the soil; give one")
-            return replace(self, named=name)
-        if self.file is not None:
-            raise RequestError(f"{self.name} and {name} as `soil` are two ways to name the soils; give one")
-        if not is_json:
-            return replace(self, file=file, of="samples")
-        if MAP_SCHEMA.encode() in file.data:
-            return replace(self, file=file, of="map", soil_map=read_soil_map(file))
-        return replace(self, file=file, of="belief", belief=read_belief(file))
 
     def to_dict(self) -> dict[str, Any]:
         """For the result: the drives that a belief rests on, and those of them that taught it something."""
@@ -233,17 +232,10 @@ def caution_of(name: str, belief: SoilBelief | None) -> str:
     return f"the belief {name} was learned with a warning: {belief.caution}" if belief and belief.caution else ""
 
 
-def _is_name(name: str) -> bool:
-    """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
-    return name in known_soils() or not (
-        name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
-    )
-
-
-def _is_prior(file: InputFile) -> bool:
+def _has_laws(file: InputFile) -> bool:
     """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
     try:
-        tables = toml_document(file.data.decode("utf-8")) if _is_toml(file) else {}
+        tables = toml_document(file.data.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
     return any(isinstance(tables.get(name), dict) for name in PARAMETERS)

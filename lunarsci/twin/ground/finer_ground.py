@@ -392,13 +392,9 @@ def lengths_checked(
     left, lengths = np.ones(len(poses), dtype=bool), []
     for one in reversed(finer):
         terrain = one.terrain
-        column, row = (
-            np.rint((places[..., k] - origin) / terrain.spacing_m).astype(int)
-            for k, origin in ((0, terrain.x0_m), (1, terrain.y0_m))
-        )
+        row, column = terrain.nodes(places)
         ny, nx = one.demand.shape
-        inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
-        covered = inside & ~one.unknown[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)]
+        covered = terrain.has(row, column) & ~one.unknown[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)]
         here = left & covered.all(axis=1)
         left &= ~here
         lengths.append(step_m * float(here.sum()))

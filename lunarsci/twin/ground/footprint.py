@@ -91,11 +91,7 @@ def swept_nodes(footprint: RoverFootprint, terrain: Terrain, poses: FloatArray) 
     swept = np.zeros(terrain.height_m.shape, dtype=bool)
     x, y = terrain.x_m, terrain.y_m
     for pose in poses:
-        corners = footprint.corners_m(pose)
-        columns, rows = (
-            slice(*np.searchsorted(axis, (ends.min(), ends.max())))
-            for axis, ends in ((x, corners[:, 0]), (y, corners[:, 1]))
-        )
+        rows, columns = terrain.window(footprint.corners_m(pose))
         swept[rows, columns] |= footprint.distance_m(pose, x[None, columns], y[rows, None]) == 0
     return swept
 

@@ -106,6 +106,8 @@ def _zones_of(feature: Any, number: int, projection: MapProjection | None) -> It
 
 def _covering(name: str, ring: FloatArray) -> Iterator[ExclusionZone]:
     """Circles that together hold a polygon (n, 2). [m]"""
+    from matplotlib.path import Path as Polygon
+
     corners = ring[:-1] if len(ring) > 1 and (ring[0] == ring[-1]).all() else ring
     if len(corners) < 3 or not np.isfinite(corners).all():
         raise ParameterError("a polygon needs three corners or more, in m")
@@ -123,18 +125,9 @@ def _covering(name: str, ring: FloatArray) -> Iterator[ExclusionZone]:
     counts = np.ceil((high - low) / side).astype(int) + 1
     places = low + side * np.stack(np.meshgrid(*(np.arange(n) for n in counts)), axis=-1).reshape(-1, 2)
     # A square with a point of the polygon has its middle inside, or within half a diagonal of an edge.
-    near = _inside(places, corners) | (_off_edges(places, corners) <= side / math.sqrt(2))
+    near = Polygon(corners).contains_points(places) | (_off_edges(places, corners) <= side / math.sqrt(2))
     for place in places[near]:
         yield ExclusionZone(name, float(place[0]), float(place[1]), side / math.sqrt(2))
-
-
-def _inside(places: FloatArray, corners: FloatArray) -> BoolArray:
-    odd = np.zeros(len(places), dtype=bool)
-    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        if ay != by:
-            crosses = (ay > places[:, 1]) != (by > places[:, 1])
-            odd ^= crosses & (places[:, 0] < ax + (places[:, 1] - ay) * (bx - ax) / (by - ay))
-    return odd
 
 
 def _off_edges(places: FloatArray, corners: FloatArray) -> FloatArray:
@@ -151,10 +144,7 @@ def within(zones: Zones, terrain: Terrain) -> BoolArray:
     inside = np.zeros(terrain.height_m.shape, dtype=bool)
     x, y = terrain.x_m, terrain.y_m
     for zone in zones:
-        columns, rows = (
-            slice(*np.searchsorted(axis, (at - zone.radius_m, at + zone.radius_m)))
-            for axis, at in ((x, zone.x_m), (y, zone.y_m))
-        )
+        rows, columns = terrain.window(np.array([[zone.x_m, zone.y_m]]), zone.radius_m)
         inside[rows, columns] |= np.hypot(x[None, columns] - zone.x_m, y[rows, None] - zone.y_m) <= zone.radius_m
     return inside
 

@@ -3,7 +3,7 @@
 import dataclasses
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
@@ -20,6 +20,7 @@ from lunarsci.heights.projections import known_projection
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import read_input
 from lunarsci.names import one_of
+from lunarsci.ranges import refuse
 from lunarsci.regolith.prior import ROLLING
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.written_names import ground_written
@@ -103,23 +104,24 @@ class Terrain:
     ground: str = ""
 
     def __post_init__(self) -> None:
+        refuse(self._ill_made())
+
+    def _ill_made(self) -> Iterator[str]:
         shape = self.height_m.shape
         if len(shape) != 2 or min(shape) < 3:
-            raise ParameterError(f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes")
+            yield f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes"
         if self.soil.shape not in ((*shape, 8), (1, 1, 8)):
-            raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)")
+            yield f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)"
         if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
-            raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
+            yield "terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0"
         if self.interpolation not in INTERPOLATIONS:
-            raise ParameterError(
-                f"terrain interpolation is '{self.interpolation}'; {one_of(self.interpolation, INTERPOLATIONS)}"
-            )
+            yield f"terrain interpolation is '{self.interpolation}'; {one_of(self.interpolation, INTERPOLATIONS)}"
         if np.isinf(self.height_m).any():
-            raise ParameterError("terrain height_m is infinite somewhere; use NaN where the height is unknown")
+            yield "terrain height_m is infinite somewhere; use NaN where the height is unknown"
         if np.isnan(self.height_m).all():
-            raise ParameterError("terrain height_m has no known height")
+            yield "terrain height_m has no known height"
         if not np.isfinite(self.soil).all():
-            raise ParameterError("terrain soil has a value that is not finite")
+            yield "terrain soil has a value that is not finite"
 
     @property
     def written(self) -> str:
@@ -135,6 +137,27 @@ class Terrain:
     def y_m(self) -> FloatArray:
         """Rows. (ny,) [m]"""
         return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0], dtype=np.float64)
+
+    def window(self, points_m: FloatArray, margin_m: float = 0.0) -> tuple[slice, slice]:
+        """Rows and columns of the nodes in a box about points (n, 2) and a margin about it. [m]"""
+        rows, columns = (
+            slice(*np.searchsorted(axis, (ends.min() - margin_m, ends.max() + margin_m)))
+            for axis, ends in ((self.y_m, points_m[:, 1]), (self.x_m, points_m[:, 0]))
+        )
+        return rows, columns
+
+    def nodes(self, points_m: FloatArray) -> tuple[IntArray, IntArray]:
+        """Row and column of the node nearest to each of some points (..., 2) [m], which may lie beyond the edge."""
+        row, column = (
+            np.rint((points_m[..., k] - first) / self.spacing_m).astype(np.int64)
+            for k, first in ((1, self.y0_m), (0, self.x0_m))
+        )
+        return row, column
+
+    def has(self, row: IntArray, column: IntArray) -> BoolArray:
+        """Whether there are such nodes."""
+        ny, nx = self.height_m.shape
+        return np.asarray((row >= 0) & (row < ny) & (column >= 0) & (column < nx))
 
     def summary(self) -> dict[str, Any]:
         """Name, extent, nodes, lowest and highest node and share of holes, for a result."""

@@ -329,8 +329,7 @@ def beyond(target: MissionTarget, surface: Traversability, rover: Rover) -> tupl
     from scipy.ndimage import distance_transform_edt
 
     terrain, unknown = surface.terrain, surface.unknown
-    row, column = (round((v - first) / terrain.spacing_m) for v, first in
-                   ((target.y_m, terrain.y0_m), (target.x_m, terrain.x0_m)))  # fmt: skip
+    row, column = terrain.nodes(np.array([target.x_m, target.y_m]))
     if not unknown[row, column]:
         return None
     closed = np.pad(surface.hazard | unknown, 1, constant_values=True)

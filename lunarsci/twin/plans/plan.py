@@ -13,7 +13,7 @@ from typing import Any, Literal
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.ranges import CHANCE, FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges
+from lunarsci.ranges import CHANCE, FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import OVERRIDES, soil_override
@@ -278,8 +278,7 @@ class Plan:
 def check_plan(plan: Plan, rover: Rover) -> None:
     """Raises ParameterError for a plan that the rover cannot follow, or with limits that no rover of its size has."""
     check_limits(plan.limits, rover, plan.origin)
-    if undrivable := next(_undrivable(plan, rover), None):
-        raise ParameterError(f"{plan.origin}: {undrivable}" if plan.origin else undrivable)
+    refuse(_undrivable(plan, rover), plan.origin)
 
 
 def _undrivable(plan: Plan, rover: Rover) -> Iterator[str]:

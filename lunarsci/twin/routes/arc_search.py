@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
+from lunarsci.twin.ground.footprint import RoverFootprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import arc_end
 
@@ -55,10 +56,7 @@ def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
     terrain = surface.terrain
-    rows, columns = (
-        slice(*np.searchsorted(axis, (ends.min() - margin_m, ends.max() + margin_m)))
-        for axis, ends in ((terrain.y_m, points_m[:, 1]), (terrain.x_m, points_m[:, 0]))
-    )
+    rows, columns = terrain.window(points_m, margin_m)
     blocked = surface.hazard[rows, columns] | np.isnan(terrain.height_m[rows, columns])
     # The frame of the box is a wall, so that nothing beyond it can come near the path.
     walled = np.pad(blocked, 1, constant_values=True)
@@ -250,26 +248,57 @@ PENALTY = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ArcProblem:
-    """What a course is searched for.
+class Strip:
+    """Ground about a way, and the clearance that a rover keeps on it.
 
     Attributes
     ----------
     window, discs : what `drive_arc` looks up, and where.
-    start, goal : poses [m, m, rad]; the heading of the goal is NaN where any will do.
-    tightest_per_m : largest curvature. [1/m]
-    step_m : distance of the places looked at in the lattice; at most 0.1 m or a spacing in the refinement. [m]
+    step_m : distance of the places looked at. [m]
     need_m, wanted_m : as in `drive_arc`. [m]
     """
 
     window: Window
     discs: FloatArray
-    start: FloatArray
-    goal: FloatArray
-    tightest_per_m: float
     step_m: float
     need_m: float
     wanted_m: float
+
+    def drive(self, poses: FloatArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
+        """Cost, infinite where the clearance is not kept, and length driven. (n, 2) [m]"""
+        return np.asarray(
+            drive_arcs(self.window, self.discs, poses, lengths, curvatures, self.step_m, self.need_m, self.wanted_m)
+        )
+
+    def drive_course(self, start: FloatArray, arcs: FloatArray) -> tuple[float, float]:
+        """Cost [m] of arcs (n, 2) one after the other, and how far they fall short of the clearance. [m2]"""
+        drive: tuple[float, float] = drive_course(
+            self.window, self.discs, start, arcs, self.step_m, self.need_m, self.wanted_m
+        )
+        return drive
+
+
+def clearance(surface: Traversability, footprint: RoverFootprint) -> dict[str, Any]:
+    """Discs and distances of a `Strip` for a footprint that travels along its x."""
+    discs, radius = footprint.discs()
+    # Between nodes and between places the distance may be less by a small part of the spacing.
+    need = radius + surface.mobility.hazard_distance_m + 0.25 * surface.terrain.spacing_m + 0.005
+    return {"discs": discs, "need_m": need, "wanted_m": need + footprint.half_width_m}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArcProblem(Strip):
+    """What a course is searched for: the places looked at lie `step_m` apart in the lattice, closer in the refinement.
+
+    Attributes
+    ----------
+    start, goal : poses [m, m, rad]; the heading of the goal is NaN where any will do.
+    tightest_per_m : largest curvature. [1/m]
+    """
+
+    start: FloatArray
+    goal: FloatArray
+    tightest_per_m: float
 
     @property
     def distance_m(self) -> float:
@@ -291,12 +320,6 @@ class ArcProblem:
         if math.isnan(self.goal[2]):
             return close_on_point(poses, self.goal[:2])
         return close_on_pose(poses, self.goal)
-
-    def drive(self, poses: FloatArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
-        """Cost, infinite where the clearance is not kept, and length driven. (n, 2) [m]"""
-        return np.asarray(
-            drive_arcs(self.window, self.discs, poses, lengths, curvatures, self.step_m, self.need_m, self.wanted_m)
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -475,9 +498,7 @@ def _shortest_falls(problem: ArcProblem, branches: _Branches) -> list[Course]:
 
 def _score(problem: ArcProblem, arcs: FloatArray) -> float:
     """Cost with its number and changes of arcs, and a penalty on what falls short of the clearance. [m]"""
-    cost, shortfall = drive_course(
-        problem.window, problem.discs, problem.start, arcs, problem.step_m, problem.need_m, problem.wanted_m
-    )
+    cost, shortfall = problem.drive_course(problem.start, arcs)
     return float(cost + PENALTY * shortfall + TURNING_M2 * _changes(arcs[None])[0] + ARC_M * len(arcs))
 
 
@@ -524,10 +545,7 @@ def refine(coarse: ArcProblem, course: Course) -> Course | None:
 
 def keeps_clear(problem: ArcProblem, arcs: FloatArray) -> bool:
     """Whether a course keeps the clearance."""
-    window, step = problem.window, problem.step_m
-    return bool(
-        drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1] == 0
-    )
+    return problem.drive_course(problem.start, arcs)[1] == 0
 
 
 def _merged(arcs: FloatArray) -> FloatArray:

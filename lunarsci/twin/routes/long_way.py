@@ -16,14 +16,13 @@ from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import COST_CAP, Traversability
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit
-from lunarsci.twin.routes.arc_search import FINEST_M, Window, drive_arcs, search_ground
+from lunarsci.twin.routes.arc_search import FINEST_M, Strip, Window, clearance, search_ground
 from lunarsci.twin.routes.planner import (
     FAR_MARGIN_M,
     MARGIN_SHARE,
     PLACES_M,
     PlannedPath,
-    beyond,
-    check_free,
+    check_place,
     plan_path,
     search_margin_m,
 )
@@ -37,23 +36,6 @@ AS_CHEAP = 1.02
 """A straight line may cost so many times the way over the nodes that it replaces; assumed."""
 MOST_NODES = 2_000_000
 """Of a larger map every second, third ... node is searched."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Strip:
-    """Ground about a way, and the clearance that a rover keeps on it.
-
-    Attributes
-    ----------
-    window, discs : what `drive_arc` looks up, and where.
-    step_m, need_m, wanted_m : as in `drive_arc`. [m]
-    """
-
-    window: Window
-    discs: FloatArray
-    step_m: float
-    need_m: float
-    wanted_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +71,7 @@ def long_way(
     arcs.
     """
     for what, place in (("start", start[:2]), ("target", target)):
-        _check_end(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place)
+        check_place(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place)
     ends, whole = np.array([start[:2], target]), laid_over(surface, finer) if finer else surface
     strip = _strip(whole, rover, ends)
     way = way_over_nodes(whole, strip, ends)
@@ -108,33 +90,10 @@ def long_way(
     return _chained(pieces, start, target, limits, name)
 
 
-def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -> None:
-    """Raises ParameterError, with the reason, where an end of the way is no place for a rover."""
-    if not all(map(math.isfinite, place)):
-        raise ParameterError(f"the {name} is {place}; give finite numbers")
-    terrain = surface.terrain
-    column, row = (
-        round((at - first) / terrain.spacing_m) for at, first in zip(place, (terrain.x0_m, terrain.y0_m), strict=True)
-    )
-    ny, nx = surface.demand.shape
-    if not (0 <= row < ny and 0 <= column < nx):
-        raise ParameterError(f"the {name} x {place[0]:g} m, y {place[1]:g} m lies {beyond(terrain)}")
-    check_free(surface, name, row, column)
-
-
 def _strip(surface: Traversability, rover: Rover, ends_m: FloatArray) -> Strip:
     ground = search_ground(surface, ends_m, MARGIN_SHARE * math.dist(*ends_m) + FAR_MARGIN_M)
-    footprint, spacing = rover_footprint(rover), surface.terrain.spacing_m
-    discs, radius = footprint.discs()
-    # As in `plan_path`: between nodes the distance may be less by a small part of the spacing.
-    need = radius + surface.mobility.hazard_distance_m + 0.25 * spacing + 0.005
-    return Strip(
-        window=ground.window,
-        discs=discs,
-        step_m=max(FINEST_M, spacing),
-        need_m=need,
-        wanted_m=need + footprint.half_width_m,
-    )
+    step_m = max(FINEST_M, surface.terrain.spacing_m)
+    return Strip(window=ground.window, step_m=step_m, **clearance(surface, rover_footprint(rover)))
 
 
 def way_over_nodes(surface: Traversability, strip: Strip, ends_m: FloatArray) -> NodeWay:
@@ -227,11 +186,7 @@ def _straight_costs(here_m: FloatArray, there_m: FloatArray, strip: Strip) -> Fl
     """Cost of a straight drive from one place to others (n, 2), infinite where it comes too near to something. [m]"""
     chord = there_m - here_m
     poses = np.column_stack([np.tile(here_m, (len(chord), 1)), np.arctan2(chord[:, 1], chord[:, 0])])
-    lengths = np.hypot(*chord.T)
-    driven = drive_arcs(
-        strip.window, strip.discs, poses, lengths, np.zeros(len(chord)), strip.step_m, strip.need_m, strip.wanted_m
-    )
-    return np.asarray(driven[:, 0])
+    return strip.drive(poses, np.hypot(*chord.T), np.zeros(len(chord)))[:, 0]
 
 
 def _joined(
@@ -324,10 +279,8 @@ def _no_way(surface: Traversability, window: Window, cost: FloatArray, spacing: 
     ahead = (target_m - nearest) / max(float(left.min()), 1e-9)
     reason = ""
     for step in terrain.spacing_m * np.arange(1, 2 + round(left.min() / terrain.spacing_m)):
-        x, y = nearest + step * ahead
-        row, column = round((y - terrain.y0_m) / terrain.spacing_m), round((x - terrain.x0_m) / terrain.spacing_m)
-        inside = 0 <= row < surface.demand.shape[0] and 0 <= column < surface.demand.shape[1]
-        if inside and (reason := surface.reason(row, column)):
+        row, column = terrain.nodes(nearest + step * ahead)
+        if terrain.has(row, column) and (reason := surface.reason(int(row), int(column))):
             break
     beyond = f"; beyond it {reason}" if reason else ""
     return (

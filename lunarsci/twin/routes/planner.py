@@ -4,19 +4,18 @@ and GeoJSON.
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.heights.projections import MapProjection, known_projection, name_of
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
 from lunarsci.twin.routes.arc_search import (
@@ -25,6 +24,7 @@ from lunarsci.twin.routes.arc_search import (
     ArcProblem,
     Course,
     SearchGround,
+    clearance,
     find_courses,
     pose_after,
     search_ground,
@@ -142,8 +142,8 @@ class RouteSearch:
         """Raises ParameterError for a start or target that is outside the map, on a hazard or too near to one."""
         goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
         pose = np.array([start[0], start[1], math.radians(start[2])])
-        _check_place(surface, "start", start)
-        _check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
+        check_place(surface, "start", start)
+        check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
         distance = math.dist(start[:2], target)
         if distance < ARRIVAL_M:
             raise ParameterError("the target is where the rover stands; give another target")
@@ -158,19 +158,14 @@ class RouteSearch:
 
     def problem(self, footprint: RoverFootprint, start: FloatArray, goal: FloatArray) -> ArcProblem:
         """The search of arcs for a footprint that travels along its x."""
-        mobility, spacing = self.surface.mobility, self.surface.terrain.spacing_m
-        discs, radius = footprint.discs()
-        # Between nodes and between places the distance may be less by a small part of the spacing.
-        need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
+        spacing = self.surface.terrain.spacing_m
         return ArcProblem(
             window=self.ground.window,
-            discs=discs,
             start=start,
             goal=goal,
-            tightest_per_m=min(1.0 / mobility.min_turning_radius_m, self.rover.tightest_curvature_per_m),
+            tightest_per_m=min(1.0 / self.surface.mobility.min_turning_radius_m, self.rover.tightest_curvature_per_m),
             step_m=min(max(FINEST_M, spacing, 0.01 * math.dist(start[:2], goal[:2])), max(COARSEST_M, spacing)),
-            need_m=need,
-            wanted_m=need + footprint.half_width_m,
+            **clearance(self.surface, footprint),
         )
 
     def clear_m(self, poses: FloatArray) -> tuple[float, int]:
@@ -297,7 +292,7 @@ def share_on(nodes: BoolMap, path: PlannedPath, surface: Traversability) -> floa
     """Share of a path's length over some of the nodes (ny, nx), looked at every 2 cm. [-]"""
     length = path.plan.length_m
     poses = planned_pose(path.plan, np.linspace(0.0, length, max(2, math.ceil(length / PLACES_M) + 1)))
-    return float(nodes[_nodes(surface, poses)].mean())
+    return float(nodes[surface.terrain.nodes(poses)].mean())
 
 
 def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1) -> "pd.DataFrame":
@@ -306,7 +301,7 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
 
     distance = np.linspace(0.0, path.plan.length_m, max(2, math.ceil(path.plan.length_m / every_m) + 1))
     poses = planned_pose(path.plan, distance)
-    row, column = _nodes(surface, poses)
+    row, column = surface.terrain.nodes(poses)
     maps = surface.maps
     return pd.DataFrame(
         {
@@ -322,39 +317,18 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
     )
 
 
-def _nodes(surface: Traversability, poses: FloatArray) -> tuple[IntArray, IntArray]:
-    """Row and column of the node nearest to each pose."""
-    terrain = surface.terrain
-    return (
-        np.rint((poses[:, 1] - terrain.y0_m) / terrain.spacing_m).astype(np.int64),
-        np.rint((poses[:, 0] - terrain.x0_m) / terrain.spacing_m).astype(np.int64),
-    )
-
-
-def beyond(terrain: Terrain) -> str:
-    """That a place is outside the map, and where that is, for a message."""
-    of = f" of '{name_of(terrain.crs)}'" if terrain.crs else ""
-    return (
-        f"outside the map, which goes from x {terrain.x_m[0]:g} to {terrain.x_m[-1]:g} m and from y "
-        f"{terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}"
-    )
-
-
-def _check_place(surface: Traversability, name: str, place: tuple[float, float, float]) -> None:
-    x, y, _ = place
+def check_place(surface: Traversability, name: str, place: Sequence[float]) -> None:
+    """Raises ParameterError for what is no place for a rover: outside the map, or with the reason."""
     if not all(map(math.isfinite, place)):
         raise ParameterError(f"the {name} is {place}; give finite numbers")
-    terrain = surface.terrain
+    terrain, (x, y) = surface.terrain, place[:2]
     if not (terrain.x_m[0] <= x <= terrain.x_m[-1] and terrain.y_m[0] <= y <= terrain.y_m[-1]):
-        raise ParameterError(f"the {name} x {x:g} m, y {y:g} m lies {beyond(terrain)}")
-    column, row = (
-        round((value - first) / terrain.spacing_m) for value, first in ((x, terrain.x0_m), (y, terrain.y0_m))
-    )
-    check_free(surface, name, row, column)
-
-
-def check_free(surface: Traversability, name: str, row: int, column: int) -> None:
-    """Raises ParameterError, with the reason, where a node is no place for a rover."""
+        of = f" of '{name_of(terrain.crs)}'" if terrain.crs else ""
+        raise ParameterError(
+            f"the {name} x {x:g} m, y {y:g} m lies outside the map, which goes from x {terrain.x_m[0]:g} to "
+            f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}"
+        )
+    row, column = map(int, terrain.nodes(np.array([x, y])))
     if reason := surface.reason(row, column):
         steep = float(surface.maps.slope_deg[row, column])
         limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
@@ -370,7 +344,7 @@ def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> 
     surface = search.surface
     terrain, maps = surface.terrain, surface.maps
     swept = swept_nodes(search.footprint, terrain, poses)
-    row, column = _nodes(surface, poses)
+    row, column = surface.terrain.nodes(poses)
     return PlannedPath(
         plan=plan,
         target_m=(float(search.goal[0]), float(search.goal[1])),
@@ -436,11 +410,7 @@ def hazard_rings(path: PlannedPath, surface: Traversability) -> list[FloatArray]
     """
     terrain, plan = surface.terrain, path.plan
     places = planned_pose(plan, np.linspace(0.0, plan.length_m, 1000))[:, :2]
-    low, high = places.min(axis=0) - SHOWN_M, places.max(axis=0) + SHOWN_M
-    columns, rows = (
-        slice(*np.searchsorted(axis, (first, last)))
-        for axis, first, last in zip((terrain.x_m, terrain.y_m), low, high, strict=True)
-    )
+    rows, columns = terrain.window(places, SHOWN_M)
     hazard, half = surface.hazard[rows, columns].astype(np.int8), 0.5 * terrain.spacing_m
     steps = np.diff(hazard, axis=1, prepend=0, append=0)
     (row, first), (_, last) = np.nonzero(steps == 1), np.nonzero(steps == -1)
