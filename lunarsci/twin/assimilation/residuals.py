@@ -23,11 +23,11 @@ from lunarsci.twin.assimilation.drive_record import (
     wheel_numbers,
 )
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.plans.path import Schedule, make_schedule
+from lunarsci.twin.plans.path import UNDER_WAY, Schedule, make_schedule
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import exposed_turns, turn_lever
-from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, predict
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 MODEL_SHARES = {
     "sinkage_m": 0.06,

@@ -121,10 +121,11 @@ def _names(asked: PlanRequest) -> Sequence[str]:
     return asked.soil if asked.risk is None and asked.mission is None else ()
 
 
-def likely_ground_of(site: SurveyedSite) -> Terrain:
-    """Heights as they are likely to be below a wheel."""
+def likely_ground_of(site: SurveyedSite, *, exact: bool = True) -> Terrain:
+    """Heights as they are likely to be below a wheel, with what is not known of them unless they are `exact`."""
     as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
-    return replace(site.file.likely(as_read, site.rover.wheel.width_m), errors=None)
+    likely = site.file.likely(as_read, site.rover.wheel.width_m)
+    return replace(likely, errors=None) if exact else likely
 
 
 FRESH = 2
@@ -377,7 +378,8 @@ def drive_conditions(
     """
     members, seed = asked.members or OF_A_BELIEF, asked.seed or 0
     total = (1 + FRESH) * members
-    inputs = _inputs(site, given, plans[0], _site_ground(site, exact=asked.exact_terrain) if ground is None else ground)
+    ground = likely_ground_of(site, exact=asked.exact_terrain) if ground is None else ground
+    inputs = _inputs(site, given, plans[0], ground)
     rows_of_file = given.of == "samples"
     soils = Soils.of(inputs, asked.sweep or None, None if rows_of_file else total, seed)
     of = soils.of_members()
@@ -409,14 +411,6 @@ def _shuffled(samples: Mapping[str, Any], most: int, seed: int) -> dict[str, Any
     count = len(next(iter(samples.values())))
     order = np.random.default_rng([seed, 29]).permutation(count)[:most]
     return {name: values[order] for name, values in samples.items()}
-
-
-def _site_ground(site: SurveyedSite, *, exact: bool) -> Terrain:
-    """The site's terrain with what is not known of its heights, unless they are taken for exact."""
-    if exact:
-        return likely_ground_of(site)
-    as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
-    return site.file.likely(as_read, site.rover.wheel.width_m)
 
 
 def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -> DriveInputs:

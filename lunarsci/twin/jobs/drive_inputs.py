@@ -211,7 +211,7 @@ def read_drive_inputs(
     if fixes is not None and len(drive.legs) < 2:
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
-    check.looked_at(file.made_for, terrain)
+    check.note("terrain", file.made_for, terrain)
     check.belief(given.name, given.belief)
     check.law(given.name, given.verdict)
     check.stand_in()

@@ -368,7 +368,7 @@ def read_site(
     inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None, file.read_as)
-    check.looked_at(file.made_for, terrain)
+    check.note("terrain", file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
         terrain=file.likely(laid),

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.heights.projections import carried, name_of
 from lunarsci.io.inputs import InputFile
@@ -30,26 +32,29 @@ LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the 
 """What a plan without [limits] is judged by."""
 
 
+OF_THE_ROVER = ("sinkage_m", "tilt_deg")
+"""Limits that follow from the rover's size and file."""
+EMBEDDED = "the embedded plan"
+
+
+def _of_rover(rover: Rover) -> dict[str, Limit]:
+    return {limit.quantity: limit for limit in rover_limits(rover) if limit.quantity in OF_THE_ROVER}
+
+
 def limits_of_rover(limits: Iterable[Limit], rover: Rover) -> tuple[Limit, ...]:
     """Limits with those of the rover in place: sinkage a third of the wheel radius, tilt its steepest slope."""
-    of_rover = {limit.quantity: limit for limit in rover_limits(rover) if limit.quantity in OF_THE_ROVER}
+    of_rover = _of_rover(rover)
     return tuple(of_rover.get(limit.quantity, limit) for limit in limits)
 
 
 def laxer(limits: Iterable[Limit], rover: Rover) -> list[str]:
     """Where limits allow more than those of the rover do: `sinkage_m 0.05 > 0.025`."""
-    of_rover = {limit.quantity: limit.limit for limit in rover_limits(rover) if limit.quantity in OF_THE_ROVER}
+    pairs = [(limit, of_rover) for limit in limits if (of_rover := _of_rover(rover).get(limit.quantity))]
     return [
-        f"{limit.quantity} {limit.limit:g} > {of_rover[limit.quantity]:g}"
-        for limit in limits
-        if limit.quantity in of_rover and limit.limit > of_rover[limit.quantity] * (1 + 1e-9)
+        f"{limit.quantity} {limit.limit:g} > {of_rover.limit:g}"
+        for limit, of_rover in pairs
+        if limit.limit > of_rover.limit * (1 + 1e-9)
     ]
-
-
-def _is_on(terrain: Terrain, plan: Plan) -> bool:
-    """Whether a plan starts on the grid of a terrain."""
-    x, y = terrain.x_m, terrain.y_m
-    return bool(x[0] <= plan.x_m <= x[-1] and y[0] <= plan.y_m <= y[-1])
 
 
 def _carried(plan: Plan, crs: str, onto: str) -> Plan:
@@ -61,11 +66,6 @@ def _carried(plan: Plan, crs: str, onto: str) -> Plan:
         for place in (carried(crs, onto, zone.x_m, zone.y_m, 0.0),)
     )
     return replace(plan, x_m=x, y_m=y, heading_deg=heading, exclusion_zones=zones, crs=onto)
-
-
-OF_THE_ROVER = ("sinkage_m", "tilt_deg")
-"""Limits that follow from the rover's size and file."""
-EMBEDDED = "the embedded plan"
 
 
 @dataclass(slots=True)
@@ -104,7 +104,7 @@ class MadeForCheck:
         made = plan.made_for
         if made is not None and made.kinship(self.description) == "other":
             self._refuse(plan, made, path, judged=judged)
-        self._note("plan", made, path)
+        self.note("plan", made, path)
         self.ground(path or "the plan", made.ground if made is not None else "", refused=False)
         return plan
 
@@ -115,7 +115,7 @@ class MadeForCheck:
         there its start is on the ground. Raises RequestError where the two systems have nothing to do with each other.
         """
         here, crs = self.terrain.crs, plan.crs or crs_of_file
-        if not here or crs in ("", here) or not (plan.crs or not _is_on(self.terrain, plan)):
+        if not here or crs in ("", here) or not (plan.crs or not self._is_on(plan)):
             return plan
         try:
             moved = _carried(plan, crs, here)
@@ -125,7 +125,7 @@ class MadeForCheck:
             raise RequestError(
                 f"{plan.origin} has another coordinate system than {self.terrain.name}: {error}; plan on this terrain"
             ) from error
-        if not plan.crs and not _is_on(self.terrain, moved):
+        if not plan.crs and not self._is_on(moved):
             return plan
         if round(math.dist((plan.x_m, plan.y_m), (moved.x_m, moved.y_m)), 2) > 0:
             self.say(
@@ -133,6 +133,10 @@ class MadeForCheck:
                 f"x {moved.x_m:.2f}, y {moved.y_m:.2f} m, heading {moved.heading_deg:.2f} deg"
             )
         return moved
+
+    def _is_on(self, plan: Plan) -> bool:
+        """Whether a plan starts on the grid of the terrain."""
+        return bool(self.terrain.has(*self.terrain.nodes(np.array([plan.x_m, plan.y_m]))))
 
     def ground(self, path: str, written: str, *, refused: bool = True) -> None:
         """Say it where a file was made on another ground; '' where it does not say.
@@ -191,10 +195,6 @@ class MadeForCheck:
                 f"({', '.join(beyond)}); plan with `rover` {this_file}, or write its [limits] for this rover "
                 "and take [made_for] out"
             )
-
-    def looked_at(self, made: MadeFor | None, path: str) -> None:
-        """Say it where a terrain was looked at for another rover."""
-        self._note("terrain", made, path)
 
     def soil(self, driven: DrivenSoil, path: str) -> None:
         """Say it where a soil takes the place of the one that the terrain's file carries."""
@@ -258,7 +258,7 @@ class MadeForCheck:
             return "limits of the ground are the same; make it anew if wheels or others changed"
         return f"{', '.join(other)}; make it anew with this one"
 
-    def _note(self, what: str, made: MadeFor | None, path: str) -> None:
+    def note(self, what: str, made: MadeFor | None, path: str) -> None:
         """Keep what rover a file was made for, and say so where it is not this one."""
         if made is None:
             return

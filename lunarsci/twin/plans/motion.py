@@ -166,7 +166,8 @@ def _one_member(file: str, table: "pd.DataFrame", member: int | None) -> "pd.Dat
     if chosen not in numbers:
         there = f"there are {numbers[0]:g} to {numbers[-1]:g}" if len(numbers) else "the column has no number"
         raise ParameterError(f"no member {chosen} in the column member, {there}; choose one with `member`")
-    return table[given == chosen]
+    rows: pd.DataFrame = table[given == chosen]
+    return rows
 
 
 def _warn_of_gaps(file: str, time_s: FloatArray) -> None:

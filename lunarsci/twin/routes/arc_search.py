@@ -450,15 +450,19 @@ def _grow(problem: ArcProblem, branches: _Branches) -> _Branches:
     )
 
 
+def _with_closing_arcs(problem: ArcProblem, branches: _Branches) -> tuple[BoolArray, FloatArray]:
+    """Which branches can be closed without a turn too tight, and the arcs (n, k, 2) of those with the closing ones."""
+    arcs = np.stack(problem.close(branches.poses), axis=-1)
+    possible = np.asarray((np.abs(arcs[..., 1]) <= problem.tightest_per_m).all(axis=1))
+    return possible, np.concatenate([branches.arcs, arcs], axis=1)[possible]
+
+
 def _closed(problem: ArcProblem, branches: _Branches, pick: Pick) -> tuple[list[Course], tuple[float, Course]]:
     """The picked courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
-    lengths, curvatures = problem.close(branches.poses)
-    possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
-    arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
+    possible, arcs = _with_closing_arcs(problem, branches)
     poses, cost = branches.poses[possible], branches.cost[possible]
     ends, driven = poses, np.zeros(len(poses))
-    for number in range(lengths.shape[1]):
-        length, curvature = lengths[possible, number], curvatures[possible, number]
+    for length, curvature in arcs[:, -problem.closing :].transpose(1, 2, 0):
         result = problem.drive(poses, length, curvature)
         driven = np.where(np.isfinite(cost), result[:, 1], 0.0)
         ends = np.where(np.isfinite(cost)[:, None], _moved(poses, driven, curvature), ends)
@@ -489,9 +493,7 @@ def _nearest(
 
 def _shortest_falls(problem: ArcProblem, branches: _Branches) -> list[Course]:
     """Courses whose closing arcs fall least short of the clearance."""
-    lengths, curvatures = problem.close(branches.poses)
-    possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
-    arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
+    arcs = _with_closing_arcs(problem, branches)[1]
     scores = np.array([_score(problem, course) for course in arcs])
     return [Course(arcs[number], float(scores[number])) for number in np.argsort(scores, kind="stable")[:NEARLY]]
 

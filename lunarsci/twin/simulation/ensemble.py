@@ -216,10 +216,9 @@ def _given_parameters(
     if sweep is not None or members is not None:
         raise ParameterError("the soils are given; leave out the sweep and the number of members")
     values = {name: np.asarray(value, dtype=float) for name, value in samples.items()}
-    if len({value.shape for value in values.values()}) != 1 or next(iter(values.values())).ndim != 1:
-        raise ParameterError("give one value of each soil parameter for each member")
-    if not 0 < next(iter(values.values())).size <= MOST_MEMBERS:
-        raise ParameterError(f"give 1 to {MOST_MEMBERS} soils")
+    shapes = {value.shape for value in values.values()}
+    if len(shapes) != 1 or len(shape := shapes.pop()) != 1 or not 0 < shape[0] <= MOST_MEMBERS:
+        raise ParameterError(f"give one value of each soil parameter for each of 1 to {MOST_MEMBERS} members")
     return values
 
 

@@ -228,16 +228,16 @@ FASTER, SLOWER = WheelTest("ML", 1.3), WheelTest("FR", 0.7)
 SLIP = STATE_COLUMNS.index("slip_ratio")
 
 
-def tested_plan(*legs: Leg) -> Plan:
+def plan_with_test(*legs: Leg) -> Plan:
     return Plan(name="test", legs=legs, speed_m_s=0.05)
 
 
-TESTED = tested_plan(Leg(1.0, 0.1, wheel_test=FASTER), Leg(1.0, 0.1), Leg(1.0, 0.1, wheel_test=SLOWER))
+TESTED = plan_with_test(Leg(1.0, 0.1, wheel_test=FASTER), Leg(1.0, 0.1), Leg(1.0, 0.1, wheel_test=SLOWER))
 
 
 def test_one_wheel_turns_at_another_rate_and_the_others_as_before(yutu2: Rover) -> None:
     """Over to it within the blend of 0.2 m, without a halt, and in no more time."""
-    plain = tested_plan(*(replace(leg, wheel_test=None) for leg in TESTED.legs))
+    plain = plan_with_test(*(replace(leg, wheel_test=None) for leg in TESTED.legs))
     schedule = make_schedule(TESTED, yutu2)
     assert len(schedule.runs) == 1 and schedule.duration_s == make_schedule(plain, yutu2).duration_s
     times = np.linspace(0.0, schedule.duration_s, 601)
@@ -267,7 +267,7 @@ def test_legs_that_are_steered_anew_keep_their_test(yutu2: Rover) -> None:
 
 def test_the_wheel_slips_by_what_it_is_told_beyond_the_others(yutu2: Rover, slope, longji_soil: Soil) -> None:  # type: ignore[no-untyped-def]
     """Straight on the level all wheels go v; so 1 - s is v over the rim's speed, by ratio, in either physics."""
-    plan = tested_plan(Leg(1.0, wheel_test=FASTER))
+    plan = plan_with_test(Leg(1.0, wheel_test=FASTER))
     twin = predict(yutu2, slope(), plan)
     values = {name: float(getattr(longji_soil, name)) for name in PARAMETERS}
     other = quasi_static.drive(yutu2, slope(), plan, values, quasi_static.PAPER, sample_m=0.25)
@@ -303,10 +303,10 @@ def test_wrong_tests_are_refused_with_the_leg(table: str) -> None:
 
 def test_tests_that_the_rover_cannot_do_are_refused(yutu2: Rover) -> None:
     with pytest.raises(ParameterError, match=r"leg 1: wheel_test wheel is '3'.*FL, FR, ML"):
-        check_plan(tested_plan(Leg(1.0, wheel_test=WheelTest("3", 0.5))), yutu2)
+        check_plan(plan_with_test(Leg(1.0, wheel_test=WheelTest("3", 0.5))), yutu2)
     with pytest.raises(ParameterError, match=r"reach 0\.11"):
-        check_plan(tested_plan(Leg(1.0, wheel_test=WheelTest("FL", 3.0))), yutu2)
+        check_plan(plan_with_test(Leg(1.0, wheel_test=WheelTest("FL", 3.0))), yutu2)
     with pytest.raises(ParameterError, match="FL, FR, RL, RR"):
-        check_plan(tested_plan(Leg(1.0, wheel_test=WheelTest("ML", 0.5))), build_rover("small-four"))
+        check_plan(plan_with_test(Leg(1.0, wheel_test=WheelTest("ML", 0.5))), build_rover("small-four"))
     with pytest.raises(ParameterError, match="belong to a leg with length_m"):
         Leg(turn_deg=90.0, wheel_test=FASTER)
