@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping
 from functools import cache
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciError, ParameterError
 
 POSITIVE, NOT_NEGATIVE, FINITE = "(0, inf)", "[0, inf)", "(-inf, inf)"
 SHARE, CHANCE = "[0, 1]", "(0, 1)"
@@ -60,7 +60,7 @@ def check_ranges(given: object, names: Mapping[str, str], what: str = "") -> Non
                 check_range(f"{what} {name}".strip(), number, interval)
 
 
-def refuse(reasons: Iterable[str], where: str = "") -> None:
-    """Raises ParameterError with the first of some reasons, if there is any."""
+def refuse(reasons: Iterable[str], where: str = "", kind: type[LunarSciError] = ParameterError) -> None:
+    """Raises an error with the first of some reasons, if there is any."""
     for reason in reasons:
-        raise ParameterError(f"{where}: {reason}" if where else reason)
+        raise kind(f"{where}: {reason}" if where else reason)

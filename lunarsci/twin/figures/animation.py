@@ -24,7 +24,7 @@ from lunarsci.twin.figures.panels import (
     member_colors,
     shown_members,
 )
-from lunarsci.twin.ground.footprint import RoverFootprint, rover_outline
+from lunarsci.twin.ground.hazards import RoverFootprint, rover_outline
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict, headword
 from lunarsci.twin.judgement.tables import spread

@@ -11,7 +11,7 @@ laid on nodes as close as a wheel is large; how rough it is changes from place t
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray, IntArray
 from lunarsci.errors import DataError
+from lunarsci.ranges import refuse
 from lunarsci.regolith.prior import Law
 from lunarsci.regolith.questions import Question, question
 from lunarsci.regolith.wheel import Wheel
-from lunarsci.twin.ground.footprint import RoverFootprint
-from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
 from lunarsci.twin.ground.terrain import Terrain
 
@@ -249,24 +249,20 @@ class _Cells:
 
 def check_finer(path: str, finer: Terrain, terrain: Terrain) -> None:
     """Raises DataError for a terrain that cannot stand in place of a part of another one."""
+    refuse(_unfit(finer, terrain), path, DataError)
+
+
+def _unfit(finer: Terrain, terrain: Terrain) -> Iterator[str]:
     if finer.crs and terrain.crs and finer.crs != terrain.crs:
-        raise DataError(
-            f"{path}: its coordinate system is not that of {terrain.name}; warp it to that one, "
-            "as with rio warp IN.tif OUT.tif --like OTHER.tif --res METRES"
-        )
+        yield (f"its coordinate system is not that of {terrain.name}; warp it to that one, as with rio warp IN.tif "
+               "OUT.tif --like OTHER.tif --res METRES")  # fmt: skip
     if finer.spacing_m >= terrain.spacing_m:
-        raise DataError(
-            f"{path}: its nodes lie {finer.spacing_m:g} m apart and those of {terrain.name} {terrain.spacing_m:g} m; "
-            "a local terrain must be finer; give the finer one as local, or leave it out"
-        )
-    if any(
-        axis[-1] < other[0] or axis[0] > other[-1]
-        for axis, other in ((finer.x_m, terrain.x_m), (finer.y_m, terrain.y_m))
-    ):
-        raise DataError(
-            f"{path}: covers no part of {terrain.name}: x {finer.x_m[0]:g} to {finer.x_m[-1]:g} m, y "
-            f"{finer.y_m[0]:g} to {finer.y_m[-1]:g} m; is it in metres of the same origin?"
-        )
+        yield (f"its nodes lie {finer.spacing_m:g} m apart and those of {terrain.name} {terrain.spacing_m:g} m; a "
+               "local terrain must be finer; give the finer one as local, or leave it out")  # fmt: skip
+    x, y = finer.x_m, finer.y_m
+    if not _overlaps(terrain, np.array([x[0], y[0]]), np.array([x[-1], y[-1]])):
+        yield (f"covers no part of {terrain.name}: x {x[0]:g} to {x[-1]:g} m, y {y[0]:g} to {y[-1]:g} m; is it in "
+               "metres of the same origin?")  # fmt: skip
 
 
 def laid_over(base: Traversability, finer: Sequence[Traversability]) -> Traversability:

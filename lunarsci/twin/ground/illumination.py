@@ -13,7 +13,6 @@ from lunarsci.ranges import FINITE, check_range, check_ranges
 from lunarsci.sun import sun_in_moon_frame, upward
 from lunarsci.twin.ground.terrain import Terrain
 
-BoolMap = BoolArray
 GRAZING_M = 1e-9
 """Ground this far below the shadow's edge is still lit: rounding must not darken a plane that the Sun grazes. [m]"""
 
@@ -85,7 +84,7 @@ def parse_sun(text: str) -> SunDirection:
     return sun_over(time, one, other) if at else SunDirection(one, other)
 
 
-def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolMap:
+def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolArray:
     """Nodes from which the middle of the Sun is seen over all other ground of the map.
 
     Parameters
@@ -119,7 +118,7 @@ def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolMa
     return _lit_rows(height, y, x, fall * terrain.spacing_m)
 
 
-def _lit_rows(height: FloatArray, towards: float, aside: float, fall: float) -> BoolMap:
+def _lit_rows(height: FloatArray, towards: float, aside: float, fall: float) -> BoolArray:
     """Lit nodes where the Sun stands across the rows: `towards` it along them down the grid, `aside` within a row.
 
     `fall` is how much a ray falls over a spacing. Rows are taken from the Sun's side on; each ray keeps the largest

@@ -16,8 +16,7 @@ from lunarsci.twin.choice.choice import DriveChoice, choose
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
-from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import STRAY_M, Traversability, near_way
+from lunarsci.twin.ground.hazards import STRAY_M, Traversability, near_way, rover_footprint, swept_nodes
 from lunarsci.twin.ground.terrain import Terrain, terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, DriveInputs, Soils, parsed_fixes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES

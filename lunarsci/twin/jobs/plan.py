@@ -14,8 +14,7 @@ from lunarsci.result import MadeFrom, job, request_of
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.driven_soil import GivenSoil
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way
+from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.chosen_drive import SOURCES, LocalGround, check_soils, chosen_drive, drive_conditions
 from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, Soils

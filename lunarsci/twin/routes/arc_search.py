@@ -15,11 +15,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.twin.ground.footprint import RoverFootprint
-from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
-
-BoolMap = BoolArray
 
 
 class Window(NamedTuple):
@@ -74,7 +71,7 @@ def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float
     )
 
 
-def _real(border: IntArray, whole: tuple[int, ...], rows: slice, columns: slice) -> BoolMap:
+def _real(border: IntArray, whole: tuple[int, ...], rows: slice, columns: slice) -> BoolArray:
     """Which border nodes are obstacles or lie beyond the map, and not just beyond the box."""
     row, column = border.T
     in_box = (row >= rows.start) & (row < rows.stop) & (column >= columns.start) & (column < columns.stop)

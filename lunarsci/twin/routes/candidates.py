@@ -11,8 +11,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.footprint import RoverFootprint
-from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
 from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
 from lunarsci.twin.routes.arc_search import LONGEST, ArcProblem, Course, keeps_clear, lattice_courses, refine

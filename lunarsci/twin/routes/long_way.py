@@ -12,8 +12,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.finer_ground import laid_over, patch
-from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import COST_CAP, Traversability
+from lunarsci.twin.ground.hazards import COST_CAP, Traversability, rover_footprint, swept_nodes
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.routes.arc_search import FINEST_M, Strip, Window, clearance, search_ground

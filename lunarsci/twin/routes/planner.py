@@ -14,8 +14,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.heights.projections import MapProjection, known_projection, name_of
-from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
 from lunarsci.twin.routes.arc_search import (
@@ -34,7 +33,6 @@ from lunarsci.twin.rover import Rover
 if TYPE_CHECKING:
     import pandas as pd
 
-BoolMap = BoolArray
 Progress = Callable[[int, int], None]
 
 NEAR_M = 1.0
@@ -86,7 +84,7 @@ class PlannedPath:
     max_slope_on_path_deg: float
     max_curvature_per_m: float
     footprint: RoverFootprint
-    swept: BoolMap
+    swept: BoolArray
 
     @property
     def end(self) -> FloatArray:
@@ -288,7 +286,7 @@ def commanded_speed(rover: Rover, speed_m_s: float | None) -> float:
     return speed
 
 
-def share_on(nodes: BoolMap, path: PlannedPath, surface: Traversability) -> float:
+def share_on(nodes: BoolArray, path: PlannedPath, surface: Traversability) -> float:
     """Share of a path's length over some of the nodes (ny, nx), looked at every 2 cm. [-]"""
     length = path.plan.length_m
     poses = planned_pose(path.plan, np.linspace(0.0, length, max(2, math.ceil(length / PLACES_M) + 1)))

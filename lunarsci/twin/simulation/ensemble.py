@@ -266,8 +266,6 @@ def predict(
     ParameterError for a plan the rover cannot follow or a value that is no step, seed or sweep.
     """
     _check_plans(plan, before, rover, ruts)
-    check_range("time_step_s", time_step_s, f"(0, {LONGEST_STEP_S}]")
-    check_range("sample_m", sample_m, f"(0, {LONGEST_SAMPLE_M}]")
     check_range("seed", seed, NOT_NEGATIVE)
     if grounds is not None and samples is not None:
         raise ParameterError("samples and grounds are two ways to name the soils; give one")
@@ -314,6 +312,8 @@ def predict(
 
 def _steps(schedule: Schedule, members: int, time_step_s: float, sample_m: float) -> tuple[FloatArray, int]:
     """Times of all steps [s], and steps between samples. Raises ParameterError for too many of them."""
+    check_range("time_step_s", time_step_s, f"(0, {LONGEST_STEP_S}]")
+    check_range("sample_m", sample_m, f"(0, {LONGEST_SAMPLE_M}]")
     if schedule.duration_s / time_step_s > MOST_STEPS:
         raise ParameterError(f"the drive takes over {MOST_STEPS:g} steps; give a longer time_step_s")
     stops = max(1, math.ceil(schedule.duration_s * schedule.plan.speed_m_s / sample_m - 1e-9))

@@ -28,8 +28,7 @@ from lunarsci.twin.ground.finer_ground import (
     unresolved_grain,
     with_unresolved,
 )
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales, read_mobility, rover_footprint
 from lunarsci.twin.ground.height_errors import fractal_power
 from lunarsci.twin.ground.terrain import Terrain, build_terrain, write_terrain
 from lunarsci.twin.jobs.predict import predict

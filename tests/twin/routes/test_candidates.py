@@ -8,8 +8,7 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility, rover_footprint
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import leg_end, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, check_plan

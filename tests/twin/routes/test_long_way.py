@@ -11,8 +11,7 @@ from matplotlib.path import Path as Polygon
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility, rover_footprint
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import check_plan

@@ -13,8 +13,15 @@ from matplotlib.path import Path as Polygon
 from lunarsci.errors import OutputError, ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.hazards import (
+    Traversability,
+    assess,
+    ground_maps,
+    map_scales,
+    read_mobility,
+    rover_footprint,
+    swept_nodes,
+)
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.path import arc_end, planned_pose
