@@ -74,7 +74,7 @@ def test_what_lies_beyond_the_nearest_place_is_looked_for_as_far_as_the_target()
     """Places every 2 m were reached as far as x = 2 m; straight from there to (8, 8) m a wall begins 2 m before it."""
     reason = np.full((21, 21), "", dtype=object)
     reason[13:, 13:] = "a wall"
-    terrain = SimpleNamespace(x0_m=0.0, y0_m=0.0, spacing_m=0.5)
+    terrain = build_terrain("square", 0.0, 0.0, 0.5, np.zeros((21, 21)), read_soil("longji"))
     surface: Any = SimpleNamespace(
         terrain=terrain, demand=np.zeros((21, 21)), reason=lambda row, column: reason[row, column]
     )
