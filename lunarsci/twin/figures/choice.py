@@ -209,15 +209,9 @@ def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthe
         risk = {n: 100.0 * (1.0 - rows[n]["kept_share"]) for n in finished}
         energy = {n: rows[n]["energy_p50_j"] for n in finished}
         dots = axes.scatter(
-            [energy[n] for n in finished],
-            [risk[n] for n in finished],
-            c=[designs[n].values[name] for n in finished],
-            s=36,
-            cmap="viridis",
-            edgecolors="white",
-            linewidths=0.5,
-            zorder=3,
-        )
+            [energy[n] for n in finished], [risk[n] for n in finished], s=36, cmap="viridis", edgecolors="white",
+            c=[designs[n].values[name] for n in finished], linewidths=0.5, zorder=3,
+        )  # fmt: skip
         axes.plot([energy[n] for n in front], [risk[n] for n in front], "-", color=GOLD, linewidth=2.0, zorder=2)
         axes.scatter(
             [energy[n] for n in front], [risk[n] for n in front], s=110, facecolors="none", edgecolors=LIMIT,

@@ -14,7 +14,7 @@ from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.segments import SoilChange
 from lunarsci.twin.assimilation.update import SoilUpdate
-from lunarsci.twin.figures.panels import GOLD, LABELS
+from lunarsci.twin.figures.panels import GOLD, LABELS, draw_shade
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.soil_map import SoilLayers, SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si
@@ -77,13 +77,8 @@ def _title(surface: Traversability, path: PlannedPath | None) -> str:
 
 
 def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
-    half = 0.5 * terrain.spacing_m
-    return (
-        float(terrain.x_m[0]) - half,
-        float(terrain.x_m[-1]) + half,
-        float(terrain.y_m[0]) - half,
-        float(terrain.y_m[-1]) + half,
-    )
+    half, x, y = 0.5 * terrain.spacing_m, terrain.x_m, terrain.y_m
+    return float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half
 
 
 def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> None:
@@ -98,17 +93,11 @@ def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> 
 
 
 def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
-    """Shaded relief, light from the upper left, with contours."""
-    from matplotlib.colors import LightSource
-
+    """Shaded relief with contours."""
     height = np.ma.masked_invalid(terrain.height_m[every])
-    spacing = terrain.spacing_m * (every[0].step or 1)
-    # Matplotlib takes the first row for the north one.
-    shade = LightSource(315, 35).hillshade(height.filled(float(height.mean()))[::-1], 4.0, spacing, spacing)[::-1]
-    shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
     axes.set_facecolor(UNKNOWN)
     drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
-    axes.imshow(shade, cmap="gray", vmin=-0.35, vmax=1.05, **drawn)
+    draw_shade(axes, height, terrain.spacing_m * (every[0].step or 1), extent=drawn["extent"])
     if height_bar:
         _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "height [m]", extend="neither")
     span = float(height.max() - height.min())

@@ -99,10 +99,7 @@ def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
     way = _distance_at(drive, drive.gaps)
     for number, (begin, end) in enumerate(way):
         panel.axvspan(begin, end, color=GOLD, alpha=0.35, linewidth=0, label="gap" if number == 0 else None)
-    panel.set_ylabel(text)
-    panel.grid()
-    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
-        panel.axhline(0.0, color=INK, linewidth=0.6)
+    _frame(panel, text)
     if not np.isfinite(values).any():
         panel.text(0.5, 0.5, "no depth of the track was given", transform=panel.transAxes, ha="center", color=INK)
 
@@ -236,5 +233,4 @@ def force_figure(
 def _frame(panel: Any, text: str) -> None:
     panel.set_ylabel(text)
     panel.grid()
-    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
-        panel.axhline(0.0, color=INK, linewidth=0.6)
+    _zero(panel)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import DataError, OutputError, ParameterError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
 from lunarsci.heights.grids import check_relief, read_grid
 from lunarsci.heights.projections import known_projection
@@ -548,11 +548,3 @@ def terrain_bytes(
     archive = io.BytesIO()
     np.savez_compressed(archive, **content)
     return archive.getvalue()
-
-
-def write_terrain(terrain: Terrain, path: str | Path) -> None:
-    """Write a terrain as `read_terrain` reads it. Raises OutputError."""
-    try:
-        Path(path).write_bytes(terrain_bytes(terrain))
-    except OSError as error:
-        raise OutputError(f"{path}: {error.strerror}") from error

@@ -7,10 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, Literal
 
-from lunarsci.errors import DataError, OutputError, ParameterError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.ranges import CHANCE, FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
@@ -416,14 +415,6 @@ def read_limits(source: Source) -> tuple[Limit, ...]:
         return tuple(parse_limit(quantity, entry, file.name) for quantity, entry in table.items())
     except ParameterError as error:
         raise DataError(f"{file.name}: {error}") from error
-
-
-def write_plan(plan: Plan, path: str | Path) -> None:
-    """Write a plan as `read_plan` reads it. Raises OutputError."""
-    try:
-        Path(path).write_text(plan_text(plan), "utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: {error.strerror}") from error
 
 
 def _quoted(text: str) -> str:

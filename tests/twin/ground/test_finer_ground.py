@@ -30,7 +30,7 @@ from lunarsci.twin.ground.finer_ground import (
 )
 from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales, read_mobility, rover_footprint
 from lunarsci.twin.ground.height_errors import fractal_power
-from lunarsci.twin.ground.terrain import Terrain, build_terrain, write_terrain
+from lunarsci.twin.ground.terrain import Terrain, build_terrain, terrain_bytes
 from lunarsci.twin.jobs.predict import predict
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
@@ -51,7 +51,7 @@ def ground(
     for place in rocks:
         rock |= np.hypot(x[None, :] - place[0], y[:, None] - place[1]) < RADIUS_M
     terrain = build_terrain(path.stem, west, south, spacing, 0.4 * rock, read_soil("longji"), crs=crs)
-    write_terrain(terrain, path)
+    path.write_bytes(terrain_bytes(terrain))
     return str(path)
 
 
@@ -352,7 +352,7 @@ def test_a_map_tells_how_rough_its_ground_is() -> None:
 
 def verdict_on(tmp_path: Path, slope_deg: float, tilt_deg: float):  # type: ignore[no-untyped-def]
     """5 m along a slope on nodes 5 m apart, where only the tilt can stand in the way."""
-    write_terrain(coarse(5.0, slope_deg), tmp_path / "coarse.npz")
+    (tmp_path / "coarse.npz").write_bytes(terrain_bytes(coarse(5.0, slope_deg)))
     given = {"slip_ratio": 1.0, "side_slip_deg": 90.0, "sinkage_m": 0.15, "clearance_m": 0.001, "tilt_deg": tilt_deg}
     limits = tuple(Limit(name, "", value, "test", False) for name, value in given.items())
     plan = Plan(name="along", legs=(Leg(5.0),), speed_m_s=0.05, limits=limits)

@@ -37,7 +37,7 @@ from lunarsci.twin.ground.hazards import (
     travel_cost,
 )
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.ground.terrain import Terrain, build_terrain, write_terrain
+from lunarsci.twin.ground.terrain import Terrain, build_terrain, terrain_bytes
 from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.jobs.terrain import terrain
 from lunarsci.twin.judgement.quantities import exclusion_distance
@@ -371,7 +371,8 @@ MOON = f"+proj=eqc +lat_ts=0 +lon_0=0 +R={MOON_M} +units=m"
 def layered_ground(folder: Path, height: np.ndarray | None = None) -> str:
     shape = (AXIS.size, AXIS.size)
     flat = np.zeros(shape) if height is None else height
-    write_terrain(build_terrain("flat", -10.0, -10.0, 0.1, flat, read_soil("longji")), folder / "flat.npz")
+    terrain = build_terrain("flat", -10.0, -10.0, 0.1, flat, read_soil("longji"))
+    (folder / "flat.npz").write_bytes(terrain_bytes(terrain))
     return str(folder / "flat.npz")
 
 
