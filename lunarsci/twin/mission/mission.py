@@ -327,7 +327,7 @@ class _Driven:
         self, mission: Mission, rover: Rover, way: Way, drive: Drive, is_safe: Safe, random: np.random.Generator
     ) -> None:
         self.mission, self.rover, self.random = mission, rover, random
-        self.way, self.drive, self.held = way, drive, is_safe
+        self.way, self.drive, self.is_safe = way, drive, is_safe
         start = mission.start
         self.pose: Pose = (start.x_m, start.y_m, start.heading_deg)
         self.clock_s, self.legs = 0.0, list[MissionLeg]()
@@ -372,7 +372,7 @@ class _Driven:
     def _one_leg(self, target: MissionTarget, plan: Plan) -> None:
         begin, needed = self._when(plan)
         prediction = self._powered(self.drive(plan), begin)
-        safe = self.held(prediction)
+        safe = self.is_safe(prediction)
         before = np.ones_like(safe) if self.alive is None else self.alive
         self.alive = before & safe
         self.stands = (prediction, begin + needed - self.mission.localisation_s)
