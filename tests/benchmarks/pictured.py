@@ -582,7 +582,7 @@ def histories(count: int) -> "Figure":
 
 def candidates(count: int, page: int) -> "Figure":
     """Drives of long names about the chosen one, a dozen of them not beaten."""
-    from lunarsci.twin.figures.choice import candidate_map, design_front_page
+    from lunarsci.twin.figures.choice import candidate_map, front_page
 
     found = chosen()
     crowd = []
@@ -590,7 +590,7 @@ def candidates(count: int, page: int) -> "Figure":
         own = found.choice.candidates[k % len(found.choice.candidates)]
         crowd.append(replace(own, number=k + 1, plan=replace(own.plan, name=f"{k} {LONG}"), pareto=k % 4 == 0))
     choice = replace(found.choice, candidates=tuple(crowd))
-    return design_front_page(choice) if page else candidate_map(found.surface, choice)
+    return front_page(choice) if page else candidate_map(found.surface, choice)
 
 
 def long_mission(count: int, page: int) -> "Figure":
