@@ -62,7 +62,7 @@ def scatter_rocks(x_m: FloatArray, y_m: FloatArray, height_m: FloatArray, share:
     Rocks are round, stand on their middle and may overlap. A grid coarser than a rock may miss it. Raises
     ParameterError outside the range.
     """
-    check_range("rock_share", share, f"[0, {LARGEST_SHARE}]")
+    check_range("the share of rocks", share, f"[0, {LARGEST_SHARE}]")
     random = np.random.default_rng((seed, 1))
     width, depth = float(x_m[-1] - x_m[0]), float(y_m[-1] - y_m[0])
     sizes = np.geomspace(SMALLEST_M, LARGEST_M, 400)

@@ -158,9 +158,11 @@ def _lacking(table: "pd.DataFrame", rover: Rover, plan: Plan | None) -> Iterator
 
 def _one_member(file: str, table: "pd.DataFrame", member: int | None) -> "pd.DataFrame":
     """The rows of one member, where there are several."""
-    if "member" not in table and member is None:
+    if "member" not in table:
+        if member is not None:
+            raise ParameterError(f"no column member to choose member {member} from; leave it out")
         return table
-    given = numbers_of(file, "member", table["member"]) if "member" in table else np.full(len(table), np.nan)
+    given = numbers_of(file, "member", table["member"])
     numbers = np.unique(given[np.isfinite(given)])
     chosen = member if member is not None or len(numbers) != 1 else numbers[0]
     if chosen not in numbers:
