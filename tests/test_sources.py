@@ -40,7 +40,7 @@ SETTINGS = {
         "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _UNSCALED", "sun.py: _J2000_JD",
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/simulation/prescribed_motion.py: ALIKE",
-        "twin/plans/limits.py: MOST", "twin/plans/schedule.py: RAMP_COUNTS_S", "twin/plans/schedule.py: RAMP_S",
+        "twin/simulation/contact.py: BEHIND", "twin/plans/path.py: RAMP_COUNTS_S", "twin/plans/path.py: RAMP_S",
         "twin/telemetry/states.py: HELD", "twin/telemetry/states.py: HARDLY", "twin/telemetry/reading.py: SURE",
         "twin/telemetry/checks.py: STOP_COSTS_S", "twin/telemetry/readings.py: ANY",
         "twin/telemetry/readings.py: AS_NAMED", "twin/telemetry/readings.py: READINGS",
@@ -55,11 +55,12 @@ SETTINGS = {
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
         "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/fit_file.py: PLOT_AXIS",
         "spectra/vnis/calibration.py: _SHADOW, _INVALID",
-        "twin/routes/path_geojson.py: EVERY_M, NEAR_M", "twin/telemetry/simulated.py: DENSE_M",
+        "twin/ground/soil_map.py: MARGIN_M, NODES_ABOUT",
+        "twin/routes/planner.py: EVERY_M, SHOWN_M", "twin/telemetry/simulated.py: DENSE_M",
         "twin/comparison/scores.py: REGIONS", "twin/comparison/scores.py: NOMINAL",
         "twin/judgement/keeping.py: CONFIDENCE", "twin/drives/layouts.py: MARGIN_M, MARGIN_SHARE, NODES"),
     "how long machines are waited for, and how much memory is taken": (
-        "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/ruts.py: MOST_NODES"),
+        "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
         "images/rocks.py: SCALES_M", "images/labels.py: RANGES", "images/matching.py: SMALL_STEP_PX",
         "compiled/lanes.py: LARGEST", "compiled/lanes.py: ROUNDING",
@@ -88,11 +89,11 @@ SETTINGS = {
         "twin/assimilation/posterior.py: DIFFERENT", "twin/assimilation/posterior.py: SHALLOW_M",
         "twin/assimilation/posterior.py: WIDTH", "twin/assimilation/residuals.py: STEP_S, SAMPLE_M",
         "twin/assimilation/segments.py: FINER",
-        "twin/ground/height_errors.py: RATIO, MOST_GRAINS", "twin/jobs/local_ground.py: CHECKED_EVERY_M",
-        "twin/jobs/planned_mission.py: LOOKED_AT_M", "twin/judgement/endpoint.py: SHORTEST_STEP_S",
+        "twin/ground/height_errors.py: RATIO, MOST_GRAINS", "twin/jobs/chosen_drive.py: CHECKED_EVERY_M",
+        "twin/jobs/plan.py: LOOKED_AT_M", "twin/judgement/endpoint.py: SHORTEST_STEP_S",
         "twin/judgement/energy.py: FINEST_S", "twin/plans/path.py: CREEP_M_S", "twin/plans/path.py: TURN_DEG",
         "twin/routes/arc_search.py: PENALTY", "twin/routes/planner.py: PLACES_M",
-        "twin/simulation/contact_frame.py: CAUGHT", "twin/simulation/settle.py: CALM",
+        "twin/simulation/contact.py: CAUGHT", "twin/simulation/settle.py: CALM",
         "twin/simulation/settle.py: LONGEST_MOVE", "twin/telemetry/nodes.py: NODE_M"),
 }  # fmt: skip
 """Further constants that need no source, by why not; a name that is no longer needed here fails, too."""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lunarsci.twin.jobs.planned_mission import PlannedMission
+from lunarsci.twin.jobs.plan import PlannedMission
 from lunarsci.twin.judgement.quantities import least_of_95
-from lunarsci.twin.mission.legs import MissionLeg
+from lunarsci.twin.mission.mission import MissionLeg
 
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.twin.jobs.planned_mission import PlannedMission
-    from lunarsci.twin.mission.legs import MissionLeg
+    from lunarsci.twin.jobs.plan import PlannedMission
+    from lunarsci.twin.mission.mission import MissionLeg
 
 
 def mission_tables(found: PlannedMission) -> list[TextTable]:
@@ -27,7 +27,7 @@ def _targets(found: PlannedMission) -> TextTable:
             one.target.name,
             one.fate,
             clock(one.arrival_s) if one.fate == "reached" else "-",
-            f"{100 * one.kept.mean():.0f}" if one.fate == "reached" else "-",
+            f"{100 * one.safe.mean():.0f}" if one.fate == "reached" else "-",
         ]
         for one in driven.targets
     ]
@@ -40,7 +40,7 @@ def _targets(found: PlannedMission) -> TextTable:
     notes = [
         *(f"{one.target.name}: {one.why}" for one in driven.targets if one.why),
         f"takes {clock(driven.end_s)}{budget}, of which {clock(driven.waited_s)} waiting for communication",
-        *found.soils.inputs.soil_notes(driven.kept.size, 0),
+        *found.soils.inputs.soil_notes(driven.safe.size, 0),
         *found.notes(),
     ]
     headers = ["target", "fate", "arrival [h:min]", "kept [%]"]
@@ -68,7 +68,7 @@ def _row(leg: MissionLeg) -> list[str]:
         f"{leg.drive_s / 60:.1f}",
         f"{leg.plan.length_m:.1f}",
         f"{leg.spread_m:.2f}",
-        f"{100 * leg.kept.mean():.0f}",
+        f"{100 * leg.safe.mean():.0f}",
     ]
 
 

@@ -11,7 +11,7 @@ import typer
 from lunarsci.heights.projections import lonlat_of
 from lunarsci.twin.jobs import plan as job
 from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-from lunarsci.twin.jobs.planned_mission import PlannedMission
+from lunarsci.twin.jobs.plan import PlannedMission
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.terrain import TerrainSurvey
 from lunarsci.twin.judgement.choice import DriveCandidate

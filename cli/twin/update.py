@@ -163,7 +163,7 @@ def _notes(learned: LearnedSoil) -> list[str]:
 
 def _mass_notes(learned: LearnedSoil) -> list[str]:
     """What the soil owes to the mass in the rover file, which no motion tells."""
-    if learned.forces_told:
+    if learned.forces_measured:
         return []
     rover = learned.known.rover
     return [

@@ -21,8 +21,8 @@ PARTS = {
     "suspension": "lunarsci.twin.rover.Rover",
     "steering": "lunarsci.twin.rover.Rover",
     "drive": "lunarsci.twin.rover.Rover",
-    "motors": "lunarsci.twin.electrics.Motors",
-    "power": "lunarsci.twin.electrics.PowerSupply",
+    "motors": "lunarsci.twin.rover.Motors",
+    "power": "lunarsci.twin.rover.PowerSupply",
     "body": "lunarsci.twin.rover.Body",
 }
 """Table of a rover file to the class that takes its keys."""

@@ -186,7 +186,7 @@ def _plan(file: InputFile) -> Mapping[str, Any]:
         "legs": len(plan.legs),
         "length_m": plan.length_m,
         "speed_m_s": plan.speed_m_s,
-        "limits": "its own" if plan.own_limits else f"those of the rover that drives it: {LIMITS_RULE}",
+        "limits": "its own" if plan.has_limits else f"those of the rover that drives it: {LIMITS_RULE}",
         "sweeps": _listed(sweep.name for sweep in plan.sweep) or "none",
         "made for": "any rover" if plan.made_for is None else plan.made_for.name,
     }

@@ -111,9 +111,8 @@ def _soil() -> str:
 def _rover(known: str = "yutu2") -> str:
     from lunarsci.regolith.wheel import Wheel
     from lunarsci.rovers import PLACE_HOLDER, read_rover
-    from lunarsci.twin.electrics import Motors, PowerSupply
     from lunarsci.twin.ground.hazards import Mobility
-    from lunarsci.twin.rover import Body, Rover
+    from lunarsci.twin.rover import Body, Motors, PowerSupply, Rover
 
     told = {
         "wheel": described(Wheel),

@@ -1,16 +1,24 @@
-"""TOML, JSON, YAML and XML from files that nobody vouches for: what no parser's own error covers becomes one."""
+"""TOML, JSON, YAML and XML from files that nobody vouches for: what no parser's own error covers becomes one.
+
+Tables of a document as dataclasses.
+"""
 
 import codecs
 import json
 import math
 import re
 import tomllib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from dataclasses import MISSING, fields, is_dataclass
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import one_of
+
+Record = TypeVar("Record")
 
 LARGEST = 2**63
 """Whole numbers are smaller: those of 64 bits, as in TOML 1.0."""
@@ -51,6 +59,52 @@ def toml_of(name: str, data: bytes | str) -> dict[str, Any]:
         raise DataError(f"{name}: not a readable TOML file") from error
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{name}: not valid TOML: {error}") from error
+
+
+def check_keys(table: Any, keys: Iterable[str], where: str) -> None:
+    """Raises ParameterError for what is no table, and for a key that is not one of these."""
+    if not isinstance(table, dict):
+        raise ParameterError(f"{where} is missing, or no table; its keys are: {', '.join(keys)}")
+    for key in table:
+        if key not in keys:
+            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, keys)}")
+
+
+def number_of(value: Any, name: str) -> float:
+    """A number of a table. Raises ParameterError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ParameterError(f"{name} is {value!r}; give a number")
+    return float(value)
+
+
+def record_of(kind: type[Record], table: Any, where: str) -> Record:
+    """A dataclass of numbers, texts and such dataclasses, from a table by its fields. Raises ParameterError."""
+    kinds = get_type_hints(kind)
+    check_keys(table, kinds, where)
+    for one in fields(kind):  # type: ignore[arg-type]
+        if one.name not in table and one.default is MISSING and one.default_factory is MISSING:
+            raise ParameterError(f"{where} has no {one.name}")
+    return kind(**{name: _value(value, kinds[name], name) for name, value in table.items()})
+
+
+def records_of(kind: type[Record], tables: Any, name: str) -> tuple[Record, ...]:
+    """The same of each of some tables in double brackets, whose number its error names. Raises ParameterError."""
+    if not isinstance(tables, list):
+        raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
+    records = []
+    for number, table in enumerate(tables, 1):
+        try:
+            records.append(record_of(kind, table, f"[[{name}]]"))
+        except ParameterError as error:
+            raise ParameterError(f"{name} {number}: {error}") from error
+    return tuple(records)
+
+
+def _value(value: Any, hint: Any, name: str) -> Any:
+    kind = next(one for one in (*get_args(hint), hint) if one is not NoneType)
+    if is_dataclass(kind):
+        return record_of(kind, value, name)  # type: ignore[arg-type]
+    return str(value) if kind is str else number_of(value, name)
 
 
 def json_document(content: str, parse_constant: Callable[[str], Any] | None = None) -> Any:

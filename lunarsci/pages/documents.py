@@ -221,8 +221,7 @@ def _soil_map(name: str, file: InputFile) -> Document:
     """What a soil map says of its zones, with the pictures of `twin update`. Raises DataError."""
     from lunarsci.figure import picture_bytes, styled
     from lunarsci.twin.figures.maps import soil_pages
-    from lunarsci.twin.ground.soil_layers import soil_layers
-    from lunarsci.twin.ground.soil_map import ground_about, map_record, read_soil_map
+    from lunarsci.twin.ground.soil_map import ground_about, map_record, read_soil_map, soil_layers
 
     found = read_soil_map(file)
     told, names = map_record(found), ("median of the soil.svg", "what is left of the first spread.svg")

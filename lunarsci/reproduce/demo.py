@@ -74,7 +74,7 @@ def _ground_ahead(seed: int) -> SeenGround | None:
     from lunarsci.images.jobs.render import render
     from lunarsci.images.rig_files import read_rig, rig_text
     from lunarsci.twin.ground.synthetic import synthetic_longji
-    from lunarsci.twin.ground.terrain_files import terrain_bytes
+    from lunarsci.twin.ground.terrain import terrain_bytes
 
     if find_spec("cv2") is None:
         return None

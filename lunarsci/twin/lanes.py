@@ -50,16 +50,18 @@ the force of a step's end was from what the step had taken it to be.
 SYSTEM = Fields(GROUP, matrix=64, right=8)
 """Rows of one side of `Work.sides`: the 8 x 8 matrix by rows, and the right side. The matrix of the nine coordinates is
 the sum of both sides, the eighth coordinate being each side's own bogie."""
+STEEPEST_DEG = 60.0
+"""No soil stands steeper, and no wheel meets it in one plane; a rover tilted by more has overturned. Assumed."""
 OUTCOMES = (
     "finished",
     "left the terrain: a wheel passed the edge of the map",
     "hole in the terrain: no height below a wheel",
-    "overturned: the chassis tilted by more than 60 deg",
+    f"overturned: the chassis tilted by more than {STEEPEST_DEG:g} deg",
     "diverged: loads or energy that no drive has; the time step does not hold this soil at this speed; give a shorter "
     "time_step_s",
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
-    "cliff: the ground below or before a wheel is steeper than 60 deg",
+    f"cliff: the ground below or before a wheel is steeper than {STEEPEST_DEG:g} deg",
     "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
 )
 FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(len(OUTCOMES))

@@ -1,22 +1,94 @@
-"""The rover as the multibody model sees it: a chassis on a rocker-bogie suspension with a differential."""
+"""The rover as the multibody model sees it: a chassis on a rocker-bogie suspension, its motors, battery and panels."""
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import GRAVITIES, LUNAR_GRAVITY
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.io.documents import record_of
 from lunarsci.names import one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges, refuse
 from lunarsci.regolith.columns import written_for
 from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law, Question, question
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers import RoverDescription, read_rover
-from lunarsci.twin.electrics import Motors, PowerSupply, read_part
+
+SOLAR_CONSTANT_W_M2 = 1360.8
+"""Power of sunlight through a square metre at 1 au: Kopp & Lean (2011), 10.1029/2010GL045777. [W/m2]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motors:
+    """The motor of each wheel with its gears, seen at the wheel; all are alike.
+
+    Attributes
+    ----------
+    stall_torque_nm : torque at which it stands still. [N m]
+    continuous_torque_nm : most torque that it gives for long, at most the stall torque. [N m]
+    no_load_rate_rad_s : how fast it turns without load; torque falls in a straight line to 0 there. [rad/s]
+    efficiency : mechanical power at the wheel over electrical power, of motor and gears, taken as constant. [-]
+    idle_w : electrical power of a motor that turns without load. [W]
+
+    Raises ParameterError outside these ranges.
+    """
+
+    stall_torque_nm: float
+    continuous_torque_nm: float
+    no_load_rate_rad_s: float
+    efficiency: float
+    idle_w: float = 0.0
+
+    def __post_init__(self) -> None:
+        most = f"(0, {self.stall_torque_nm}]"
+        positive = "stall_torque_nm no_load_rate_rad_s"
+        names = {POSITIVE: positive, most: "continuous_torque_nm", "(0, 1]": "efficiency", NOT_NEGATIVE: "idle_w"}
+        check_ranges(self, names, "motors")
+
+    def torque_nm(self, rate_rad_s: npt.ArrayLike) -> FloatArray:
+        """Most torque that the motor gives for long at rates of the wheel, 0 from the no-load rate on. [N m]"""
+        line = self.stall_torque_nm * (1.0 - np.abs(rate_rad_s) / self.no_load_rate_rad_s)
+        return np.asarray(np.clip(line, 0.0, self.continuous_torque_nm))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowerSupply:
+    """Battery, panels, and what draws power beside the motors.
+
+    Attributes
+    ----------
+    battery_wh : energy of the full battery. [W h]
+    electronics_w : draw of everything but the wheels' motors while the rover drives, heaters included. [W]
+    panel_area_m2 : area of solar cells, 0 for none. They lie flat on top of the chassis and tilt with it. [m2]
+    cell_efficiency : electrical power over sunlight, with dust and wiring. [-]
+    least_charge : share of the full battery that must always be left, 0 to less than 1. [-]
+    standby_w : draw of everything while the rover stands between drives; as while it drives where it is None. [W]
+
+    Raises ParameterError outside these ranges.
+    """
+
+    battery_wh: float
+    electronics_w: float
+    panel_area_m2: float = 0.0
+    cell_efficiency: float = 0.3
+    least_charge: float = 0.0
+    standby_w: float | None = None
+
+    def __post_init__(self) -> None:
+        names = {POSITIVE: "battery_wh", NOT_NEGATIVE: "electronics_w panel_area_m2 standby_w"}
+        check_ranges(self, names | {"(0, 1]": "cell_efficiency", "[0, 1)": "least_charge"}, "power")
+
+    @property
+    def standing_w(self) -> float:
+        """Draw of everything while the rover stands. [W]"""
+        return self.electronics_w if self.standby_w is None else self.standby_w
+
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
@@ -35,6 +107,14 @@ LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2}
 MASS_UNITS = {"g": 1e-3, "t": 1e3}
 """In kilograms, by definition."""
 Vector3 = tuple[float, float, float]
+PLACES = "body_center_m front_wheel_m middle_wheel_m rear_wheel_m bogie_pivot_m"
+VECTORS = ("body_inertia_kg_m2", *PLACES.split())
+RANGES = {
+    POSITIVE: "body_kg wheel_kg body_inertia_kg_m2 rocker_pivot_y_m max_speed_m_s gravity_m_s2",
+    NOT_NEGATIVE: "joint_damping_n_m_s steering_offset_m",
+    FINITE: PLACES,
+    "(0, 90]": "max_slope_deg",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +136,7 @@ class Body:
     center_x_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("length_m", "width_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"rover body {name} is {getattr(self, name)}; give a number above 0")
-        for name in ("belly_z_m", "center_x_m"):
-            if not math.isfinite(getattr(self, name)):
-                raise ParameterError(f"rover body {name} is {getattr(self, name)}; give a finite number")
+        check_ranges(self, {POSITIVE: "length_m width_m", FINITE: "belly_z_m center_x_m"}, "rover body")
 
 
 class RoverVector(NamedTuple):
@@ -136,35 +211,21 @@ class Rover:
     max_slope_deg: float = FALLBACK_SLOPE_DEG
 
     def __post_init__(self) -> None:
-        for name in ("body_kg", "wheel_kg", "rocker_pivot_y_m", "max_speed_m_s", "gravity_m_s2"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ParameterError(f"rover {name} is {getattr(self, name)}; give a number above 0")
-        for name in ("joint_damping_n_m_s", "steering_offset_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ParameterError(f"rover {name} is {getattr(self, name)}; give 0 or more")
-        if not 0 < self.max_slope_deg <= 90.0:
-            raise ParameterError(f"rover max_slope_deg is {self.max_slope_deg}; give a number above 0, at most 90 deg")
-        self._check_bogie()
-        for name in ("body_center_m", "front_wheel_m", "rear_wheel_m", "middle_wheel_m", "bogie_pivot_m"):
-            value = getattr(self, name)
-            if value is not None and not all(map(math.isfinite, value)):
-                raise ParameterError(f"rover {name} is {value}; give three finite numbers")
-        if not all(0 < moment < math.inf for moment in self.body_inertia_kg_m2):
-            raise ParameterError(f"rover body_inertia_kg_m2 is {self.body_inertia_kg_m2}; give three numbers above 0")
-        if unknown := set(self.steered) - set(self.pairs):
-            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; {one_of(min(unknown), self.pairs)}")
-        x = self.wheel_positions_m[::2, 0]
-        if not (np.diff(x) < 0).all():
-            raise ParameterError("the rover's wheels must follow each other from front to rear; check their x")
-        check_limits(self)
+        check_ranges(self, RANGES, "rover")
+        refuse(self._ill_made())
+        refuse(_impossible(self))
 
-    def _check_bogie(self) -> None:
+    def _ill_made(self) -> Iterator[str]:
         if self.bogie not in BOGIES:
-            raise ParameterError(f"rover bogie is '{self.bogie}'; {one_of(self.bogie, BOGIES)}")
+            yield f"rover bogie is '{self.bogie}'; {one_of(self.bogie, BOGIES)}"
         for name in ("middle_wheel_m", "bogie_pivot_m"):
             if (getattr(self, name) is None) != (self.bogie == "none"):
                 wanted = "leave it out" if self.bogie == "none" else "give it"
-                raise ParameterError(f"rover with bogie '{self.bogie}': {wanted}: {name}")
+                yield f"rover with bogie '{self.bogie}': {wanted}: {name}"
+        if unknown := set(self.steered) - set(self.pairs):
+            yield f"rover steered_wheels has '{min(unknown)}'; {one_of(min(unknown), self.pairs)}"
+        if not (np.diff(self.wheel_positions_m[::2, 0]) < 0).all():
+            yield "the rover's wheels must follow each other from front to rear; check their x"
 
     @property
     def pairs(self) -> tuple[str, ...]:
@@ -245,9 +306,9 @@ def with_gravity(rover: Rover, gravity: str | None) -> Rover:
     """
     if gravity is None:
         return rover
-    known = GRAVITIES.get(gravity.strip().lower())
+    tabulated = GRAVITIES.get(gravity.strip().lower())
     try:
-        return replace(rover, gravity_m_s2=float(gravity) if known is None else known.value)
+        return replace(rover, gravity_m_s2=float(gravity) if tabulated is None else tabulated.value)
     except ValueError as error:
         raise ParameterError(f"gravity is '{gravity}'; give {', '.join(GRAVITIES)}, or m/s2 above 0") from error
 
@@ -260,22 +321,24 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
     description = read_rover(rover) if isinstance(rover, str) else rover
     mass, suspension = description.table("mass"), description.table("suspension")
     steering, drive = description.table("steering"), description.table("drive")
+    suspended: tuple[str, ...] = ("front_wheel_m", "rear_wheel_m", "rocker_pivot_y_m", "joint_damping_n_m_s")
+    bogie = str(suspension.get("bogie", "rear"))
+    suspended += () if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m")
+    of_others = ((mass, ("body_kg", "wheel_kg", "body_inertia_kg_m2", "body_center_m")), (drive, ("max_speed_m_s",)))
+    parts: dict[str, type[Any]] = {"body": Body, "motors": Motors, "power": PowerSupply}
     try:
+        numbers = {n: _numbers(table[n], n) for table, names in (*of_others, (suspension, suspended)) for n in names}
         built = Rover(
             name=description.name,
             wheel=read_wheel(description),
-            **_numbers(mass, "body_kg", "wheel_kg"),
-            **_vectors(mass, "body_inertia_kg_m2", "body_center_m"),
-            **_numbers(suspension, "rocker_pivot_y_m", "joint_damping_n_m_s"),
-            **_suspension(suspension),
+            bogie=bogie,
             steered=tuple(str(pair) for pair in steering["steered_wheels"]),
             steering_offset_m=float(steering.get("offset_m", 0.0)),
-            **_numbers(drive, "max_speed_m_s"),
-            body=_body(description.tables.get("body")),
-            motors=read_part(description, "motors", Motors),
-            power=read_part(description, "power", PowerSupply),
             max_slope_deg=float(description.tables.get("limits", {}).get("max_slope_deg", FALLBACK_SLOPE_DEG)),
-        )
+            **numbers,
+            **{name: record_of(kind, description.tables[name], f"[{name}]")
+               for name, kind in parts.items() if name in description.tables},
+        )  # fmt: skip
         if not varied:
             check_speed(built)
             warn_of_unusual(built, description.origin)
@@ -288,32 +351,13 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
         raise DataError(f"{description.origin}: {error}") from error
 
 
-def _suspension(table: dict[str, Any]) -> dict[str, Any]:
-    bogie = str(table.get("bogie", "rear"))
-    own = ("front_wheel_m", "rear_wheel_m") + (() if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m"))
-    return {"bogie": bogie} | _vectors(table, *own)
-
-
-def _body(table: dict[str, Any] | None) -> Body | None:
-    if table is None:
-        return None
-    return Body(**_numbers(table, "length_m", "width_m", "belly_z_m"), center_x_m=float(table.get("center_x_m", 0.0)))
-
-
-def _numbers(table: dict[str, Any], *names: str) -> dict[str, Any]:
-    return {name: float(table[name]) for name in names}
-
-
-def _vectors(table: dict[str, Any], *names: str) -> dict[str, Any]:
-    for name in names:
-        if not isinstance(table[name], list) or len(table[name]) != 3:
-            raise ValueError(f"{name} must be a list of three numbers")
-    return {name: _floats(table[name]) for name in names}
-
-
-def _floats(values: Sequence[float]) -> Vector3:
-    x, y, z = values
-    return float(x), float(y), float(z)
+def _numbers(value: Any, name: str) -> Any:
+    """A number, or the three of a vector."""
+    if name not in VECTORS:
+        return float(value)
+    if not isinstance(value, list) or len(value) != 3:
+        raise ParameterError(f"{name} is {value}; give a list of three numbers")
+    return tuple(map(float, value))
 
 
 def rover_questions(rover: Rover) -> list[Question]:
@@ -336,28 +380,38 @@ def warn_of_unusual(rover: Rover, called: str) -> None:
         warnings.warn(f"{called}: {asked.doubt}", LunarSciWarning, stacklevel=3)
 
 
-def check_limits(rover: Rover) -> None:
-    """Raises ParameterError for a rover that cannot be built, with the unit that is likely."""
-    check_wheels(rover)
-    _check_center(rover)
-    _check_inertia(rover)
-    _check_density(rover)
+def _impossible(rover: Rover) -> Iterator[str]:
+    """Why a rover cannot be built, with the unit that is likely.
 
-
-def check_wheels(rover: Rover) -> None:
-    """Raises ParameterError for wheels that overlap."""
-    wheel, places = rover.wheel, rover.wheel_positions_m[::2]
-    outer = wheel.radius_m + wheel.grouser_height_m
-    gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if 2.0 * outer > gaps.min():
-        raise ParameterError(
-            f"wheels of {2 * outer:.3g} m across do not fit {gaps.min():.3g} m from one axle to the next; they meet "
-            "(is wheel.radius_m a diameter, or in mm?)"
-        )
+    Wheels overlap; the centre of mass is not between them, or higher than the rover is long or wide; moments of a body
+    obey I1 + I2 >= I3, and its mass is not further from its centre than the rover is large; nothing is denser than
+    osmium, neither a wheel nor the box about the rover.
+    """
+    wheel, places, kg = rover.wheel, rover.wheel_positions_m, rover.body_kg
+    outer, gap = wheel.radius_m + wheel.grouser_height_m, np.linalg.norm(np.diff(places[::2], axis=0), axis=1).min()
+    if 2.0 * outer > gap:
+        yield (f"wheels of {2 * outer:.3g} m across do not fit {gap:.3g} m from one axle to the next; they meet "
+               "(is wheel.radius_m a diameter, or in mm?)")  # fmt: skip
     if wheel.width_m > 2.0 * (rover.rocker_pivot_y_m + rover.steering_offset_m):
-        raise ParameterError(
-            f"wheels {wheel.width_m:.3g} m wide meet in the middle of the rover; is wheel.width_m in mm?"
-        )
+        yield f"wheels {wheel.width_m:.3g} m wide meet in the middle of the rover; is wheel.width_m in mm?"
+    center = (kg * np.array(rover.body_center_m) + rover.wheel_kg * places.sum(axis=0))[:2] / rover.mass_kg
+    span, given = np.ptp(places, axis=0), f"body_center_m is {list(rover.body_center_m)}"
+    length, width = float(span[0]) + 2.0 * outer, float(span[1]) + wheel.width_m
+    height = float(rover.body_center_m[2] - places[:, 2].min() + outer)
+    if (center < places.min(axis=0)[:2]).any() or (center > places.max(axis=0)[:2]).any():
+        yield f"{given}: the rover falls over, its centre of mass is not between its wheels; in mm?"
+    if not 0 < height <= max(length, width):
+        yield (f"{given}: {height:.3g} m above the ground, for a rover {max(length, width):.3g} m long or wide; "
+               "is it in mm?")  # fmt: skip
+    moments, given = sorted(rover.body_inertia_kg_m2), f"body_inertia_kg_m2 is {list(rover.body_inertia_kg_m2)}"
+    if moments[0] + moments[1] < moments[2] * (1 - 1e-6):
+        yield f"{given}; of no body is one moment more than the sum of the others"
+    if moments[2] > kg * (length**2 + width**2):
+        yield f"{given}: more than {kg:g} kg have {math.hypot(length, width):.3g} m away; is it in g cm2?"
+    volumes = {"wheel_kg": math.pi * outer**2 * wheel.width_m, "body_kg": length * width * 2.0 * height}
+    for name, volume in volumes.items():
+        if (mass := getattr(rover, name)) > DENSEST_KG_M3 * volume:
+            yield f"{name} is {mass:g} in {volume:.3g} m3, denser than osmium; is it in g?"
 
 
 def check_speed(rover: Rover) -> None:
@@ -379,52 +433,3 @@ def check_turning(rover: Rover, radius_m: float | None) -> None:
             f"`turning_radius` is {radius_m:g} m, and the smallest arc of {rover.name} has {least:.3g} m: within it "
             f"the turning centre lies between the wheels; give {math.ceil(100 * least) / 100:g} m or more"
         )
-
-
-def _size_m(rover: Rover) -> tuple[float, float]:
-    """Length and width over the outer edges of the wheels. [m]"""
-    span = np.ptp(rover.wheel_positions_m, axis=0)
-    outer = 2.0 * (rover.wheel.radius_m + rover.wheel.grouser_height_m)
-    return float(span[0]) + outer, float(span[1]) + rover.wheel.width_m
-
-
-def _height_m(rover: Rover) -> float:
-    """Height of the chassis' centre of mass above the ground that the wheels stand on. [m]"""
-    outer = rover.wheel.radius_m + rover.wheel.grouser_height_m
-    return float(rover.body_center_m[2] - rover.wheel_positions_m[:, 2].min() + outer)
-
-
-def _check_center(rover: Rover) -> None:
-    """The rover stands: its centre of mass lies between the wheels, no higher than the rover is long or wide."""
-    places, shares = rover.wheel_positions_m, (rover.body_kg, rover.wheel_kg)
-    center = (shares[0] * np.array(rover.body_center_m) + shares[1] * places.sum(axis=0)) / rover.mass_kg
-    low, high = places.min(axis=0)[:2], places.max(axis=0)[:2]
-    given = f"body_center_m is {list(rover.body_center_m)}"
-    if (center[:2] < low).any() or (center[:2] > high).any():
-        raise ParameterError(f"{given}: the rover falls over, its centre of mass is not between its wheels; in mm?")
-    if not 0 < _height_m(rover) <= max(_size_m(rover)):
-        raise ParameterError(
-            f"{given}: {_height_m(rover):.3g} m above the ground, for a rover {max(_size_m(rover)):.3g} m long or wide;"
-            " is it in mm?"
-        )
-
-
-def _check_inertia(rover: Rover) -> None:
-    """Moments of a body obey I1 + I2 >= I3; its mass is not further from its centre than the rover is large."""
-    moments = sorted(rover.body_inertia_kg_m2)
-    given = f"body_inertia_kg_m2 is {list(rover.body_inertia_kg_m2)}"
-    if moments[0] + moments[1] < moments[2] * (1 - 1e-6):
-        raise ParameterError(f"{given}; of no body is one moment more than the sum of the others")
-    largest = math.hypot(*_size_m(rover))
-    if moments[2] > rover.body_kg * largest**2:
-        raise ParameterError(f"{given}: more than {rover.body_kg:g} kg have {largest:.3g} m away; is it in g cm2?")
-
-
-def _check_density(rover: Rover) -> None:
-    """Neither a wheel nor the box about the rover is denser than osmium."""
-    wheel, (length, width) = rover.wheel, _size_m(rover)
-    disc = math.pi * (wheel.radius_m + wheel.grouser_height_m) ** 2 * wheel.width_m
-    box = length * width * 2.0 * _height_m(rover)
-    for name, mass, volume in (("wheel_kg", rover.wheel_kg, disc), ("body_kg", rover.body_kg, box)):
-        if mass > DENSEST_KG_M3 * volume:
-            raise ParameterError(f"{name} is {mass:g} in {volume:.3g} m3, denser than osmium; is it in g?")

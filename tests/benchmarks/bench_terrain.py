@@ -11,12 +11,11 @@ from scipy.ndimage import label
 
 from lunarsci.errors import ParameterError
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility, rover_footprint
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.routes.arc_search import search_ground
 from lunarsci.twin.routes.planner import plan_path
-from lunarsci.twin.routes.search_ground import search_ground
 from lunarsci.twin.rover import build_rover
 
 ROVER = build_rover("yutu2")

@@ -30,8 +30,7 @@ from result_lines import computed, rows_of
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.choice import Conditions, choose
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.plan import Leg, Limit, Plan
 from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.planner import plan_path
 from lunarsci.twin.simulation.discrepancy import with_discrepancy

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.ground.terrain import Terrain, terrain_bytes
 from lunarsci.twin.jobs.predict import predict
 from lunarsci.twin.plans.plan import Leg, Plan
 
@@ -44,8 +43,8 @@ def one_plan(number: int, folder: Path, soil: str) -> tuple[float, str, str, str
         speed_m_s=0.05, heading_deg=float(random.uniform(-180, 180)), x_m=float(random.uniform(-5, 5)),
         y_m=float(random.uniform(-5, 5)),
     )  # fmt: skip
-    write_terrain(ground, folder / "ground.npz")
-    write_terrain(map_of(ground, spacing), folder / "map.npz")
+    (folder / "ground.npz").write_bytes(terrain_bytes(ground))
+    (folder / "map.npz").write_bytes(terrain_bytes(map_of(ground, spacing)))
     given = {"soil": (soil,), "rover": "yutu2", "time_step": 0.2, "sample": 0.2}
     said = predict(plan, terrain=str(folder / "map.npz"), **given)
     smooth = predict(plan, terrain=str(folder / "map.npz"), exact_terrain=True, **given)

@@ -14,8 +14,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import Traversability, travel_cost
+from lunarsci.twin.ground.hazards import Traversability, rover_footprint, travel_cost
 from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.rover import Rover
 

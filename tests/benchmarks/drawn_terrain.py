@@ -17,8 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.ground.terrain_files import TerrainFile
+from lunarsci.twin.ground.terrain import Terrain, TerrainFile, build_terrain
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover

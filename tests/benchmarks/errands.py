@@ -16,13 +16,11 @@ from scipy.ndimage import distance_transform_edt
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility, rover_footprint
 from lunarsci.twin.ground.synthetic import synthetic_terrain
 from lunarsci.twin.judgement.keeping import extremes
-from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.made_for_check import limits_of_rover
-from lunarsci.twin.plans.plan import Plan, read_plan
+from lunarsci.twin.plans.plan import Limit, Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict

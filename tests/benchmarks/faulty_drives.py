@@ -42,8 +42,8 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.synthetic import roughness
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, states_of

@@ -599,10 +599,10 @@ def ground_readers() -> dict[str, Reader]:
     def terrain(path: Path) -> Any:
         from lunarsci.regolith.soil import read_soil
 
-        return _function("twin.ground.terrain_files:read_terrain_file")(path, read_soil("longji"))
+        return _function("twin.ground.terrain:read_terrain_file")(path, read_soil("longji"))
 
     def layer(path: Path) -> Any:
-        return _function("twin.ground.cost_layers:read_cost_layer")(str(path), ground(), {3.0: 2.0})
+        return _function("twin.ground.hazards:read_cost_layer")(str(path), ground(), {3.0: 2.0})
 
     return {
         **{f"terrain {suffix}": Reader(terrain, [f"spoilt{suffix}"], [data]) for suffix, data in found.items()},
@@ -611,7 +611,7 @@ def ground_readers() -> dict[str, Reader]:
                                [PDS3 + BETWEEN + np.arange(64, dtype="<i2").tobytes()]),
         "elevation": Reader(of_path("images.elevation:read_elevation"), ["spoilt.npz"], [found[".npz"]]),
         "layer": Reader(layer, ["spoilt.asc"], [found[".asc"]]),
-        "keep-outs": Reader(of_file("twin.ground.keep_out:read_keep_outs"), ["spoilt.geojson"],
+        "keep-outs": Reader(of_file("twin.ground.hazards:read_keep_outs"), ["spoilt.geojson"],
                             [f'{{"type": "FeatureCollection", "features": [{FEATURE}]}}'.encode()]),
     }  # fmt: skip
 

@@ -42,9 +42,8 @@ from lunarsci.twin.comparison.forecast import forecast_of, match_observations
 from lunarsci.twin.comparison.scores import ALL
 from lunarsci.twin.comparison.verdict import compare
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.plans.path import reach_m
+from lunarsci.twin.plans.path import make_schedule, reach_m
 from lunarsci.twin.plans.plan import Plan, read_plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict

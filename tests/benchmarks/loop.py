@@ -47,8 +47,7 @@ from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.keeping import extremes
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import QUANTITIES, Limit, own_limits
-from lunarsci.twin.plans.plan import Plan, read_plan
+from lunarsci.twin.plans.plan import QUANTITIES, Limit, Plan, read_plan, rover_limits
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.discrepancy import way_matrix, with_discrepancy
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
@@ -99,7 +98,7 @@ def drawn_limits(rover: Rover, returns: Prediction, number: int) -> list[tuple[s
     """
     random, plans = np.random.default_rng([number, 12]), []
     widest = {"slip_ratio": 1.0, "side_slip_deg": 90.0, "tilt_deg": 90.0, "sinkage_m": rover.wheel.radius_m}
-    loose = {limit.quantity: widest.get(limit.quantity, 0.0) for limit in own_limits(rover)}
+    loose = {limit.quantity: widest.get(limit.quantity, 0.0) for limit in rover_limits(rover)}
     for name in LIMITED:
         worst = extremes(returns, name)
         drawn = float(np.quantile(worst[np.isfinite(worst)], random.uniform()))

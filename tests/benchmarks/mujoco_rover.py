@@ -15,10 +15,9 @@ from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio, wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
 from lunarsci.twin.ground.terrain import Terrain, surface_in
-from lunarsci.twin.plans.schedule import all_commands, make_schedule, start_motion
+from lunarsci.twin.plans.path import all_commands, make_schedule, start_motion
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact import NORMAL_DAMPING
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import DEEPEST, NORMAL_DAMPING, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 ACROSS = np.linspace(-0.5, 0.5, 7)

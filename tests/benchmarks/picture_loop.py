@@ -33,7 +33,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.regolith.belief import first_belief
 from lunarsci.result import Result
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.ground.terrain import terrain_bytes
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
@@ -182,7 +182,7 @@ def loop(folder: Path, number: int, rig: str) -> dict[str, Any]:
     rover, soil = build_rover("yutu2"), soil_of(number)
     truth = synthetic_terrain(seed=number, spacing_m=0.05, extent_m=SIDE_M, craters=6, rms_m=0.004)
     hidden, ground = truth.with_soil(**soil), str(folder / "given.npz")
-    write_terrain(truth, ground)
+    Path(ground).write_bytes(terrain_bytes(truth))
     drive = predict(rover, hidden, OUT, sweep=(), time_step_s=0.05, sample_m=0.05)
     telemetry = simulate_telemetry(drive, SensorErrors(), seed=number)
     for name, table in (("telemetry", telemetry.telemetry), ("track", telemetry.track), ("truth", state_table(drive))):

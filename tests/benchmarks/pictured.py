@@ -594,7 +594,7 @@ def candidates(count: int, page: int) -> "Figure":
 
 def long_mission(count: int, page: int) -> "Figure":
     """Targets of long names close together, some of them not reached."""
-    from lunarsci.twin.figures.mission import mission_map, timetable
+    from lunarsci.twin.figures.choice import mission_map, timetable
 
     found, random = mission(), np.random.default_rng(2)
     [own] = found.driven.targets
@@ -610,7 +610,7 @@ def long_mission(count: int, page: int) -> "Figure":
 
 def trade(count: int, page: int) -> "Figure":
     """Designs of three numbers, many of them on the front."""
-    from lunarsci.twin.figures.designs import curve_page, front_page
+    from lunarsci.twin.figures.choice import curve_page, design_front_page
 
     random, own = np.random.default_rng(1), next(one for one in traded().designs if one.outcome)
     names = ("wheel.radius_m", "mass.body_kg", "wheel.lug_height_m", "drive.speed_m_s")
@@ -619,7 +619,7 @@ def trade(count: int, page: int) -> "Figure":
         outcome = replace(own.outcome, energy_p50_j=50.0 + k, kept_share=1 - 0.015 * (count - k) / count)
         values = {name: float(value) for name, value in zip(names, random.uniform(0.1, 0.2, 4), strict=True)}
         crowd.append(replace(own, values=values, outcome=outcome))
-    return curve_page(crowd, names, synthetic=True) if page else front_page(crowd, range(count), synthetic=True)
+    return curve_page(crowd, names, synthetic=True) if page else design_front_page(crowd, range(count), synthetic=True)
 
 
 CROWDED: dict[str, Callable[[], "Figure"]] = {

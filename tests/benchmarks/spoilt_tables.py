@@ -216,7 +216,7 @@ def _ascii() -> str:
 def _read_terrain(path: Path) -> tuple[str, float]:
     """Root mean square slope [-]."""
     from lunarsci.regolith.soil import read_soil
-    from lunarsci.twin.ground.terrain_files import read_terrain
+    from lunarsci.twin.ground.terrain import read_terrain
 
     terrain = read_terrain(path, read_soil("lunar-typical"))
     height = np.asarray(terrain.height_m, dtype=float)

@@ -3,7 +3,7 @@
 Soils drawn from the first laws, on the SYNTHETIC ground of `errands.py` with the seed of the training grounds of
 `loop.py`: the rover turns on the spot by the twin and by `quasi_static.py`, with choices of its own for each soil. Each
 line is a soil: by which share of the angle the other rover turned farther, and that over what the twin says a turn is
-exposed to (`lunarsci.twin.simulation.turn_discrepancy`), whose law was set by these.
+exposed to (`lunarsci.twin.simulation.discrepancy`), whose law was set by these.
 """
 
 import argparse
@@ -15,8 +15,8 @@ from errands import Errand, errand
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.simulation.discrepancy import TURNS, exposed_turns
 from lunarsci.twin.simulation.ensemble import predict
-from lunarsci.twin.simulation.turn_discrepancy import TURNS, exposed_turns
 
 TURNS_DEG = (30.0, 90.0, -120.0, 180.0)
 SEED, SOILS_FROM = 1701, 9_100_000

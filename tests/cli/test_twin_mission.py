@@ -11,8 +11,7 @@ import pytest
 
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.terrain import build_terrain
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.terrain import build_terrain, terrain_bytes
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]

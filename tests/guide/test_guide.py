@@ -115,8 +115,7 @@ def test_minerals_of_an_assemblage_are_named() -> None:
 
 
 def test_every_attribute_of_the_classes_behind_a_rover_is_described() -> None:
-    from lunarsci.twin.electrics import Motors, PowerSupply
-    from lunarsci.twin.rover import Rover
+    from lunarsci.twin.rover import Motors, PowerSupply, Rover
 
     for one in (Motors, PowerSupply, Rover):
         assert set(one.__annotations__) - set(described(one)) == set()

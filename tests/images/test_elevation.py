@@ -18,7 +18,7 @@ from lunarsci.images.elevation import (
 )
 from lunarsci.images.jobs.merge import MergedStations
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain import read_terrain
 
 SPACING = 0.02
 

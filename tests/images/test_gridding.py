@@ -22,7 +22,7 @@ from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.terrain import terrain_bytes
 
 
 def small_rig(**changes: float) -> StereoRig:

@@ -14,8 +14,8 @@ from true_drives import Case, way_back
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST
 from lunarsci.twin.assimilation.residuals import OBSERVED
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import read_plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 

@@ -20,12 +20,12 @@ from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.path import UNDER_WAY, Schedule, make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, UNDER_WAY, Prediction, predict
-from lunarsci.twin.simulation.turn_discrepancy import exposed_turns, turn_lever
+from lunarsci.twin.simulation.contact import VALID_SLIP
+from lunarsci.twin.simulation.discrepancy import exposed_turns, turn_lever
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions
 

@@ -32,8 +32,8 @@ from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, 
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 

@@ -47,9 +47,8 @@ from lunarsci.twin.assimilation.residuals import (
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.discrepancy import exposed, way_matrix
+from lunarsci.twin.simulation.discrepancy import TURNS, exposed, turn_matrix, way_matrix
 from lunarsci.twin.simulation.ensemble import Prediction, predict
-from lunarsci.twin.simulation.turn_discrepancy import TURNS, turn_matrix
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2

@@ -26,11 +26,9 @@ from lunarsci.twin.assimilation.residuals import (
     states_at,
 )
 from lunarsci.twin.lanes import OUTCOMES
-from lunarsci.twin.plans.plan import Plan, parse_plan
-from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.simulation.discrepancy import way_matrix
+from lunarsci.twin.plans.plan import Plan, parse_plan, plan_text
+from lunarsci.twin.simulation.discrepancy import turn_matrix, way_matrix
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, DrawnDiscrepancy, Prediction
-from lunarsci.twin.simulation.turn_discrepancy import turn_matrix
 
 if TYPE_CHECKING:
     import pandas as pd

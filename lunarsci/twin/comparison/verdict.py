@@ -38,7 +38,7 @@ from lunarsci.twin.comparison.scores import (
     standing,
     worst_of,
 )
-from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import DEEPEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND
 
 STEPS, MODES = 6, 3

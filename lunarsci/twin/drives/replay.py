@@ -20,14 +20,12 @@ from lunarsci.twin.comparison.scores import ALL, check_bands, check_end, region_
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.lanes import outcome_texts
 from lunarsci.twin.plans.motion import Motion
-from lunarsci.twin.plans.path import STILL_M_S, Commands
+from lunarsci.twin.plans.path import STILL_M_S, UNDER_WAY, Commands, make_schedule
 from lunarsci.twin.plans.plan import SLOWEST_M_S, Leg, Plan
-from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
-from lunarsci.twin.simulation.drives import drive_all, drive_finer
-from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, for_people
-from lunarsci.twin.simulation.members import SLOW, DriveSetup
+from lunarsci.twin.simulation.ensemble import Prediction, for_people
+from lunarsci.twin.simulation.members import SLOW, DriveSetup, drive_all, drive_finer
 from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.wheel_motion import fitted_twist, wheel_rows
 

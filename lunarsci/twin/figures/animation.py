@@ -24,7 +24,7 @@ from lunarsci.twin.figures.panels import (
     member_colors,
     shown_members,
 )
-from lunarsci.twin.ground.footprint import RoverFootprint, rover_outline
+from lunarsci.twin.ground.hazards import RoverFootprint, rover_outline
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict, headword
 from lunarsci.twin.judgement.tables import spread
@@ -86,17 +86,17 @@ def animate(
     samples = [int(k) for k in np.unique(np.linspace(0, count - 1, min(frames, count)).astype(np.int64))]
     stage = _Stage(prediction, verdict)
 
-    def told(done: int) -> None:
+    def reported(done: int) -> None:
         if progress is not None:
             progress(done, len(samples))
 
     try:
-        return (_gif if target.suffix.lower() == ".gif" else _mp4)(stage, samples, told)
+        return (_gif if target.suffix.lower() == ".gif" else _mp4)(stage, samples, reported)
     except (OSError, RuntimeError) as error:
         raise OutputError(f"{target}: the film could not be encoded: {error}") from error
 
 
-def _gif(stage: "_Stage", samples: list[int], told: Callable[[int], None]) -> bytes:
+def _gif(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -> bytes:
     """All frames in the colours of the last one, so that only what moves is stored again."""
     from PIL import Image
 
@@ -109,14 +109,14 @@ def _gif(stage: "_Stage", samples: list[int], told: Callable[[int], None]) -> by
     images = []
     for done, sample in enumerate(samples, start=1):
         images.append(drawn(sample).quantize(palette=palette, dither=Image.Dither.NONE))
-        told(done)
+        reported(done)
     buffer = io.BytesIO()
     pause = round(1000 / PER_SECOND)
     images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=pause, loop=0, optimize=True)
     return buffer.getvalue()
 
 
-def _mp4(stage: "_Stage", samples: list[int], told: Callable[[int], None]) -> bytes:
+def _mp4(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -> bytes:
     from matplotlib.animation import FFMpegWriter
 
     writer = FFMpegWriter(PER_SECOND, codec="libx264", extra_args=["-pix_fmt", "yuv420p", "-loglevel", "error"])
@@ -126,7 +126,7 @@ def _mp4(stage: "_Stage", samples: list[int], told: Callable[[int], None]) -> by
             for done, sample in enumerate(samples, start=1):
                 stage.show(sample)
                 writer.grab_frame()
-                told(done)
+                reported(done)
         return film.read_bytes()
 
 

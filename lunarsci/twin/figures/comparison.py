@@ -26,7 +26,9 @@ MEASURED = "#111111"
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (7, 2)))
 
 
-def comparison_figure(matched: MatchedObservations, found: DriveComparison, title: str, verdict: str = "") -> "Figure":
+def comparison_figure(
+    matched: MatchedObservations, comparison: DriveComparison, title: str, verdict: str = ""
+) -> "Figure":
     """Paths and ends above, wheel states below them, ranks and standardised differences last.
 
     Bands span p05 to p95 over members and wheels; a measured state with a ring is outside of the 90 % band of its own
@@ -40,7 +42,7 @@ def comparison_figure(matched: MatchedObservations, found: DriveComparison, titl
     parts: Any = figure.subfigures(len(ratios), 1, height_ratios=ratios)
     paths, end = parts[0].subplots(1, 2)
     _draw_paths(paths, matched)
-    _draw_end(end, matched, found)
+    _draw_end(end, matched, comparison)
     below = parts[-1].subplots(1, 2)
     _draw_standard(below[0], matched, names)
     _draw_ranks(below[1], matched, names)
@@ -58,12 +60,12 @@ def comparison_figure(matched: MatchedObservations, found: DriveComparison, titl
         panels[len(names) - 1].set_xlabel("time [s]")
         parts[1].legend(handles=_handles(matched), loc="outside lower center", ncols=4, frameon=False)
         legend_below(parts[-1], below[0], 6)
-    color = LIMIT if found.reasons else INK
-    reason = f": {found.reasons[0]}" if found.reasons else ""
-    others = len(found.reasons) - 1
+    color = LIMIT if comparison.reasons else INK
+    reason = f": {comparison.reasons[0]}" if comparison.reasons else ""
+    others = len(comparison.reasons) - 1
     more = f" (and {others} more {'reason' if others == 1 else 'reasons'})" if others > 0 else ""
-    said = f"{title}\n{(verdict or found.verdict).upper()}{reason}{more}"
-    headline(figure, said, synthetic=matched.forecast.synthetic, color=color)
+    text = f"{title}\n{(verdict or comparison.verdict).upper()}{reason}{more}"
+    headline(figure, text, synthetic=matched.forecast.synthetic, color=color)
     return figure
 
 
@@ -97,11 +99,11 @@ def _frame_map(axes: "Axes") -> None:
     axes.set_ylabel("y [m]")
 
 
-def _draw_end(axes: "Axes", matched: MatchedObservations, found: DriveComparison) -> None:
+def _draw_end(axes: "Axes", matched: MatchedObservations, comparison: DriveComparison) -> None:
     """The predicted places at the last position, their regions, the plan and what was measured."""
     from matplotlib.patches import Ellipse
 
-    if found.end is None:
+    if comparison.end is None:
         axes.text(0.5, 0.5, "no positions were measured", ha="center", va="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
@@ -115,10 +117,13 @@ def _draw_end(axes: "Axes", matched: MatchedObservations, found: DriveComparison
             look: Any = {"fill": False, "edgecolor": INK, "linewidth": 1.2, "linestyle": style}
             axes.add_patch(Ellipse(tuple(members.mean(axis=0)), *size, angle=ring.azimuth_deg, **look))
             axes.plot([], [], color=INK, linewidth=1.2, linestyle=style, label=f"region of {100 * share:g} %")
-    end = found.end
+    end = comparison.end
     axes.plot(end.planned_x_m, end.planned_y_m, "*", color=GOLD, markeredgecolor=INK, markersize=13, label="planned")
     sd = np.sqrt(np.diag(matched.record.fix_covariance_m2[last]))
-    dot: Any = {"color": LIMIT if found.end.standing and not end.regions.get("99", True) else MEASURED, "zorder": 6}
+    dot: Any = {
+        "color": LIMIT if comparison.end.standing and not end.regions.get("99", True) else MEASURED,
+        "zorder": 6,
+    }
     axes.errorbar(end.x_m, end.y_m, xerr=sd[0], yerr=sd[1], fmt="o", capsize=3, label="measured, 1 σ", **dot)
     _frame_map(axes)
     axes.margins(0.12)
@@ -143,9 +148,9 @@ def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
     wheel = np.array([forecast.wheels.index(one) for one in matched.record.wheel])[rows]
     every = max(1, len(time) // MOST_POINTS)
     for number in range(len(forecast.wheels)):
-        own = np.flatnonzero(wheel == number)[::every]
-        axes.plot(time[own], measured[own], markersize=2.6, alpha=0.85, linewidth=0, **wheel_dots(number))
-        red = own[outside[own]]
+        subset = np.flatnonzero(wheel == number)[::every]
+        axes.plot(time[subset], measured[subset], markersize=2.6, alpha=0.85, linewidth=0, **wheel_dots(number))
+        red = subset[outside[subset]]
         ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
         axes.plot(time[red], measured[red], "o", **ring)
     check = next(one for one in _together(matched, name))
@@ -166,9 +171,9 @@ def _percentiles(values: FloatArray) -> FloatArray:
     """p05, p50, p95 over members and wheels at each sample, NaN at halts. (3, samples)"""
     rows = np.full((3, values.shape[1]), np.nan)
     for sample in range(values.shape[1]):
-        own = values[:, sample][np.isfinite(values[:, sample])]
-        if own.size:
-            rows[:, sample] = np.percentile(own, (5, 50, 95))
+        subset = values[:, sample][np.isfinite(values[:, sample])]
+        if subset.size:
+            rows[:, sample] = np.percentile(subset, (5, 50, 95))
     return rows
 
 
@@ -221,8 +226,8 @@ def trials_figure(trials: Sequence[TrialScore], title: str, *, synthetic: bool =
     """Median slip of each trial as measured and predicted, and errors of the ends from the smallest on."""
     figure = page(3.2)
     slips, ends = figure.subplots(1, 2)
-    found = [trial.scores["slip_ratio"] for trial in trials if "slip_ratio" in trial.scores]
-    pairs = np.array([(score.measured, score.predicted) for score in found], dtype=float).reshape(-1, 2)
+    scores = [trial.scores["slip_ratio"] for trial in trials if "slip_ratio" in trial.scores]
+    pairs = np.array([(score.measured, score.predicted) for score in scores], dtype=float).reshape(-1, 2)
     slips.plot(pairs[:, 0], pairs[:, 1], "o", color=ACCENT, label="the twin")
     slips.plot(pairs[:, 0], 0.0 * pairs[:, 0], "x", color=GOLD, label="wheels alone")
     slips.axline((0.0, 0.0), slope=1.0, color=INK, linewidth=0.8)

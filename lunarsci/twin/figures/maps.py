@@ -13,10 +13,9 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.segments import SoilChange, traverse_of, wheel_places
 from lunarsci.twin.assimilation.update import SoilUpdate
-from lunarsci.twin.figures.panels import GOLD, LABELS
+from lunarsci.twin.figures.panels import GOLD, LABELS, draw_shade
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.ground.soil_layers import SoilLayers
-from lunarsci.twin.ground.soil_map import SoilMap
+from lunarsci.twin.ground.soil_map import SoilLayers, SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath
@@ -77,13 +76,8 @@ def _title(surface: Traversability, path: PlannedPath | None) -> str:
 
 
 def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
-    half = 0.5 * terrain.spacing_m
-    return (
-        float(terrain.x_m[0]) - half,
-        float(terrain.x_m[-1]) + half,
-        float(terrain.y_m[0]) - half,
-        float(terrain.y_m[-1]) + half,
-    )
+    half, x, y = 0.5 * terrain.spacing_m, terrain.x_m, terrain.y_m
+    return float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half
 
 
 def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> None:
@@ -98,17 +92,11 @@ def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> 
 
 
 def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
-    """Shaded relief, light from the upper left, with contours."""
-    from matplotlib.colors import LightSource
-
+    """Shaded relief with contours."""
     height = np.ma.masked_invalid(terrain.height_m[every])
-    spacing = terrain.spacing_m * (every[0].step or 1)
-    # Matplotlib takes the first row for the north one.
-    shade = LightSource(315, 35).hillshade(height.filled(float(height.mean()))[::-1], 4.0, spacing, spacing)[::-1]
-    shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
     axes.set_facecolor(UNKNOWN)
     drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
-    axes.imshow(shade, cmap="gray", vmin=-0.35, vmax=1.05, **drawn)
+    draw_shade(axes, height, terrain.spacing_m * (every[0].step or 1), extent=drawn["extent"])
     if height_bar:
         _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "height [m]", extend="neither")
     span = float(height.max() - height.min())
@@ -135,8 +123,8 @@ def _draw_map(
 
 def _top(values: npt.NDArray[np.float32], limit: float | None) -> float:
     """Upper end of a colour scale: the 99.5th percentile, or the limit where that is within twice of it."""
-    known = values[~np.isnan(values)]
-    top = float(np.percentile(known, 99.5)) if known.size else 1.0
+    finite = values[~np.isnan(values)]
+    top = float(np.percentile(finite, 99.5)) if finite.size else 1.0
     if limit is not None and 0.5 * limit < top:
         return limit
     return max(top, 1e-6)
@@ -162,8 +150,8 @@ def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice
     maps, limit, terrain = surface.maps, surface.mobility.max_step_m, surface.terrain
     image = _draw_map(axes, surface, maps.step_m, every, "viridis", _top(maps.step_m, limit))
     _bar(axes, image, f"step within {maps.wheel_window_m:g} m [m]")
-    known = maps.roughness_m[~np.isnan(maps.roughness_m)]
-    levels = np.unique(np.percentile(known, (90, 97))) if known.size else np.empty(0)
+    finite = maps.roughness_m[~np.isnan(maps.roughness_m)]
+    levels = np.unique(np.percentile(finite, (90, 97))) if finite.size else np.empty(0)
     if levels.size and float(levels[0]) > ROUNDING_M:
         rough = np.ma.masked_invalid(maps.roughness_m[every])
         x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
@@ -216,20 +204,20 @@ def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bo
         axes.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=1.3, zorder=5))
 
 
-def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChange]) -> "Figure":
+def residual_page(record: DriveRecord, learned: SoilUpdate, changes: list[SoilChange]) -> "Figure":
     """Measured less simulated on the best single soil, in errors, against the place of each wheel along the way.
 
     Lines are medians over 0.4 m; where the soil changes a line stands in the interval that holds it at 95 %.
     """
-    places = wheel_places(found.prediction.rover, record, traverse_of(found.prediction))
-    known = [k for k in range(len(OBSERVED)) if np.isfinite(found.residuals[:, k]).any()]
-    figure = page(0.9 + 1.25 * max(len(known), 1))
-    axes: Any = figure.subplots(max(len(known), 1), 1, sharex=True, squeeze=False)[:, 0]
-    if not known:
+    places = wheel_places(learned.prediction.rover, record, traverse_of(learned.prediction))
+    measured = [k for k in range(len(OBSERVED)) if np.isfinite(learned.residuals[:, k]).any()]
+    figure = page(0.9 + 1.25 * max(len(measured), 1))
+    axes: Any = figure.subplots(max(len(measured), 1), 1, sharex=True, squeeze=False)[:, 0]
+    if not measured:
         axes[0].text(0.5, 0.5, "positions alone: no states to draw", transform=axes[0].transAxes, ha="center")
         axes[0].set_axis_off()
-    for panel, k in zip(axes, known, strict=False):
-        values = np.clip(-found.residuals[:, k], -HIGHEST, HIGHEST)
+    for panel, k in zip(axes, measured, strict=False):
+        values = np.clip(-learned.residuals[:, k], -HIGHEST, HIGHEST)
         seen = np.isfinite(values)
         panel.axhline(0.0, color=INK, linewidth=0.6)
         panel.axhspan(-2.0, 2.0, color=INK, alpha=0.06, linewidth=0.0)
@@ -242,13 +230,13 @@ def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChan
             panel.axvspan(change.low_m, change.high_m, color=CHANGE, alpha=0.25, linewidth=0.0)
             panel.axvline(change.distance_m, color=CHANGE, linewidth=1.2)
     axes[-1].set_xlabel("way of the wheel [m]")
-    told = (
+    count = (
         f"{len(changes)} change{'s' * (len(changes) > 1)} of the soil found"
         if changes
         else "no change of the soil found"
     )
-    title = f"measured less simulated on one soil, in standard errors: {told}"
-    headline(figure, title, synthetic=found.prediction.terrain.synthetic)
+    title = f"measured less simulated on one soil, in standard errors: {count}"
+    headline(figure, title, synthetic=learned.prediction.terrain.synthetic)
     return figure
 
 

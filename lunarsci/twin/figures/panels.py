@@ -11,7 +11,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import spread
-from lunarsci.twin.plans.limits import AT_LEAST
+from lunarsci.twin.plans.plan import AT_LEAST
 from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:
@@ -71,28 +71,28 @@ def map_window(prediction: Prediction, terrain: Terrain, margin_m: float = MARGI
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> None:
-    """Shaded relief, light from the upper left, with contour lines."""
+def draw_shade(axes: "Axes", height: Any, spacing_m: float, **look: Any) -> None:
+    """Shaded relief of heights, masked where there are none, in light from the upper left."""
     from matplotlib.colors import LightSource
 
-    x, y = terrain.x_m[window[1]], terrain.y_m[window[0]]
-    height = np.ma.masked_invalid(terrain.height_m[window])
-    half = 0.5 * terrain.spacing_m
-    light, step = LightSource(315, 35), terrain.spacing_m
     # Matplotlib takes the first row for the north one.
-    shade = light.hillshade(height.filled(float(height.mean()))[::-1], 4.0, step, step)[::-1]
-    extent = (float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half)
+    shade = LightSource(315, 35).hillshade(height.filled(float(height.mean()))[::-1], 4.0, spacing_m, spacing_m)[::-1]
     shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
+    axes.imshow(shade, origin="lower", cmap="gray", vmin=-0.35, vmax=1.05, **look)
+
+
+def draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> None:
+    """Shaded relief with contour lines."""
+    x, y = terrain.x_m[window[1]], terrain.y_m[window[0]]
+    height, half = np.ma.masked_invalid(terrain.height_m[window]), 0.5 * terrain.spacing_m
+    extent = (float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half)
     axes.set_facecolor(NO_HEIGHT)
-    axes.imshow(shade, extent=extent, origin="lower", cmap="gray", vmin=-0.35, vmax=1.05, interpolation="bilinear")
+    draw_shade(axes, height, terrain.spacing_m, extent=extent, interpolation="bilinear")
     span = float(height.max() - height.min())
     levels = np.arange(float(height.min()), float(height.max()) + interval_m, max(interval_m, span / 40.0))
     if len(levels) > 2:
         axes.contour(x, y, height, levels=levels, colors=INK, linewidths=0.5, alpha=0.55)
-    axes.set(xlim=extent[:2], ylim=extent[2:])
-    axes.set_aspect("equal")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
 def draw_paths(axes: "Axes", prediction: Prediction, colors: Any, width: float) -> None:

@@ -196,10 +196,10 @@ def box_pages(prediction: Prediction) -> "Iterator[Figure]":
     """
     names = [name for name, values in prediction.parameters.items() if np.ptp(values) > 0]
     for first in range(0, len(names), ROWS):
-        own = names[first : first + ROWS]
-        figure = page(0.6 + 2.7 * len(own))
-        panels = figure.subplots(len(own), len(SHOWN), squeeze=False)
-        for row, name in zip(panels, own, strict=True):
+        subset = names[first : first + ROWS]
+        figure = page(0.6 + 2.7 * len(subset))
+        panels = figure.subplots(len(subset), len(SHOWN), squeeze=False)
+        for row, name in zip(panels, subset, strict=True):
             for panel, quantity in zip(row, SHOWN, strict=True):
                 _draw_boxes(panel, prediction, name, quantity)
         title = "all wheel states of the members, by soil: quartiles, median, whiskers p05 to p95, ○ mean"
@@ -213,10 +213,10 @@ def _draw_boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: 
     groups = grouped(prediction.parameters[parameter])
     places, stats = [], []
     for place, members in groups:
-        own = values[members][prediction.reached[members]].ravel()
-        if own.size:
+        subset = values[members][prediction.reached[members]].ravel()
+        if subset.size:
             places.append(place)
-            stats.append(_box(own))
+            stats.append(_box(subset))
     if places:
         gap = float(np.diff(places).min()) if len(places) > 1 else 1.0
         axes.bxp(

@@ -69,12 +69,12 @@ def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
 
 def _window(points: FloatArray, terrain: Terrain) -> tuple[slice, slice]:
     """Rows and columns of the terrain about points."""
-    known = points[np.isfinite(points).all(axis=1)]
-    found = []
-    for axis, values in ((terrain.y_m, known[:, 1]), (terrain.x_m, known[:, 0])):
+    finite = points[np.isfinite(points).all(axis=1)]
+    slices = []
+    for axis, values in ((terrain.y_m, finite[:, 1]), (terrain.x_m, finite[:, 0])):
         near = np.flatnonzero((axis >= values.min() - MARGIN_M) & (axis <= values.max() + MARGIN_M))
-        found.append(slice(int(near[0]), int(near[-1]) + 1) if len(near) > 2 else slice(0, len(axis)))
-    return found[0], found[1]
+        slices.append(slice(int(near[0]), int(near[-1]) + 1) if len(near) > 2 else slice(0, len(axis)))
+    return slices[0], slices[1]
 
 
 def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
@@ -99,10 +99,7 @@ def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
     way = _distance_at(drive, drive.gaps)
     for number, (begin, end) in enumerate(way):
         panel.axvspan(begin, end, color=GOLD, alpha=0.35, linewidth=0, label="gap" if number == 0 else None)
-    panel.set_ylabel(text)
-    panel.grid()
-    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
-        panel.axhline(0.0, color=INK, linewidth=0.6)
+    _frame(panel, text)
     if not np.isfinite(values).any():
         panel.text(0.5, 0.5, "no depth of the track was given", transform=panel.transAxes, ha="center", color=INK)
 
@@ -127,22 +124,22 @@ FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
 
 
-def force_band_figure(found: LoadEnsemble, title: str, *, synthetic: bool = False) -> "Figure":
+def force_band_figure(loads: LoadEnsemble, title: str, *, synthetic: bool = False) -> "Figure":
     """A column of panels for each axle: the three forces of its wheels, and below what is missing of the totals.
 
     Pale bands are one standard deviation after the balance; the dark band in it is what the assumed soil brings of it.
     """
-    wheels = found.held.rover.wheels
+    wheels = loads.held.rover.wheels
     columns = len(wheels) // 2
     figure = page(8.6)
     parts: Any = figure.subfigures(2, 1, height_ratios=(3.1, 1.0))
     upper, lower = parts
     panels: Any = upper.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
-    along = found.held.motion.rolled_m
+    along = loads.held.motion.rolled_m
     for force, row in enumerate(panels):
         for axle, panel in enumerate(row):
             for side, color in enumerate((LEFT, RIGHT)):
-                _draw_band(panel, along, found, 2 * axle + side, force, color)
+                _draw_band(panel, along, loads, 2 * axle + side, force, color)
             _band_frame(panel, LABELS[FORCES[force]][0] if axle == 0 else "", along)
     for axle, panel in enumerate(panels[0]):
         panel.set_title(" and ".join(as_label(wheel) for wheel in wheels[2 * axle : 2 * axle + 2]))
@@ -152,16 +149,16 @@ def force_band_figure(found: LoadEnsemble, title: str, *, synthetic: bool = Fals
     for panel in panels.ravel():
         _zero(panel)
     missing = lower.subplots(1, 3, sharex=True)
-    _draw_missing(missing, along, found)
+    _draw_missing(missing, along, loads)
     legend_below(lower, missing[0])
-    told = "pale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it"
-    headline(figure, f"{title}\n{told}", synthetic=synthetic)
+    caption = "pale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it"
+    headline(figure, f"{title}\n{caption}", synthetic=synthetic)
     return figure
 
 
-def _draw_band(panel: Any, along: FloatArray, found: LoadEnsemble, wheel: int, force: int, color: str) -> None:
-    mean, sigma = found.after[:, wheel, force], found.after_sigma[:, wheel, force]
-    soil = np.minimum(np.sqrt(np.maximum(found.after_parts[0, :, wheel, force], 0.0)), sigma)
+def _draw_band(panel: Any, along: FloatArray, loads: LoadEnsemble, wheel: int, force: int, color: str) -> None:
+    mean, sigma = loads.after[:, wheel, force], loads.after_sigma[:, wheel, force]
+    soil = np.minimum(np.sqrt(np.maximum(loads.after_parts[0, :, wheel, force], 0.0)), sigma)
     panel.fill_between(along, mean - sigma, mean + sigma, color=color, alpha=0.18, linewidth=0)
     panel.fill_between(along, mean - soil, mean + soil, color=color, alpha=0.35, linewidth=0)
     left = wheel % 2 == 0
@@ -169,12 +166,12 @@ def _draw_band(panel: Any, along: FloatArray, found: LoadEnsemble, wheel: int, f
     panel.plot(along, mean, color=color, linewidth=1.2, linestyle="-" if left else (0, (4, 2)), label=name)
 
 
-def _draw_missing(panels: Any, along: FloatArray, found: LoadEnsemble) -> None:
+def _draw_missing(panels: Any, along: FloatArray, loads: LoadEnsemble) -> None:
     for k, panel in enumerate(panels):
-        before, sigma = found.residual_before[:, k], found.total_before[:, k]
+        before, sigma = loads.residual_before[:, k], loads.total_before[:, k]
         panel.fill_between(along, before - sigma, before + sigma, color=INK, alpha=0.15, linewidth=0)
         panel.plot(along, before, color=INK, linewidth=1.0, linestyle=":", label="before the balance, ±σ")
-        panel.plot(along, found.residual_after[:, k], color=INK, linewidth=1.4, label="after")
+        panel.plot(along, loads.residual_after[:, k], color=INK, linewidth=1.4, label="after")
         _band_frame(panel, MISSING[k], along)
         _zero(panel)
         panel.set_xlabel("distance rolled [m]")
@@ -236,5 +233,4 @@ def force_figure(
 def _frame(panel: Any, text: str) -> None:
     panel.set_ylabel(text)
     panel.grid()
-    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
-        panel.axhline(0.0, color=INK, linewidth=0.6)
+    _zero(panel)

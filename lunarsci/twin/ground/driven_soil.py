@@ -1,6 +1,7 @@
-"""Which soil is driven on: what was asked for, the terrain's, a common one, or one for each member from a table."""
+"""Which soil is driven on: what was given as the soil of drives, what the terrain has, and samples for each drive."""
 
-from collections.abc import Iterable
+import tomllib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -8,17 +9,20 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, RequestError
+from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
-from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si, soil_override
-from lunarsci.twin.ground.terrain_files import TerrainFile
+from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
+from lunarsci.regolith.prior import PARAMETERS, read_prior
+from lunarsci.regolith.soil import Soil, soil_tables
+from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
+from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, TerrainFile, from_si, soil_override
 
 if TYPE_CHECKING:
     import pandas as pd
-
 
 Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", "map"]
 
@@ -126,3 +130,124 @@ def _rows(count: int, members: int | None, seed: int) -> IntArray:
     if members > count:
         raise DataError(f"{count} soils for {members} members; give at most {count}")
     return np.sort(np.random.default_rng(seed).choice(count, members, replace=False))
+
+
+PRIORS = "priors"
+"""Name of what is believed of the soil before any drive."""
+DEFAULT_SOIL = "longji"
+"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenSoil:
+    """What was given as the soil: a soil that lies everywhere, and a file that has one for each drive.
+
+    Attributes
+    ----------
+    named : a soil's name, or its TOML file; None where none was given.
+    file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
+    belief, soil_map : what it holds.
+    """
+
+    named: str | None = None
+    file: InputFile | None = None
+    of: Literal["none", "belief", "map", "samples"] = "none"
+    belief: SoilBelief | None = None
+    soil_map: SoilMap | None = None
+
+    @classmethod
+    def read(cls, soil: str | Sequence[str] | None) -> "GivenSoil":
+        """Read names and files, each taken for what is in it.
+
+        Raises RequestError where one of them leaves no room for another, DataError for a file that is no soil.
+        """
+        result = cls()
+        for name in (soil,) if isinstance(soil, str) else soil or ():
+            one = cls._of(name)
+            taken = result.named if one.file is None else result.name
+            if taken:
+                what = "soil" if one.file is None else "soils"
+                raise RequestError(f"{taken} and {name} as `soil` are two ways to name the {what}; give one")
+            result = replace(result, named=name) if one.file is None else replace(one, named=result.named)
+        if result.named is not None and result.of in ("belief", "map"):
+            raise RequestError(no_use(result.named, result.name))
+        return result
+
+    @classmethod
+    def _of(cls, name: str) -> "GivenSoil":
+        """What one name or file is: priors, a soil by name or as TOML, laws of its parameters, JSON, or samples."""
+        if name == PRIORS:
+            file = InputFile(PRIORS, first_belief().to_json().encode())
+            return cls(file=file, of="belief", belief=first_belief())
+        like_a_file = name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
+        if name in soil_tables() or not like_a_file:
+            return cls(named=name)
+        file = read_input(name)
+        if file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"):
+            if MAP_SCHEMA.encode() in file.data:
+                return cls(file=file, of="map", soil_map=read_soil_map(file))
+            return cls(file=file, of="belief", belief=read_belief(file))
+        if not _is_toml(file):
+            return cls(file=file, of="samples")
+        if _has_laws(file):
+            return cls(file=file, of="belief", belief=first_belief(read_prior(file)))
+        return cls(named=name)
+
+    @property
+    def name(self) -> str:
+        """Of the file with soils for the drives; '' where there is none."""
+        return "" if self.file is None else self.file.name
+
+    @property
+    def verdict(self) -> FitVerdict | None:
+        """Of the fit that the soils come from, None where they come from none. Raises DataError."""
+        if self.belief is not None:
+            return self.belief.verdict
+        return read_verdict(self.file) if self.file is not None and self.of == "samples" else None
+
+    @property
+    def one_soil(self) -> bool:
+        """Whether all drives have one soil."""
+        return self.file is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the result: the drives that a belief rests on, and those of them that taught it something."""
+        if self.belief is None:
+            return {}
+        return {"belief": self.name, "drives": len(self.belief.history), "learned_from": self.learned}
+
+    @property
+    def learned(self) -> int:
+        """Drives that the belief rests on, without those from which nothing was learned."""
+        return sum(not entry.get("refused") for entry in self.belief.history) if self.belief else 0
+
+
+def doubt_of(name: str, belief: SoilBelief | None) -> str:
+    """Why predictions from a belief of that name are doubtful; empty where they are not."""
+    return f"the belief {name} is doubtful: {belief.doubt}" if belief is not None and belief.doubt else ""
+
+
+def caution_of(name: str, belief: SoilBelief | None) -> str:
+    """What to know of a belief of that name that is no doubt; empty where there is nothing."""
+    return f"the belief {name} was learned with a warning: {belief.caution}" if belief and belief.caution else ""
+
+
+def _has_laws(file: InputFile) -> bool:
+    """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
+    try:
+        tables = toml_document(file.data.decode("utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+    return any(isinstance(tables.get(name), dict) for name in PARAMETERS)
+
+
+def _is_toml(file: InputFile) -> bool:
+    """By the first line that is no comment: a key and its value, or a table's header."""
+    lines = (line.strip() for line in file.data.decode("utf-8", "replace").splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    return "=" in first or first.startswith("[")
+
+
+def no_use(soil: str, other: str) -> str:
+    """Why a soil that no drive meets is refused."""
+    return f"`soil` {soil} has no use beside {other}, which has every parameter of the soil; leave it out"

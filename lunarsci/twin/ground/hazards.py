@@ -1,8 +1,13 @@
-"""Maps of a terrain as a rover meets it: slope, roughness and step height, and where it may drive."""
+"""Where a rover may drive: slope, roughness and step height of a terrain, circles to keep out of, layers of costs.
 
+The ground that the rover covers.
+"""
+
+import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +16,352 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.names import one_of
+from lunarsci.heights.grid import HeightGrid
+from lunarsci.heights.grids import geotiff_bytes, read_grid
+from lunarsci.heights.projections import MapProjection, projection_of
+from lunarsci.io.documents import check_keys, number_of
+from lunarsci.io.inputs import InputFile, read_json
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges
 from lunarsci.rovers import RoverDescription
-from lunarsci.twin.ground.cost_layers import CostLayer
-from lunarsci.twin.ground.keep_out import Zones, within
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
+
+OVERHANG = 1.05
+"""The discs that cover the rectangle are at most so many half widths in radius; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoverFootprint:
+    """A rectangle in the rover's frame, x forward, y left, symmetric about x.
+
+    Attributes
+    ----------
+    rear_m, front_m : x of its ends. [m]
+    half_width_m : half its width. [m]
+    """
+
+    rear_m: float
+    front_m: float
+    half_width_m: float
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of its furthest corner from the rover's origin. [m]"""
+        return math.hypot(max(self.front_m, -self.rear_m), self.half_width_m)
+
+    def discs(self) -> tuple[FloatArray, float]:
+        """Places along x of equal discs that cover the rectangle, and their radius. [m]"""
+        length = self.front_m - self.rear_m
+        count = max(1, math.ceil(length / (2.0 * self.half_width_m * math.sqrt(OVERHANG**2 - 1.0))))
+        piece = length / count
+        return self.rear_m + piece * (np.arange(count, dtype=np.float64) + 0.5), math.hypot(
+            0.5 * piece, self.half_width_m
+        )
+
+    def distance_m(self, pose: FloatArray, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Distance of points from the rectangle of a rover at x, y, heading; 0 within it. [m]
+
+        Poses (..., 3) [m, m, rad]; their leading axes and those of the points broadcast together.
+        """
+        u, v = self._in_frame(pose, x_m, y_m)
+        beside = np.maximum(np.abs(v) - self.half_width_m, 0.0)
+        return np.asarray(np.hypot(np.maximum(np.maximum(self.rear_m - u, u - self.front_m), 0.0), beside))
+
+    def corners_m(self, pose: FloatArray) -> FloatArray:
+        """Corners of the rectangle of a rover at x, y, heading, in order round it. (4, 2) [m]"""
+        u = np.array([self.front_m, self.front_m, self.rear_m, self.rear_m])
+        v = self.half_width_m * np.array([1.0, -1.0, -1.0, 1.0])
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        return np.column_stack([pose[0] + cos * u - sin * v, pose[1] + sin * u + cos * v])
+
+    @staticmethod
+    def _in_frame(pose: FloatArray, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+        dx, dy = np.asarray(x_m) - pose[..., 0], np.asarray(y_m) - pose[..., 1]
+        return cos * dx + sin * dy, cos * dy - sin * dx
+
+
+def rover_footprint(rover: Rover) -> RoverFootprint:
+    """The rectangle about the wheels as they stand when nothing is steered: what needs ground to drive on."""
+    wheels, wheel = rover.wheel_positions_m, rover.wheel
+    return RoverFootprint(
+        rear_m=float(wheels[:, 0].min()) - wheel.radius_m,
+        front_m=float(wheels[:, 0].max()) + wheel.radius_m,
+        half_width_m=float(np.abs(wheels[:, 1]).max()) + 0.5 * wheel.width_m,
+    )
+
+
+def rover_outline(rover: Rover) -> RoverFootprint:
+    """The rectangle about the wheels with their lugs, as they stand when nothing is steered, and the body."""
+    wheels, lug = rover_footprint(rover), rover.wheel.grouser_height_m
+    rear, front, side = wheels.rear_m - lug, wheels.front_m + lug, wheels.half_width_m
+    if rover.body is not None:
+        center, half = rover.body.center_x_m, 0.5 * rover.body.length_m
+        rear, front, side = min(rear, center - half), max(front, center + half), max(side, 0.5 * rover.body.width_m)
+    return RoverFootprint(rear_m=rear, front_m=front, half_width_m=side)
+
+
+def swept_nodes(footprint: RoverFootprint, terrain: Terrain, poses: FloatArray) -> BoolArray:
+    """Nodes of a terrain that lie within the footprint at some of the poses (n, 3) [m, m, rad]. (ny, nx)"""
+    swept = np.zeros(terrain.height_m.shape, dtype=bool)
+    x, y = terrain.x_m, terrain.y_m
+    for pose in poses:
+        rows, columns = terrain.window(footprint.corners_m(pose))
+        swept[rows, columns] |= footprint.distance_m(pose, x[None, columns], y[rows, None]) == 0
+    return swept
+
+
+def nearest_node(
+    footprint: RoverFootprint, poses: FloatArray, x_m: FloatArray, y_m: FloatArray
+) -> tuple[float, int, int]:
+    """Least distance of points (m,) from the footprint along the poses (n, 3), the point and the pose. [m]
+
+    Without any point the distance is infinite and both numbers are 0.
+    """
+    best = (math.inf, 0, 0)
+    for number, pose in enumerate(poses if x_m.size else ()):
+        distance = footprint.distance_m(pose, x_m, y_m)
+        point = int(distance.argmin())
+        if distance[point] < best[0]:
+            best = (float(distance[point]), point, number)
+    return best
+
+
+ROUND = 0.6
+"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
+FINEST = 64
+"""Squares along the longer side of a polygon, at most, that circles stand for."""
+STRAY_M = 3.0
+"""Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
+FARTHEST_M = 1.1e7
+"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
+
+
+@dataclass(frozen=True, slots=True)
+class ExclusionZone:
+    """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
+
+    name: str
+    x_m: float
+    y_m: float
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        check_ranges(self, {FINITE: "x_m y_m", POSITIVE: "radius_m"}, f"keep_out '{self.name}'")
+
+
+Zones = tuple[ExclusionZone, ...]
+
+
+def read_keep_outs(source: InputFile, crs: str = "") -> Zones:
+    """Circles of a GeoJSON file, in the coordinates of the terrain, in m.
+
+    Coordinates are those of the terrain. Where this has a coordinate system (`crs`, well-known text) they are longitude
+    and latitude on its body, as RFC 7946 has them, unless the file has a member `crs`.
+
+    A feature with `x_m`, `y_m` and `keepout_m`, as `images rocks` writes it, is that circle; a point needs
+    `keepout_m` or `radius_m`. A round polygon is the circle about it, another one is covered with circles. Raises
+    DataError.
+    """
+    return read_json(source, "a GeoJSON file of ground to keep out of", lambda document: _zones(document, crs))
+
+
+def _zones(document: Any, crs: str) -> Zones:
+    features = document.get("features") if isinstance(document, Mapping) else None
+    if not isinstance(features, Sequence) or isinstance(features, str):
+        raise ParameterError("no FeatureCollection; `lunarsci images rocks -o rocks.geojson` writes one")
+    projection = MapProjection(crs) if crs and "crs" not in document else None
+    return tuple(zone for number, feature in enumerate(features, 1) for zone in _zones_of(feature, number, projection))
+
+
+def _on_map(coordinates: Any, projection: MapProjection | None) -> FloatArray:
+    """Places (n, 2) in m, from such or from longitude and latitude."""
+    places = np.array(coordinates, dtype=float).reshape(-1, np.shape(coordinates)[-1])[:, :2]
+    try:
+        return places if projection is None else projection.metres(*places.T)
+    except ParameterError as error:
+        raise ParameterError(f"{error}; or say with a member 'crs' that coordinates are m of the map") from error
+
+
+def _zones_of(feature: Any, number: int, projection: MapProjection | None) -> Iterator[ExclusionZone]:
+    if not isinstance(feature, Mapping) or not isinstance(feature.get("geometry"), Mapping):
+        raise ParameterError(f"feature {number} has no geometry")
+    properties, shape = feature.get("properties") or {}, feature["geometry"]
+    name = str(properties.get("name", f"rock {properties['id']}" if "id" in properties else f"keep-out {number}"))
+    try:
+        if {"x_m", "y_m", "keepout_m"} <= set(properties):
+            yield ExclusionZone(name, *(float(properties[key]) for key in ("x_m", "y_m", "keepout_m")))
+        elif shape["type"] == "Point":
+            x, y = _on_map([shape["coordinates"]], projection)[0]
+            yield ExclusionZone(
+                name,
+                float(x),
+                float(y),
+                float(properties["keepout_m"] if "keepout_m" in properties else properties["radius_m"]),
+            )
+        elif shape["type"] in ("Polygon", "MultiPolygon"):
+            for part in [shape["coordinates"]] if shape["type"] == "Polygon" else shape["coordinates"]:
+                yield from _covering(name, _on_map(part[0], projection))
+        else:
+            raise ParameterError(f"feature {number} is a {shape['type']}; give points with keepout_m, or polygons")
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise ParameterError(f"feature {number} ('{name}'): {error}") from error
+
+
+def _covering(name: str, ring: FloatArray) -> Iterator[ExclusionZone]:
+    """Circles that together hold a polygon (n, 2). [m]"""
+    from matplotlib.path import Path as Polygon
+
+    corners = ring[:-1] if len(ring) > 1 and (ring[0] == ring[-1]).all() else ring
+    if len(corners) < 3 or not np.isfinite(corners).all():
+        raise ParameterError("a polygon needs three corners or more, in m")
+    if np.abs(corners).max() > FARTHEST_M:
+        raise ParameterError(f"a polygon has a corner at {np.abs(corners).max():g} m, farther than the Moon goes round")
+    x, y = corners.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle = 0.5 * (low + high)
+    reach = float(np.hypot(*(corners - middle).T).max())
+    if area > ROUND * math.pi * reach**2:
+        yield ExclusionZone(name, float(middle[0]), float(middle[1]), reach)
+        return
+    side = max(math.sqrt(area) / 8, float((high - low).max()) / FINEST)
+    counts = np.ceil((high - low) / side).astype(int) + 1
+    places = low + side * np.stack(np.meshgrid(*(np.arange(n) for n in counts)), axis=-1).reshape(-1, 2)
+    # A square with a point of the polygon has its middle inside, or within half a diagonal of an edge.
+    near = Polygon(corners).contains_points(places) | (_off_edges(places, corners) <= side / math.sqrt(2))
+    for place in places[near]:
+        yield ExclusionZone(name, float(place[0]), float(place[1]), side / math.sqrt(2))
+
+
+def _off_edges(places: FloatArray, corners: FloatArray) -> FloatArray:
+    distance = np.full(len(places), np.inf)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        way = b - a
+        share = np.clip((places - a) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+        distance = np.minimum(distance, np.linalg.norm(places - a - share[:, None] * way, axis=1))
+    return distance
+
+
+def within(zones: Zones, terrain: Terrain) -> BoolArray:
+    """Nodes of a terrain that lie in a circle. (ny, nx)"""
+    inside = np.zeros(terrain.height_m.shape, dtype=bool)
+    x, y = terrain.x_m, terrain.y_m
+    for zone in zones:
+        rows, columns = terrain.window(np.array([[zone.x_m, zone.y_m]]), zone.radius_m)
+        inside[rows, columns] |= np.hypot(x[None, columns] - zone.x_m, y[rows, None] - zone.y_m) <= zone.radius_m
+    return inside
+
+
+def near_way(zones: Zones, places_m: FloatArray) -> Zones:
+    """The circles that a rover may come near to whose origin passes places (n, 2). [m]"""
+    return tuple(
+        zone for zone in zones if np.hypot(*(places_m - (zone.x_m, zone.y_m)).T).min() <= STRAY_M + zone.radius_m
+    )
+
+
+FORBIDDEN = "forbidden"
+SAME_CLASS = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CostLayer:
+    """How much a metre of some ground costs, in metres of other ground with the same slopes.
+
+    Attributes
+    ----------
+    name : what it is, for messages.
+    factor : above 0, infinite where no part of the rover may be; 1 where the layer says nothing. (ny, nx) [-]
+    covered_share : share of the terrain's nodes of which it says something. [-]
+
+    Raises ParameterError for factors of 0 and below.
+    """
+
+    name: str
+    factor: npt.NDArray[np.float32]
+    covered_share: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.factor > 0).all():
+            raise ParameterError(
+                f"layer '{self.name}' has costs of 0 or below; give factors above 0 (1 changes nothing), or classes"
+            )
+
+    @property
+    def forbidden(self) -> BoolArray:
+        """Nodes that no part of the rover may enter. (ny, nx)"""
+        return np.isinf(self.factor)
+
+
+def parse_cost(text: str) -> float:
+    """A factor above 0, or infinity for `forbidden`. Raises ParameterError."""
+    try:
+        cost = math.inf if text.strip() == FORBIDDEN else float(text)
+    except ValueError:
+        cost = math.nan
+    if not cost > 0 or (math.isinf(cost) and text.strip() != FORBIDDEN):
+        raise ParameterError(f"'{text}' is no cost; give a factor above 0, such as 2, or {FORBIDDEN}")
+    return cost
+
+
+def parse_classes(texts: Sequence[str]) -> dict[float, float]:
+    """Costs by class, from `VALUE=COST` each, COST a factor or `forbidden`. Raises ParameterError."""
+    costs: dict[float, float] = {}
+    for text in texts:
+        value, sign, cost = text.partition("=")
+        try:
+            number = float(value) if sign else math.nan
+        except ValueError:
+            number = math.nan
+        if math.isnan(number):
+            raise ParameterError(f"class '{text}' is not VALUE=COST, for example 3=forbidden or 2=1.5")
+        costs[number] = parse_cost(cost)
+    return costs
+
+
+def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float]) -> CostLayer:
+    """A raster on any grid, as `heights.grids.read_grid` reads heights, of costs; or of classes where some are given.
+
+    A node of the terrain has the value of the raster's nearest node; beyond it, where it has no data, and of a class
+    without a cost, the factor is 1. Rasters of another coordinate system are looked up by longitude and latitude.
+    Raises DataError.
+    """
+    grid = read_grid(path, values=True)
+    values = _values_at(grid, terrain, path)
+    covered = ~np.isnan(values)
+    if not covered.any():
+        raise DataError(f"{path}: covers no node of the terrain; is it of the same place and coordinate system?")
+    factor = np.where(covered, values, 1.0)
+    if classes:
+        factor = np.ones(values.shape)
+        for value, cost in classes.items():
+            factor[np.abs(values - value) < SAME_CLASS] = cost
+    try:
+        return CostLayer(name=Path(path).name, factor=factor.astype(np.float32), covered_share=float(covered.mean()))
+    except ParameterError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _values_at(grid: HeightGrid, terrain: Terrain, path: str) -> npt.NDArray[np.float64]:
+    """Values of a raster at the nodes of a terrain, NaN where it has none. (ny, nx)"""
+    x, y = terrain.x_m[None, :], terrain.y_m[:, None]
+    if grid.crs and terrain.crs and grid.crs != terrain.crs:
+        lonlat = projection_of(terrain.crs, terrain.name).lonlat(*(axis.ravel() for axis in np.broadcast_arrays(x, y)))
+        places = projection_of(grid.crs, path).metres(*lonlat.T).reshape(*terrain.height_m.shape, 2)
+        x, y = places[..., 0], places[..., 1]
+    column, row = (np.rint((at - first) / grid.spacing_m) for at, first in ((x, grid.x0_m), (y, grid.y0_m)))
+    ny, nx = grid.height_m.shape
+    row, column = np.broadcast_arrays(row, column)
+    inside = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+    values = np.full(terrain.height_m.shape, np.nan)
+    values[inside] = grid.height_m[row[inside].astype(int), column[inside].astype(int)]
+    return values
+
+
+def shadow_layer(lit: BoolArray, cost: float) -> CostLayer:
+    """What a metre in shadow costs; infinite forbids it."""
+    return CostLayer(name="shadow", factor=np.where(lit, 1.0, cost).astype(np.float32))
+
 
 # Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
 FALLBACK_STEP_IN_RADII = 1.0
@@ -48,14 +393,8 @@ class Mobility:
     assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 < self.max_slope_deg < 90:
-            raise ParameterError(f"max_slope_deg is {self.max_slope_deg}; give a slope between 0 and 90 deg")
-        for name in ("max_step_m", "min_turning_radius_m", "max_roughness_m"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ParameterError(f"{name} is {value}; give a length above 0 m")
-        if not 0 <= self.hazard_distance_m < math.inf:
-            raise ParameterError(f"hazard_distance_m is {self.hazard_distance_m}; give 0 m or more")
+        lengths = {POSITIVE: "max_step_m min_turning_radius_m max_roughness_m", NOT_NEGATIVE: "hazard_distance_m"}
+        check_ranges(self, lengths | {"(0, 90)": "max_slope_deg"}, "[limits]")
 
     def with_limits(self, **limits: float | None) -> "Mobility":
         """The same with some limits replaced where they are not None; these are no longer assumed."""
@@ -72,8 +411,6 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     """
     table = description.tables.get("limits", {})
     names = [field.name for field in fields(Mobility) if field.name != "assumed"]
-    if unknown := set(table) - set(names):
-        raise DataError(f"{description.origin}: [limits] has no '{min(unknown)}'; {one_of(min(unknown), names)}")
     track = 2.0 * rover.rocker_pivot_y_m
     values: dict[str, float | None] = {
         "max_slope_deg": rover.max_slope_deg,
@@ -84,14 +421,14 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     assumed = {name for name in values if name not in table}
     assumed |= {key.removeprefix("limits.") for key in description.assumed if key.startswith("limits.")}
     try:
-        values |= {name: float(value) for name, value in table.items()}
+        check_keys(table, names, "[limits]")
+        values |= {name: number_of(value, f"[limits] {name}") for name, value in table.items()}
         return Mobility(**values, assumed=tuple(sorted(assumed)))  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{description.origin}: [limits]: {error}") from error
+    except ParameterError as error:
+        raise DataError(f"{description.origin}: {error}") from error
 
 
 FloatMap = npt.NDArray[np.float32]
-BoolMap = BoolArray
 TILE = 512
 WIDEST_STEP = 2.0
 """A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
@@ -127,11 +464,11 @@ class GroundMaps:
 
 
 def _spread(values: FloatMap) -> dict[str, float | None]:
-    known = values[~np.isnan(values)]
+    finite = values[~np.isnan(values)]
     names = ("p5", "p50", "p95", "max")
-    if not known.size:
+    if not finite.size:
         return dict.fromkeys(names)
-    return dict(zip(names, np.percentile(known, (5, 50, 95, 100)).tolist(), strict=True))
+    return dict(zip(names, np.percentile(finite, (5, 50, 95, 100)).tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,7 +491,7 @@ class Traversability:
     demand: FloatMap
     keep_outs: Zones = ()
     layers: tuple[CostLayer, ...] = ()
-    sunlit: BoolMap | None = None
+    sunlit: BoolArray | None = None
 
     def travel_cost(self, rows: slice, columns: slice) -> FloatMap:
         """Cost of a metre in a part of the map: `travel_cost` of the demand times the factors of all layers."""
@@ -164,12 +501,12 @@ class Traversability:
         return np.minimum(cost, np.float32(COST_CAP))
 
     @property
-    def hazard(self) -> BoolMap:
+    def hazard(self) -> BoolArray:
         """Some limit is exceeded. (ny, nx)"""
         return np.asarray(self.demand > 1)
 
     @property
-    def unknown(self) -> BoolMap:
+    def unknown(self) -> BoolArray:
         """A hole or the edge of the map is too near to say. (ny, nx)"""
         return np.isnan(self.demand)
 
@@ -179,18 +516,18 @@ class Traversability:
         if math.isnan(self.terrain.height_m[row, column]):
             return f"the height is unknown {at}"
         x, y = self.terrain.x_m[column], self.terrain.y_m[row]
-        found = [
+        reasons = [
             f"'{zone.name}' is to be kept out of {at}"
             for zone in self.keep_outs
             if math.hypot(x - zone.x_m, y - zone.y_m) <= zone.radius_m
         ]
-        found += [f"layer '{layer.name}' forbids it {at}" for layer in self.layers if layer.forbidden[row, column]]
+        reasons += [f"layer '{layer.name}' forbids it {at}" for layer in self.layers if layer.forbidden[row, column]]
         for name, value, limit, unit in self._limited():
             if value[row, column] > limit:
-                found.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
-        if not found and self.unknown[row, column]:
+                reasons.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
+        if not reasons and self.unknown[row, column]:
             return f"a hole or the edge of the map is too near {at}"
-        return "; ".join(found)
+        return "; ".join(reasons)
 
     def _limited(self) -> list[tuple[str, FloatMap, float, str]]:
         rows = [
@@ -235,9 +572,8 @@ def ground_maps(
     ParameterError.
     """
 
-    for name, value in (("baseline_m", baseline_m), ("wheel_window_m", wheel_window_m)):
-        if not 0 < value < math.inf:
-            raise ParameterError(f"{name} is {value}; give a length above 0 m")
+    check_range("baseline_m", baseline_m, POSITIVE)
+    check_range("wheel_window_m", wheel_window_m, POSITIVE)
     spacing, shape = terrain.spacing_m, terrain.height_m.shape
     plane, wheel = (_half_width(value, spacing, shape) for value in (baseline_m, wheel_window_m))
     layers = np.full((3, *shape), np.nan, dtype=np.float32)
@@ -374,7 +710,7 @@ def _ranges(height: Any, along: Any, across: Any, half: int, ranges: Any) -> Non
             ranges[row, column] = high - low
 
 
-def _near(hole: BoolMap, half: int) -> BoolMap:
+def _near(hole: BoolArray, half: int) -> BoolArray:
     from scipy.ndimage import maximum_filter
 
     return np.asarray(maximum_filter(hole, 2 * half + 1)) if hole.any() else hole
@@ -383,3 +719,36 @@ def _near(hole: BoolMap, half: int) -> BoolMap:
 def _blank_edges(layers: FloatMap, half: int) -> None:
     layers[:, :half] = layers[:, -half:] = np.nan
     layers[:, :, :half] = layers[:, :, -half:] = np.nan
+
+
+def _layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
+    maps = surface.maps
+    return {
+        "slope_deg": maps.slope_deg,
+        "roughness_m": maps.roughness_m,
+        "step_m": maps.step_m,
+        "demand": surface.demand,
+        **({} if surface.sunlit is None else {"sunlit": surface.sunlit.astype(np.float32)}),
+    }
+
+
+def maps_bytes(surface: Traversability) -> bytes:
+    """NumPy archive: x_m (nx,), y_m (ny,), and slope_deg, roughness_m, step_m, demand (ny, nx), NaN where unknown.
+
+    `sunlit` is 1 where the Sun reaches the ground, where its direction is given; `crs` the coordinate system as
+    well-known text, where the terrain has one.
+    """
+    archive = io.BytesIO()
+    terrain = surface.terrain
+    place = {"x_m": terrain.x_m, "y_m": terrain.y_m} | ({"crs": np.array(terrain.crs)} if terrain.crs else {})
+    np.savez_compressed(archive, **place, **_layers(surface))  # type: ignore[arg-type]
+    return archive.getvalue()
+
+
+def maps_geotiff(surface: Traversability) -> bytes:
+    """GeoTIFF with the bands slope_deg, roughness_m, step_m and demand, in the coordinate system of the terrain.
+
+    Raises ParameterError without rasterio.
+    """
+    terrain = surface.terrain
+    return geotiff_bytes(_layers(surface), (terrain.x0_m, terrain.y0_m, terrain.spacing_m), crs=terrain.crs)

@@ -110,20 +110,22 @@ def likely_ground(
     """
     from scipy.ndimage import gaussian_filter
 
-    known = np.isfinite(height_m)
-    if not (random_m[known] > 0).any():
+    finite = np.isfinite(height_m)
+    if not (random_m[finite] > 0).any():
         raise ParameterError("the model states no random error above 0 m")
-    sigma, window = (_everywhere(values, known & (random_m > 0)) for values in (random_m, window_m))
+    sigma, window = (_everywhere(values, finite & (random_m > 0)) for values in (random_m, window_m))
     relief = relief_of(height_m, spacing_m, sigma, window)
-    away = _away(known) * spacing_m
+    away = _away(finite) * spacing_m
     sigma = np.hypot(sigma, math.sqrt(relief.at_one_m) * np.minimum(away, FILLED_M) ** relief.hurst)
     sigma = np.exp(gaussian_filter(np.log(sigma), ALIKE_M / spacing_m))
-    sizes = _sizes(sigma[known])
-    nearest = np.abs(np.log(sigma[known])[:, None] - np.log(sizes)).argmin(axis=1)
-    widths = [float(np.median(window[known][nearest == k])) if (nearest == k).any() else 0.0 for k in range(len(sizes))]
+    sizes = _sizes(sigma[finite])
+    nearest = np.abs(np.log(sigma[finite])[:, None] - np.log(sizes)).argmin(axis=1)
+    widths = [
+        float(np.median(window[finite][nearest == k])) if (nearest == k).any() else 0.0 for k in range(len(sizes))
+    ]
     level = np.interp(np.log(sigma), np.log(sizes), np.arange(len(sizes)))
     level = np.minimum(level, len(sizes) - 1 - 1e-4)
-    filled = np.pad(_everywhere(height_m, known), MARGIN, mode="reflect", reflect_type="odd")
+    filled = np.pad(_everywhere(height_m, finite), MARGIN, mode="reflect", reflect_type="odd")
     middle = float(filled.mean())
     mean, grain = np.zeros(height_m.shape), np.empty((GRAIN_NODES, GRAIN_NODES, len(sizes)), dtype=np.float32)
     white = np.fft.fft2(np.random.default_rng([seed, 29]).standard_normal((GRAIN_NODES, GRAIN_NODES)))
@@ -136,7 +138,7 @@ def likely_ground(
         ground, error = _spectra(white.shape, spacing_m, relief, size, width)
         left = np.sqrt(ground * error / (ground + error)) * mean_over(footprint_m, spacing_m, white.shape)
         grain[..., k] = np.fft.ifft2(left * white).real
-    common = _common_modes(_everywhere(np.nan_to_num(common_m), known), known)
+    common = _common_modes(_everywhere(np.nan_to_num(common_m), finite), finite)
     return np.where(away <= FILLED_M, mean, np.nan), HeightErrors(
         common=common, level=level.astype(np.float32), grain=grain
     )
@@ -148,8 +150,8 @@ def relief_of(height_m: FloatArray, spacing_m: float, sigma_m: FloatArray, windo
     Of squares their median counts, so that rocks do not stand for the ground, over the half of the nodes with the
     smaller errors. Arguments as in `likely_ground`, errors known everywhere.
     """
-    known = np.isfinite(height_m)
-    good = known & (sigma_m <= np.median(sigma_m[known]))
+    finite = np.isfinite(height_m)
+    good = finite & (sigma_m <= np.median(sigma_m[finite]))
     level = np.where(good, height_m - _plane(height_m, good), np.nan)
     size, width = float(np.sqrt(np.mean(sigma_m[good] ** 2))), float(np.median(window_m[good]))
     longest = min(LONGEST_LAG_M / spacing_m, 0.25 * max(height_m.shape))
@@ -158,15 +160,19 @@ def relief_of(height_m: FloatArray, spacing_m: float, sigma_m: FloatArray, windo
     away = lags * spacing_m
     left = squares - 2.0 * size**2 * (1.0 - _alike(away, width))
     # Where errors are most of a difference it tells nothing of the ground.
-    told = left > 0.5 * squares
-    if told.sum() < 3:
-        told = (squares > 0) & (lags >= lags[-1] / 2)
+    informative = left > 0.5 * squares
+    if informative.sum() < 3:
+        informative = (squares > 0) & (lags >= lags[-1] / 2)
         left = np.maximum(left, 0.1 * squares)
-    if not told.any():
+    if not informative.any():
         raise ParameterError("too few known heights side by side to tell how rough the ground is")
-    slope = np.polyfit(np.log(away[told]), np.log(left[told]), 1)[0] if told.sum() > 1 else 2.0 * np.mean(HURST)
+    slope = (
+        np.polyfit(np.log(away[informative]), np.log(left[informative]), 1)[0]
+        if informative.sum() > 1
+        else 2.0 * np.mean(HURST)
+    )
     hurst = float(np.clip(0.5 * slope, *HURST))
-    return Relief(float(np.exp(np.mean(np.log(left[told]) - 2.0 * hurst * np.log(away[told])))), hurst)
+    return Relief(float(np.exp(np.mean(np.log(left[informative]) - 2.0 * hurst * np.log(away[informative])))), hurst)
 
 
 def _plane(height: FloatArray, good: BoolArray) -> FloatArray:
@@ -179,9 +185,9 @@ def _plane(height: FloatArray, good: BoolArray) -> FloatArray:
 def _median_square(height: FloatArray, lag: int) -> float:
     """Median of the squared differences along x and y, as a variance of a normal law; NaN without pairs. [m2]"""
     apart = [height[:, lag:] - height[:, :-lag], height[lag:] - height[:-lag]]
-    found = np.concatenate([d[np.isfinite(d)] for d in apart])
-    found = found[:: max(1, found.size // SAMPLED)]
-    return float(np.median(found**2)) / 0.4549 if found.size > 10 else math.nan
+    differences = np.concatenate([d[np.isfinite(d)] for d in apart])
+    differences = differences[:: max(1, differences.size // SAMPLED)]
+    return float(np.median(differences**2)) / 0.4549 if differences.size > 10 else math.nan
 
 
 def _alike(away_m: FloatArray, width_m: float) -> FloatArray:
@@ -241,27 +247,27 @@ def mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArra
     return np.asarray(along[:, None] * across)
 
 
-def _everywhere(values: FloatArray, known: BoolArray) -> FloatArray:
+def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
     """Values, and where they are not known that of the next node where they are."""
     from scipy.ndimage import distance_transform_edt
 
-    if known.all():
+    if finite.all():
         return values
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = distance_transform_edt(~finite, return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)])
 
 
-def _away(known: BoolArray) -> FloatArray:
+def _away(finite: BoolArray) -> FloatArray:
     """Distance of nodes from the next known one, in nodes; 0 for these."""
     from scipy.ndimage import distance_transform_edt
 
-    return np.zeros(known.shape) if known.all() else np.asarray(distance_transform_edt(~known))
+    return np.zeros(finite.shape) if finite.all() else np.asarray(distance_transform_edt(~finite))
 
 
-def _common_modes(size: FloatArray, known: BoolArray) -> npt.NDArray[np.float32]:
+def _common_modes(size: FloatArray, finite: BoolArray) -> npt.NDArray[np.float32]:
     """A height and two tilts across the known ground, of the stated size at every node. (ny, nx, 3) [m]"""
     rows, columns = np.indices(size.shape, dtype=float)
-    half = 0.5 * max(np.ptp(rows[known]), np.ptp(columns[known]), 1.0)
+    half = 0.5 * max(np.ptp(rows[finite]), np.ptp(columns[finite]), 1.0)
     ones = np.ones(size.shape)
-    modes = np.stack([ones, (columns - columns[known].mean()) / half, (rows - rows[known].mean()) / half], axis=-1)
+    modes = np.stack([ones, (columns - columns[finite].mean()) / half, (rows - rows[finite].mean()) / half], axis=-1)
     return np.asarray(size[..., None] * modes / np.linalg.norm(modes, axis=-1, keepdims=True), dtype=np.float32)

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import FINITE, check_range, check_ranges
 from lunarsci.sun import sun_in_moon_frame, upward
 from lunarsci.twin.ground.terrain import Terrain
 
-BoolMap = BoolArray
 GRAZING_M = 1e-9
 """Ground this far below the shadow's edge is still lit: rounding must not darken a plane that the Sun grazes. [m]"""
 
@@ -33,10 +33,7 @@ class SunDirection:
     elevation_deg: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.azimuth_deg):
-            raise ParameterError(f"the Sun's azimuth is {self.azimuth_deg}; give degrees from x towards y")
-        if not -90 <= self.elevation_deg <= 90:
-            raise ParameterError(f"the Sun's elevation is {self.elevation_deg}; give -90 to 90 deg over the horizon")
+        check_ranges(self, {FINITE: "azimuth_deg", "[-90, 90]": "elevation_deg"}, "the Sun's")
 
     @property
     def vector(self) -> FloatArray:
@@ -57,8 +54,8 @@ def sun_over(time: str, longitude_deg: float, latitude_deg: float) -> SunDirecti
     On a sphere. Within 0.1 deg of what was published for two Apollo sites.
     Raises ParameterError for a time or a place that is none.
     """
-    if not (-180 <= longitude_deg <= 360 and -90 <= latitude_deg <= 90):
-        raise ParameterError(f"{longitude_deg:g},{latitude_deg:g} is no longitude and latitude in degrees")
+    check_range("longitude", longitude_deg, "[-180, 360]")
+    check_range("latitude", latitude_deg, "[-90, 90]")
     try:
         moment = datetime.fromisoformat(time)
     except ValueError as error:
@@ -77,22 +74,17 @@ def parse_sun(text: str) -> SunDirection:
     Raises ParameterError.
     """
     time, at, place = text.rpartition("@")
-    if at:
-        try:
-            longitude, latitude = map(float, place.split(","))
-        except ValueError as error:
-            raise ParameterError(
-                f"sun '{text}' is not TIME@LONGITUDE,LATITUDE, for example 2019-01-03T02:26:00@177.6,-45.5"
-            ) from error
-        return sun_over(time, longitude, latitude)
     try:
-        azimuth, elevation = map(float, text.split(","))
+        one, other = map(float, place.split(","))
     except ValueError as error:
-        raise ParameterError(f"sun '{text}' is not AZIMUTH,ELEVATION in degrees, for example 30,12") from error
-    return SunDirection(azimuth, elevation)
+        raise ParameterError(
+            f"sun '{text}' is not AZIMUTH,ELEVATION in degrees, for example 30,12, or TIME@LONGITUDE,LATITUDE, for "
+            "example 2019-01-03T02:26:00@177.6,-45.5"
+        ) from error
+    return sun_over(time, one, other) if at else SunDirection(one, other)
 
 
-def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolMap:
+def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolArray:
     """Nodes from which the middle of the Sun is seen over all other ground of the map.
 
     Parameters
@@ -126,7 +118,7 @@ def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolMa
     return _lit_rows(height, y, x, fall * terrain.spacing_m)
 
 
-def _lit_rows(height: FloatArray, towards: float, aside: float, fall: float) -> BoolMap:
+def _lit_rows(height: FloatArray, towards: float, aside: float, fall: float) -> BoolArray:
     """Lit nodes where the Sun stands across the rows: `towards` it along them down the grid, `aside` within a row.
 
     `fall` is how much a ray falls over a spacing. Rows are taken from the Sun's side on; each ray keeps the largest

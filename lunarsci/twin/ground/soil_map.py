@@ -8,6 +8,8 @@ its place nearest to the node. Within the track of the rover the belief is the z
 that of the first laws: in space, this is how a belief is forgotten.
 
 Soil maps as files: JSON with the beliefs of the zones and their places.
+
+A soil map laid over a terrain: median soil and what is known of it at every node, and grounds drawn from it.
 """
 
 import json
@@ -20,9 +22,10 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile, read_json
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_range, check_ranges
 from lunarsci.regolith.belief import SoilBelief, belief_of, effective_rows
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
-from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
+from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
@@ -33,7 +36,7 @@ REACH_M = 0.6
 NEIGHBOURS = 4
 """Zones that a node looks at, the nearest ones; assumed."""
 MARGIN_M, NODES_ABOUT = 3.0, 120
-"""Ground that is drawn about the zones, and nodes of its longer side; assumed."""
+"""Ground that pictures show about the zones [m], and nodes of its longer side."""
 NUGGET = 1e-9
 NEAREST_M = 1e-9
 NODES_AT_ONCE = 16_384
@@ -59,10 +62,9 @@ class Zone:
     belief: SoilBelief
 
     def __post_init__(self) -> None:
-        if self.place_m.ndim != 2 or self.place_m.shape[1:] != (2,) or not len(self.place_m):
-            raise ParameterError(f"zone '{self.name}' has places of shape {self.place_m.shape}; give x and y of each")
-        if not np.isfinite(self.place_m).all():
-            raise ParameterError(f"zone '{self.name}' has a place that is not finite")
+        shape = self.place_m.shape
+        if shape[1:] != (2,) or not shape[0] or not np.isfinite(self.place_m).all():
+            raise ParameterError(f"zone '{self.name}' has places of shape {shape}; give finite x and y of each")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,10 +105,7 @@ class SoilMap:
     zones: tuple[Zone, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 < self.correlation_m < np.inf:
-            raise ParameterError(f"the correlation length is {self.correlation_m:g}; give a length above 0 m")
-        if not 0 <= self.reach_m < np.inf:
-            raise ParameterError(f"the reach of a zone is {self.reach_m:g}; give 0 m or more")
+        check_ranges(self, {POSITIVE: "correlation_m", NOT_NEGATIVE: "reach_m"}, "the map's")
         for zone in self.zones:
             if dict(zone.belief.laws) != dict(self.laws):
                 raise ParameterError(f"zone '{zone.name}' began with other first laws than the map's")
@@ -140,20 +139,20 @@ class SoilMap:
         taken = nearest + within[..., None] * (place_m[:, None] - nearest)
         gap = np.linalg.norm(taken[:, :, None] - taken[:, None], axis=-1)
         correlation = np.exp(-gap / self.correlation_m)
-        own = np.exp(-np.maximum(distance - self.reach_m, 0.0) / self.correlation_m)
-        share = np.linalg.solve(correlation + NUGGET * np.eye(j), own[..., None])[..., 0]
+        to_place = np.exp(-np.maximum(distance - self.reach_m, 0.0) / self.correlation_m)
+        share = np.linalg.solve(correlation + NUGGET * np.eye(j), to_place[..., None])[..., 0]
         inside = distance[:, 0] <= self.reach_m
         share[inside] = np.eye(j)[0]
-        unknown = np.where(inside, 0.0, np.clip(1.0 - (own * share).sum(axis=1), 0.0, 1.0))
+        unknown = np.where(inside, 0.0, np.clip(1.0 - (to_place * share).sum(axis=1), 0.0, 1.0))
         return Blend(zone, share, correlation, unknown)
 
     def _nearest(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance to every zone, (n, zones), and its nearest place, (n, zones, 2)."""
         from scipy.spatial import cKDTree
 
-        found = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
-        distance = np.column_stack([distance for _, distance, _ in found])
-        return distance, np.stack([places[index] for places, _, index in found], axis=1)
+        by_zone = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
+        distance = np.column_stack([distance for _, distance, _ in by_zone])
+        return distance, np.stack([places[index] for places, _, index in by_zone], axis=1)
 
     def moments(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (n, 8) and covariance (n, 8, 8) of the transforms at places (n, 2).
@@ -218,12 +217,12 @@ class SoilMap:
         from scipy.spatial import cKDTree
 
         tree = cKDTree(np.concatenate([zone.place_m for zone in zones]))
-        kept = []
+        remaining = []
         for zone in self.zones:
             outside = np.asarray(tree.query(zone.place_m)[0] > self.reach_m)
             if outside.any():
-                kept.append(zone if outside.all() else replace(zone, place_m=zone.place_m[outside]))
-        return replace(self, zones=(*kept, *zones))
+                remaining.append(zone if outside.all() else replace(zone, place_m=zone.place_m[outside]))
+        return replace(self, zones=(*remaining, *zones))
 
 
 def zone_roots(soil_map: SoilMap) -> FloatArray:
@@ -330,3 +329,163 @@ def _soil_map(document: Any) -> SoilMap:
 def _zone(entry: Mapping[str, Any]) -> Zone:
     places = [np.array(entry[key], dtype=np.float64) for key in ("x_m", "y_m")]
     return Zone(name=str(entry["name"]), place_m=np.column_stack(places), belief=belief_of(entry["belief"]))
+
+
+PAIRED_AT_ONCE = 256
+"""Draws of a population that are paired with others at a time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SoilLayers:
+    """What is believed of the soil at the nodes of a terrain.
+
+    Attributes
+    ----------
+    terrain : with the median of every soil parameter at every node.
+    sd_ratio : by parameter, its standard deviation (of the transform) as a share of the first law's: 1 where
+        nothing is known. (ny, nx) [-]
+    """
+
+    terrain: Terrain
+    sd_ratio: Mapping[str, FloatArray]
+
+
+def soil_layers(soil_map: SoilMap, terrain: Terrain) -> SoilLayers:
+    """Lay a soil map over a terrain, whose own soil is not looked at."""
+    mean, deviation = soil_map.spread(_nodes(terrain))
+    left = deviation / soil_map.width
+    shape = terrain.height_m.shape
+    return SoilLayers(
+        terrain.with_soil(**_by_name(soil_map, mean, shape)),
+        {name: left[:, k].reshape(shape) for k, name in enumerate(PARAMETERS)},
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnGrounds:
+    """Terrains with soils drawn from a map, made when they are asked for.
+
+    Attributes
+    ----------
+    base : the terrain whose heights they have.
+    soil_map, blend : the map, and how the nodes of the terrain follow from it.
+    zones : transforms of the zones of each member. (members, zones, 8)
+    elsewhere : standard normal numbers of each member, for what no zone tells. (members, 8)
+    parameters : soil of each member in the middle (mean of the transforms) of the places asked for, by name. (members,)
+    """
+
+    base: Terrain
+    soil_map: SoilMap
+    blend: Blend
+    zones: FloatArray
+    elsewhere: FloatArray
+    parameters: Mapping[str, FloatArray]
+
+    def __len__(self) -> int:
+        return len(self.zones)
+
+    def terrain(self, member: int) -> Terrain:
+        """The ground of one member."""
+        points = _fields(self.soil_map, self.blend, self.zones[member], self.elsewhere[member])
+        return self.base.with_soil(**_by_name(self.soil_map, points, self.base.height_m.shape))
+
+    def only(self, member: int) -> "DrawnGrounds":
+        """One of them alone."""
+        part = slice(member, member + 1)
+        parameters = {name: values[part] for name, values in self.parameters.items()}
+        return replace(self, zones=self.zones[part], elsewhere=self.elsewhere[part], parameters=parameters)
+
+
+def drawn_grounds(
+    soil_map: SoilMap, terrain: Terrain, along_m: FloatArray, members: int, seed: int = 0
+) -> DrawnGrounds:
+    """Grounds to drive on, drawn from what is believed.
+
+    Parameters
+    ----------
+    soil_map, terrain : the beliefs, and the heights.
+    along_m : places (k, 2) whose mean soil stands for a member in tables: those of the plan.
+    members : how many, 1 or more.
+    seed : of the draws.
+
+    Every member has one soil in each zone, drawn from its belief (its population, where it has one), and what no zone
+    tells is the same draw from the first laws everywhere: at each node the draws have the mean and covariance that
+    `SoilMap.moments` says. Raises ParameterError.
+    """
+    check_range("members", members, "[1, inf)")
+    random = np.random.default_rng(seed)
+    zones = _zone_draws(soil_map, members, random)
+    elsewhere = random.standard_normal((members, len(PARAMETERS)))
+    along = soil_map.blend(along_m)
+    middle = np.array(
+        [_fields(soil_map, along, drawn, left).mean(axis=0) for drawn, left in zip(zones, elsewhere, strict=True)]
+    )
+    values = values_of(soil_map.laws, middle)
+    parameters = {name: values[:, k] for k, name in enumerate(PARAMETERS)}
+    return DrawnGrounds(terrain, soil_map, soil_map.blend(_nodes(terrain)), zones, elsewhere, parameters)
+
+
+def _nodes(terrain: Terrain) -> FloatArray:
+    x, y = np.meshgrid(terrain.x_m, terrain.y_m)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def _by_name(soil_map: SoilMap, transforms: FloatArray, shape: tuple[int, ...]) -> dict[str, FloatArray]:
+    values = values_of(soil_map.laws, transforms)
+    return {name: values[:, k].reshape(shape) for k, name in enumerate(PARAMETERS)}
+
+
+def _fields(soil_map: SoilMap, blend: Blend, zones: FloatArray, elsewhere: FloatArray) -> FloatArray:
+    """Transforms at the nodes of a blend, for one draw of every zone (z, 8) and of elsewhere (8,). (n, 8)"""
+    center, width = soil_map.center, soil_map.width
+    points = center + np.sqrt(blend.unknown)[:, None] * (width * elsewhere)
+    for k in range(blend.zone.shape[1]):
+        points += blend.share[:, k, None] * (zones - center)[blend.zone[:, k]]
+    return np.asarray(points)
+
+
+def _zone_draws(soil_map: SoilMap, members: int, random: np.random.Generator) -> FloatArray:
+    """Transforms of every zone. (members, zones, 8)"""
+    count = len(soil_map.zones)
+    if not count:
+        return np.zeros((members, 0, len(PARAMETERS)))
+    noise = random.standard_normal((members, count, len(PARAMETERS)))
+    noise = np.einsum("ij,mjp->mip", _root(_together(soil_map)), noise)
+    roots = zone_roots(soil_map)
+    drawn = np.empty((members, count, len(PARAMETERS)))
+    for k, zone in enumerate(soil_map.zones):
+        normal = zone.belief.mean + noise[:, k] @ roots[k].T
+        population = zone.belief.population
+        drawn[:, k] = normal if population is None else _paired(population, normal, roots[k], random)
+    return drawn
+
+
+def _together(soil_map: SoilMap) -> FloatArray:
+    """Correlation of what the zones do not know, by the gap between their tracks. (z, z)"""
+    from scipy.spatial import cKDTree
+
+    trees = [cKDTree(zone.place_m) for zone in soil_map.zones]
+    gap = np.array([[np.min(one.query(other.data)[0]) for other in trees] for one in trees], dtype=np.float64)
+    return np.asarray(np.exp(-np.maximum(gap - 2.0 * soil_map.reach_m, 0.0) / soil_map.correlation_m), dtype=np.float64)
+
+
+def _root(correlation: FloatArray) -> FloatArray:
+    """Of the nearest matrix that is one of correlations: gaps between lines keep no triangle inequality."""
+    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(root / np.linalg.norm(root, axis=1, keepdims=True))
+
+
+def _paired(population: FloatArray, normal: FloatArray, root: FloatArray, random: np.random.Generator) -> FloatArray:
+    """A population in an order that follows normal draws, so that neighbouring zones are drawn together."""
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
+    drawn = population[np.resize(random.permutation(len(population)), len(normal))]
+    white = np.linalg.pinv(root).T
+    result = np.empty_like(normal)
+    for k in range(0, len(normal), PAIRED_AT_ONCE):
+        part = slice(k, k + PAIRED_AT_ONCE)
+        rows, columns = linear_sum_assignment(cdist(normal[part] @ white, drawn[part] @ white, "sqeuclidean"))
+        result[part][rows] = drawn[part][columns]
+    return result

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, check_range
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
@@ -23,6 +24,7 @@ HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1
 """Of the ground that rocks may cover; assumed, some fifty times that of the site."""
+ROUGHNESSES_M = "[0, 0.05]"
 STAND_IN = "synthetic stand-in for the Longji site"
 """Name of the terrain that is driven where none is named."""
 
@@ -60,8 +62,7 @@ def scatter_rocks(x_m: FloatArray, y_m: FloatArray, height_m: FloatArray, share:
     Rocks are round, stand on their middle and may overlap. A grid coarser than a rock may miss it. Raises
     ParameterError outside the range.
     """
-    if not 0 <= share <= LARGEST_SHARE:
-        raise ParameterError(f"the share of rocks is {share}; give 0 to {LARGEST_SHARE} of the ground")
+    check_range("the share of rocks", share, f"[0, {LARGEST_SHARE}]")
     random = np.random.default_rng((seed, 1))
     width, depth = float(x_m[-1] - x_m[0]), float(y_m[-1] - y_m[0])
     sizes = np.geomspace(SMALLEST_M, LARGEST_M, 400)
@@ -145,12 +146,9 @@ def synthetic_longji(
 
     Raises ParameterError outside these ranges. Heights count from the start of the plan.
     """
-    if not 0.01 <= spacing_m <= 0.5:
-        raise ParameterError(f"spacing_m is {spacing_m}; give 0.01 to 0.5 m")
-    if not 0 <= rms_m <= 0.05:
-        raise ParameterError(f"rms_m is {rms_m}; give 0 to 0.05 m")
-    if seed < 0:
-        raise ParameterError(f"seed is {seed}; give 0 or more")
+    check_range("spacing_m", spacing_m, "[0.01, 0.5]")
+    check_range("rms_m", rms_m, ROUGHNESSES_M)
+    check_range("seed", seed, NOT_NEGATIVE)
     x = np.arange(-3.0, 14.0 + 0.5 * spacing_m, spacing_m)[None, :]
     y = np.arange(-7.0, 9.0 + 0.5 * spacing_m, spacing_m)[:, None]
     height = roughness(x, y, rms_m, seed) + REGIONAL[0] * x + REGIONAL[1] * y
@@ -194,17 +192,12 @@ def synthetic_terrain(
 
     Raises ParameterError outside these ranges.
     """
-    ranges = (
-        ("spacing_m", spacing_m, 0.01, 1.0),
-        ("extent_m", extent_m, 4.0, 1000.0),
-        ("slope_deg", slope_deg, -45.0, 45.0),
-        ("craters", craters, 0, 10_000),
-        ("rms_m", rms_m, 0.0, 0.05),
-        ("seed", seed, 0, math.inf),
-    )
-    for name, value, low, high in ranges:
-        if not low <= value <= high:
-            raise ParameterError(f"{name} is {value}; give {low:g} to {high:g}")
+    check_range("spacing_m", spacing_m, "[0.01, 1]")
+    check_range("extent_m", extent_m, "[4, 1000]")
+    check_range("slope_deg", slope_deg, "[-45, 45]")
+    check_range("craters", craters, "[0, 10000]")
+    check_range("rms_m", rms_m, ROUGHNESSES_M)
+    check_range("seed", seed, NOT_NEGATIVE)
     half = math.floor(0.5 * extent_m / spacing_m + 1e-9)
     if (2 * half + 1) ** 2 > MOST_NODES:
         raise ParameterError(

@@ -1,23 +1,32 @@
-"""Terrain: a regular grid of heights with soil parameters at every node."""
+"""Terrain: a regular grid of heights with soil parameters at every node, and its files."""
 
 import dataclasses
+import io
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import ParameterError
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
+from lunarsci.heights.grids import check_relief, read_grid
+from lunarsci.heights.projections import projection_or_none
+from lunarsci.io.documents import json_document
+from lunarsci.io.inputs import read_input
 from lunarsci.names import one_of
+from lunarsci.ranges import refuse
 from lunarsci.regolith.columns import ground_written
 from lunarsci.regolith.prior import ROLLING
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
-from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
+from lunarsci.rovers import MadeFor
+from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors, likely_ground
+from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, STEEPEST_DEG, WHEEL
 
 # Column of `Soil.vector()` that holds each parameter.
 SOIL_COLUMNS = {
@@ -34,8 +43,7 @@ OVERRIDES = SOIL_COLUMNS | {name: len(SOIL_COLUMNS) + k for k, name in enumerate
 """Columns of what a member has for itself: of its soil, and of its wheels."""
 
 
-STEEPEST = math.tan(math.radians(60.0))
-"""Assumed: no soil stands so steep, and a wheel no longer meets it in one plane. [-]"""
+STEEPEST = math.tan(math.radians(STEEPEST_DEG))
 INTERPOLATIONS = ("smooth", "triangles")
 
 
@@ -96,23 +104,24 @@ class Terrain:
     ground: str = ""
 
     def __post_init__(self) -> None:
+        refuse(self._ill_made())
+
+    def _ill_made(self) -> Iterator[str]:
         shape = self.height_m.shape
         if len(shape) != 2 or min(shape) < 3:
-            raise ParameterError(f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes")
+            yield f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes"
         if self.soil.shape not in ((*shape, 8), (1, 1, 8)):
-            raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)")
+            yield f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)"
         if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
-            raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
+            yield "terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0"
         if self.interpolation not in INTERPOLATIONS:
-            raise ParameterError(
-                f"terrain interpolation is '{self.interpolation}'; {one_of(self.interpolation, INTERPOLATIONS)}"
-            )
+            yield f"terrain interpolation is '{self.interpolation}'; {one_of(self.interpolation, INTERPOLATIONS)}"
         if np.isinf(self.height_m).any():
-            raise ParameterError("terrain height_m is infinite somewhere; use NaN where the height is unknown")
+            yield "terrain height_m is infinite somewhere; use NaN where the height is unknown"
         if np.isnan(self.height_m).all():
-            raise ParameterError("terrain height_m has no known height")
+            yield "terrain height_m has no known height"
         if not np.isfinite(self.soil).all():
-            raise ParameterError("terrain soil has a value that is not finite")
+            yield "terrain soil has a value that is not finite"
 
     @property
     def written(self) -> str:
@@ -128,6 +137,27 @@ class Terrain:
     def y_m(self) -> FloatArray:
         """Rows. (ny,) [m]"""
         return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0], dtype=np.float64)
+
+    def window(self, points_m: FloatArray, margin_m: float = 0.0) -> tuple[slice, slice]:
+        """Rows and columns of the nodes in a box about points (n, 2) and a margin about it. [m]"""
+        rows, columns = (
+            slice(*np.searchsorted(axis, (ends.min() - margin_m, ends.max() + margin_m)))
+            for axis, ends in ((self.y_m, points_m[:, 1]), (self.x_m, points_m[:, 0]))
+        )
+        return rows, columns
+
+    def nodes(self, points_m: FloatArray) -> tuple[IntArray, IntArray]:
+        """Row and column of the node nearest to each of some points (..., 2) [m], which may lie beyond the edge."""
+        row, column = (
+            np.rint((points_m[..., k] - first) / self.spacing_m).astype(np.int64)
+            for k, first in ((1, self.y0_m), (0, self.x0_m))
+        )
+        return row, column
+
+    def has(self, row: IntArray, column: IntArray) -> BoolArray:
+        """Whether there are such nodes."""
+        ny, nx = self.height_m.shape
+        return np.asarray((row >= 0) & (row < ny) & (column >= 0) & (column < nx))
 
     def summary(self) -> dict[str, Any]:
         """Name, extent, nodes, lowest and highest node and share of holes, for a result."""
@@ -146,10 +176,10 @@ class Terrain:
 
     def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
         """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
-        own = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}
-        uniform = all(value.ndim == 0 for value in own.values())
+        changed = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}
+        uniform = all(value.ndim == 0 for value in changed.values())
         soil = self.soil.copy() if uniform else np.broadcast_to(self.soil, (*self.height_m.shape, 8)).copy()
-        for column, value in own.items():
+        for column, value in changed.items():
             soil[..., column] = value
         return dataclasses.replace(self, soil=soil)
 
@@ -394,3 +424,127 @@ def from_si(name: str, values: FloatArray) -> FloatArray:
 
 def _factor(name: str) -> float:
     return 1e3 if "_kpa" in name else 1e-3 if name.endswith("_mm") else 1.0
+
+
+LEFT_OF_PRIOR = "_left_of_prior"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TerrainFile:
+    """What a terrain file says.
+
+    Attributes
+    ----------
+    terrain : with a soil everywhere.
+    carries : soil parameters that the file itself has; the others are of the soil that was laid under them.
+    made_for : the rover in whose sight it was written, where the file says so.
+    crs_of_file : the coordinate system that the file has, which is not that of the terrain where it was reprojected.
+    read_as : how the file was read, where there was a choice.
+    beside : files beside it that were read.
+    errors : what an elevation model says of its errors, by layer; empty for other terrains. (ny, nx)
+    """
+
+    terrain: Terrain
+    carries: tuple[str, ...] = ()
+    made_for: MadeFor | None = None
+    errors: Mapping[str, FloatArray] = field(default_factory=dict)
+    crs_of_file: str = ""
+    read_as: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+
+    @property
+    def hashes_beside(self) -> dict[str, str]:
+        """SHA-256 of the files that were read beside it, by name. Raises DataError."""
+        return {name: read_input(name).sha256 for name in self.beside}
+
+    @property
+    def states_errors(self) -> bool:
+        """Whether it says how far its heights may be off."""
+        return "height_m_sigma" in self.errors
+
+    def likely(self, terrain: Terrain, footprint_m: float = 0.0) -> Terrain:
+        """A terrain with these heights as they are likely to be, and with what is not known of them.
+
+        `footprint_m` is the width over which a wheel takes their mean. Unchanged where the file states no errors.
+        """
+        if not self.states_errors:
+            return terrain
+        layers = [self.errors.get(name, 0.0) for name in ("height_m_sigma", "resolution_m", "height_m_common_sigma")]
+        whole = [np.array(np.broadcast_to(layer, terrain.height_m.shape), dtype=float) for layer in layers]
+        height, errors = likely_ground(terrain.height_m, terrain.spacing_m, whole[0], whole[1], whole[2], footprint_m)
+        return replace(terrain, height_m=height, errors=errors, ground=terrain.written)
+
+
+def read_terrain(path: str | Path, soil: Soil, *, onto: str = "") -> Terrain:
+    """The terrain of `read_terrain_file`."""
+    return read_terrain_file(path, soil, onto=onto).terrain
+
+
+def read_terrain_file(path: str | Path, soil: Soil, height_unit: str | None = None, *, onto: str = "") -> TerrainFile:
+    """Read a terrain, by the ending of its file.
+
+    As `heights.grids.read_grid` says; layers are the fields of `Soil` under their own names and units, and the errors
+    of an elevation model. `made_for` is the JSON of a rover. Layers `PARAMETER_left_of_prior` of a soil map may be
+    there, and are not read. A raster is brought onto the coordinate system `onto`, where one is given.
+
+    Heights stand for the centres of cells. Parameters the file lacks come from `soil`. Raises DataError.
+    """
+    unread = tuple(f"{name}{LEFT_OF_PRIOR}" for name in SOIL_COLUMNS)
+    grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread, unit=height_unit, onto=onto)
+    try:
+        read = _read_terrain(grid, soil)
+    except (TypeError, ValueError, MemoryError) as error:
+        raise DataError(f"{path}: {error}") from error
+    check_relief(path, read.terrain.height_m, grid.spacing_m)
+    return read
+
+
+def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
+    projection_or_none(grid.crs)
+    place = (grid.name, grid.x0_m, grid.y0_m, grid.spacing_m)
+    terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic, crs=grid.crs)
+    maker = None if grid.made_for is None else MadeFor.from_table(json_document(grid.made_for))
+    soils = {name: values for name, values in grid.layers.items() if name in SOIL_COLUMNS}
+    errors = {name: _checked(name, values, grid) for name, values in grid.layers.items() if name not in soils}
+    origin = (grid.crs_of_file, grid.read_as, grid.beside)
+    return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors, *origin)
+
+
+def _checked(name: str, values: npt.NDArray[Any], grid: HeightGrid) -> FloatArray:
+    layer = np.asarray(values, dtype=float)
+    if layer.shape not in (grid.height_m.shape, ()):
+        raise DataError(f"{name} has shape {layer.shape}; give one number, or {grid.height_m.shape}")
+    if name != "height_by_disparity_m_px" and (layer[np.isfinite(layer)] < 0).any():
+        raise DataError(f"{name} is negative somewhere; give 0 or more, NaN where unknown")
+    return layer
+
+
+def terrain_bytes(
+    terrain: Terrain,
+    *,
+    sd_ratio: Mapping[str, FloatArray] | None = None,
+    made_for: MadeFor | None = None,
+    errors: Mapping[str, FloatArray] | None = None,
+) -> bytes:
+    """A terrain as the NumPy archive that `read_terrain` reads; `made_for` names the rover that it was looked at for.
+
+    `sd_ratio` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people; `errors`
+    are the layers of `TerrainFile`.
+    """
+    shape = terrain.height_m.shape if terrain.soil.shape[0] > 1 else ()
+    layers = {name: from_si(name, terrain.soil[..., k]).reshape(shape) for name, k in SOIL_COLUMNS.items()}
+    content: dict[str, Any] = {
+        "x_m": terrain.x_m,
+        "y_m": terrain.y_m,
+        "height_m": terrain.height_m,
+        "name": np.array(terrain.name),
+        "synthetic": np.array(terrain.synthetic),
+        **({"crs": np.array(terrain.crs)} if terrain.crs else {}),
+        **({} if made_for is None else {"made_for": np.array(made_for.to_json())}),
+        **layers,
+        **{name: values.astype(np.float32) for name, values in (errors or {}).items()},
+        **{f"{name}{LEFT_OF_PRIOR}": values.astype(np.float32) for name, values in (sd_ratio or {}).items()},
+    }
+    archive = io.BytesIO()
+    np.savez_compressed(archive, **content)
+    return archive.getvalue()

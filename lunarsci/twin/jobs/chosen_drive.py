@@ -1,4 +1,4 @@
-"""The drive to take, of many to a target: candidates, the soils that all of them meet, and the choice by risk."""
+"""The drive to take, of many to a target: by its risk, on soils that all meet, on a site with finer terrains."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.io.tables import csv_bytes
 from lunarsci.result import MadeFrom
 from lunarsci.twin.assimilation.segments import planned_places
-from lunarsci.twin.ground.driven_soil import DrivenSoil
-from lunarsci.twin.ground.keep_out import near_way
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
+from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
+from lunarsci.twin.ground.hazards import STRAY_M, Traversability, near_way, rover_footprint, swept_nodes
+from lunarsci.twin.ground.terrain import Terrain, terrain_bytes
+from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, DriveInputs, Soils, parsed_fixes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
-from lunarsci.twin.jobs.drive_inputs import DriveInputs, parsed_fixes
-from lunarsci.twin.jobs.given_soil import GivenSoil
-from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
 from lunarsci.twin.jobs.plan_request import (
     check_start,
     final_heading_deg,
@@ -28,25 +27,116 @@ from lunarsci.twin.jobs.plan_request import (
     places_of,
     planned_power,
 )
-from lunarsci.twin.jobs.requests import PlanRequest
-from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
+from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose
 from lunarsci.twin.judgement.keeping import least_drives
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import Plan, read_plan
-from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.plans.path import poses_along
+from lunarsci.twin.plans.plan import Limit, Plan, plan_text, read_plan
 from lunarsci.twin.routes.candidates import MOST, candidate_plans
 from lunarsci.twin.routes.long_way import LONG_M
-from lunarsci.twin.routes.planner import RouteSearch, measured_path
+from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, RouteSearch, measured_path, search_margin_m
 from lunarsci.twin.simulation.ensemble import member_parameters
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+CHECKED_EVERY_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LocalGround:
+    """A site with its local terrains, the finest last; there may be none.
+
+    Attributes
+    ----------
+    site : the first terrain, with the hashes of all.
+    surface : its maps.
+    finer : the maps of the local ones.
+    likely : heights of all of them as they are likely to be, the first one first; empty where they are not driven on.
+    """
+
+    site: SurveyedSite
+    surface: Traversability
+    finer: tuple[Traversability, ...]
+    likely: tuple[Terrain, ...] = ()
+
+    @classmethod
+    def of(
+        cls, asked: PlanRequest, site: SurveyedSite, surface: Traversability, progress: Progress | None
+    ) -> "LocalGround":
+        """Raises DataError, and RequestError where heights have errors that drives on several terrains cannot have."""
+        alone = GroundRequest(rover=asked.rover, keep_out=asked.keep_out)
+        driven, inputs = asked.risk is not None or asked.mission is not None, dict(site.inputs)
+        grounds: list[tuple[Traversability, Terrain]] = []
+        for path in asked.local:
+            local = read_site(path, alone, next(iter(_names(asked)), None), asked.limits_of_ground(), site.terrain.crs)
+            check_finer(path, local.terrain, site.terrain)
+            if driven and not asked.exact_terrain and (local.file.states_errors or site.file.states_errors):
+                raise RequestError(
+                    f"heights of {path if local.file.states_errors else site.terrain.name} have errors, and beside "
+                    "`local` all are driven on as they are likely to be; give `exact_terrain`, too"
+                )
+            grounds.append((local.surface(asked.baseline, progress), likely_ground_of(local)))
+            inputs |= local.inputs
+        grounds.sort(key=lambda one: -one[0].terrain.spacing_m)
+        return cls(
+            site=replace(site, inputs=inputs),
+            surface=surface,
+            finer=tuple(one for one, _ in grounds),
+            likely=(likely_ground_of(site), *(ground for _, ground in grounds)) if driven and grounds else (),
+        )
+
+    def searched(self, points_m: FloatArray) -> Traversability:
+        """The maps on which ways between places (n, 2) are looked for; those of the site without finer ones near."""
+        if not self.finer:
+            return self.surface
+        return patch(self.surface, self.finer, points_m, self._margin_m(points_m) + self.surface.terrain.spacing_m)
+
+    def driven(self, points_m: FloatArray) -> Terrain | None:
+        """What is driven on about places (n, 2); None without local terrains."""
+        if not self.likely:
+            return None
+        return driven_ground(self.likely[0], self.likely[1:], points_m, self._margin_m(points_m) + STRAY_M)
+
+    def _margin_m(self, points_m: FloatArray) -> float:
+        return search_margin_m(rover_footprint(self.site.rover), float(np.hypot(*np.ptp(points_m, axis=0))))
+
+    def on_site(self, path: PlannedPath) -> PlannedPath:
+        """A path found on a patch, with the nodes of the site that it sweeps."""
+        if not self.finer:
+            return path
+        poses = poses_along(path.plan, PLACES_M)
+        return replace(path, swept=swept_nodes(path.footprint, self.surface.terrain, poses))
+
+    def checked(self, path: PlannedPath) -> list[dict[str, Any]]:
+        """On how much of the path which terrain was looked at, the first one first; nothing without local ones."""
+        if not self.finer:
+            return []
+        poses = poses_along(path.plan, CHECKED_EVERY_M)
+        lengths = lengths_checked(poses, path.plan.length_m / len(poses), path.footprint, self.finer)
+        terrains = (self.site.terrain, *(one.terrain for one in self.finer))
+        return [
+            {"terrain": terrain.name, "spacing_m": terrain.spacing_m, "length_m": length}
+            for terrain, length in zip(terrains, (path.plan.length_m - sum(lengths), *lengths), strict=True)
+        ]
+
+
+def _names(asked: PlanRequest) -> Sequence[str]:
+    """The soil of a path on the maps, which alone may be laid over a local terrain's own."""
+    return asked.soil if asked.risk is None and asked.mission is None else ()
+
+
+def likely_ground_of(site: SurveyedSite, *, exact: bool = True) -> Terrain:
+    """Heights as they are likely to be below a wheel, with what is not known of them unless they are `exact`."""
+    as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
+    likely = site.file.likely(as_read, site.rover.wheel.width_m)
+    return replace(likely, errors=None) if exact else likely
+
+
 FRESH = 2
-"""Fresh soils for each one by which drives are chosen: assumed, so that a risk of 5 % is known to 2 %."""
+"""Fresh soils for each one by which drives are chosen: 128 know a risk of 5 % to sqrt(0.05 x 0.95 / 128), 2 %."""
 SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
 
 
@@ -73,13 +163,13 @@ class ChosenDrive(TerrainSurvey):
 
     @property
     def made_from(self) -> MadeFrom:
-        made, known = TerrainSurvey._made_from(self), self.soils.inputs
+        made, inputs = TerrainSurvey._made_from(self), self.soils.inputs
         return replace(
             made,
-            inputs={**made.inputs, **known.inputs},
+            inputs={**made.inputs, **inputs.inputs},
             sources=[*dict.fromkeys([*made.sources, *OF_DRIVES, *SOURCES])],
             seed=self.soils.seed,
-            options={**made.options, **known.options},
+            options={**made.options, **inputs.options},
         )
 
     @property
@@ -151,13 +241,13 @@ class ChosenDrive(TerrainSurvey):
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Those of a path, where one is feasible; the table of candidates, and the plans that none beats."""
-        found = TerrainSurvey.files(self, geotiff=geotiff)
+        contents = TerrainSurvey.files(self, geotiff=geotiff)
         if (ground := self.ground) is not None:
-            found["driven-terrain.npz"] = lambda: terrain_bytes(ground, made_for=self.site.made_for)
-        found["candidates.csv"] = lambda: csv_bytes(self._table())
+            contents["driven-terrain.npz"] = lambda: terrain_bytes(ground, made_for=self.site.made_for)
+        contents["candidates.csv"] = lambda: csv_bytes(self._table())
         for one in self.choice.front:
-            found[f"plan-{one.number:02d}.toml"] = lambda one=one: plan_text(one.plan).encode()  # type: ignore[misc]
-        return found
+            contents[f"plan-{one.number:02d}.toml"] = lambda one=one: plan_text(one.plan).encode()  # type: ignore[misc]
+        return contents
 
     def _table(self) -> "pd.DataFrame":
         import pandas as pd
@@ -178,9 +268,9 @@ class ChosenDrive(TerrainSurvey):
 
 def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     """One line of the table of candidates."""
-    said = record["promised"] or record["screened"]
+    chance_of = record["promised"] or record["screened"]
     plain = {name: record[name] for name in ("number", "name", "length_m", "duration_s", "energy_j")}
-    chance = {name: said[name] for name in ("drives", "failed", "risk", "risk_low", "risk_high")}
+    chance = {name: chance_of[name] for name in ("drives", "failed", "risk", "risk_low", "risk_high")}
     worst = {
         f"worst_{name}": record["worst"][name] for name in ("quantity", "value", "limit", "x_m", "y_m", "distance_m")
     }
@@ -295,7 +385,8 @@ def drive_conditions(
     """
     members, seed = asked.members or OF_A_BELIEF, asked.seed or 0
     total = (1 + FRESH) * members
-    inputs = _inputs(site, given, plans[0], _site_ground(site, exact=asked.exact_terrain) if ground is None else ground)
+    ground = likely_ground_of(site, exact=asked.exact_terrain) if ground is None else ground
+    inputs = _inputs(site, given, plans[0], ground)
     rows_of_file = given.of == "samples"
     soils = Soils.of(inputs, asked.sweep or None, None if rows_of_file else total, seed)
     of = soils.of_members()
@@ -327,14 +418,6 @@ def _shuffled(samples: Mapping[str, Any], most: int, seed: int) -> dict[str, Any
     count = len(next(iter(samples.values())))
     order = np.random.default_rng([seed, 29]).permutation(count)[:most]
     return {name: values[order] for name, values in samples.items()}
-
-
-def _site_ground(site: SurveyedSite, *, exact: bool) -> Terrain:
-    """The site's terrain with what is not known of its heights, unless they are taken for exact."""
-    if exact:
-        return likely_ground_of(site)
-    as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
-    return site.file.likely(as_read, site.rover.wheel.width_m)
 
 
 def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -> DriveInputs:

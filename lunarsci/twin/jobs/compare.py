@@ -32,10 +32,9 @@ from lunarsci.twin.comparison.forecast import (
 )
 from lunarsci.twin.comparison.scores import ALL, BandCheck, EndCheck, Standing
 from lunarsci.twin.comparison.verdict import DriveComparison
-from lunarsci.twin.jobs.given_soil import doubt_of
+from lunarsci.twin.ground.driven_soil import doubt_of
 from lunarsci.twin.jobs.requests import CompareRequest
-from lunarsci.twin.plans.plan import read_plan
-from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.plans.plan import plan_text, read_plan
 from lunarsci.twin.rover import Rover, build_rover, rover_questions
 from lunarsci.twin.telemetry.checks import WheelPace
 
@@ -91,10 +90,12 @@ class ComparedDrive(Result):
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
         driven = f"another drive than the predicted one: {paced}" if paced else ""
         measured = f"doubtful states: {states}" if states else ""
-        told = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
+        doubted = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
         before = f"predicted from doubtful soils: {predicted}" if predicted else ""
         learned = "" if predicted else doubt_of("that learns", self.belief)
-        return "; ".join(part for part in (*map(str, self.questions), told, driven, measured, before, learned) if part)
+        return "; ".join(
+            part for part in (*map(str, self.questions), doubted, driven, measured, before, learned) if part
+        )
 
     @property
     def verdict(self) -> str:
@@ -104,32 +105,32 @@ class ComparedDrive(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        forecast, found = self.matched.forecast, self.found
-        whole, miss = found.surprise, miss_of(self.matched)
+        forecast, comparison = self.matched.forecast, self.found
+        whole, miss = comparison.surprise, miss_of(self.matched)
         return {
             "verdict": self.verdict,
-            "reasons": list(found.reasons),
-            "near": list(found.near),
+            "reasons": list(comparison.reasons),
+            "near": list(comparison.near),
             "pace": None if self.pace is None else self.pace.to_dict(),
-            "notes": list(found.notes),
+            "notes": list(comparison.notes),
             "plan": forecast.plan.name,
             "rover": forecast.rover,
             "terrain": {"name": forecast.terrain, "synthetic": forecast.synthetic},
             "soils": forecast.soils,
             "soil": dict(forecast.soil) or {"of": "not kept"},
-            "members": found.members,
-            "finished": found.finished,
-            "compared": list(found.compared),
-            "not_compared": found.not_compared,
-            "end": None if found.end is None else _end(found.end),
+            "members": comparison.members,
+            "finished": comparison.finished,
+            "compared": list(comparison.compared),
+            "not_compared": comparison.not_compared,
+            "end": None if comparison.end is None else _end(comparison.end),
             "miss": None if miss is None else asdict(miss),
-            "path": None if found.path is None else asdict(found.path),
+            "path": None if comparison.path is None else asdict(comparison.path),
             "quantities": self.rows(),
             "surprise": None
             if whole is None
             else {"pieces": whole.pieces, "quantities": list(whole.quantities)} | _standing(whole.standing),
-            "change": None if found.change is None else asdict(found.change),
-            "invalid_share": found.invalid_share,
+            "change": None if comparison.change is None else asdict(comparison.change),
+            "invalid_share": comparison.invalid_share,
             "discrepancy": None if self.belief is None else self.belief.discrepancy.to_dict(),
         } | asked_in(self.questions)
 
@@ -182,16 +183,17 @@ def compare(
     lesson = None if asked.belief is None else read_input(asked.belief)
     before, after = (None, None) if lesson is None else _taught(matched, lesson, source)
     inputs |= {} if lesson is None else {lesson.name: lesson.sha256}
-    found = verdict.compare(matched, asked.seed)
-    if found.near:
+    comparison = verdict.compare(matched, asked.seed)
+    if comparison.near:
         warnings.warn(
-            f"{source.name}: nothing contradicts the prediction, but it is hardly confirmed: {'; '.join(found.near)}",
+            f"{source.name}: nothing contradicts the prediction, but it is hardly confirmed: "
+            f"{'; '.join(comparison.near)}",
             LunarSciWarning,
             stacklevel=2,
         )
     return ComparedDrive(
         matched=matched,
-        found=found,
+        found=comparison,
         states=source.name,
         rover=rover,
         pace=pace_of(record, built, forecast.plan),
@@ -252,14 +254,14 @@ def _taught(matched: MatchedObservations, belief: InputFile, states: InputFile) 
     return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_score(**line))
 
 
-def _standing(found: Standing | None) -> dict[str, Any]:
-    if found is None:
+def _standing(standing: Standing | None) -> dict[str, Any]:
+    if standing is None:
         return {"mahalanobis": None, "dimensions": None, "p": None, "ln_density": None}
     return {
-        "mahalanobis": found.distance,
-        "dimensions": found.dimensions,
-        "p": found.p,
-        "ln_density": found.ln_density,
+        "mahalanobis": standing.distance,
+        "dimensions": standing.dimensions,
+        "p": standing.p,
+        "ln_density": standing.ln_density,
     }
 
 
@@ -269,12 +271,12 @@ def _end(end: EndCheck) -> dict[str, Any]:
     return rows | _standing(end.standing)
 
 
-def _band_row(check: BandCheck, found: DriveComparison) -> dict[str, Any]:
+def _band_row(check: BandCheck, comparison: DriveComparison) -> dict[str, Any]:
     """The probabilities are of all wheels together."""
 
     together = check.wheel == ALL
-    bias = found.bias.quantities.get(check.quantity) if together and found.bias else None
+    bias = comparison.bias.quantities.get(check.quantity) if together and comparison.bias else None
     return asdict(check) | {
         "bias_p": None if bias is None else bias.p,
-        "coverage_p": found.coverage.p.get(check.quantity) if together and found.coverage else None,
+        "coverage_p": comparison.coverage.p.get(check.quantity) if together and comparison.coverage else None,
     }

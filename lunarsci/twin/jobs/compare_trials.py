@@ -16,13 +16,11 @@ from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
-from lunarsci.twin.ground.driven_soil import read_soil_samples
+from lunarsci.twin.ground.driven_soil import PRIORS, GivenSoil, read_soil_samples
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.compare import whole_record
-from lunarsci.twin.jobs.drive_inputs import soil_hashes
-from lunarsci.twin.jobs.given_soil import PRIORS, GivenSoil
+from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, soil_hashes
 from lunarsci.twin.jobs.requests import StatesRequest, TrialsRequest
-from lunarsci.twin.jobs.soils import OF_A_BELIEF
 from lunarsci.twin.jobs.states import MeasuredStates, states
 from lunarsci.twin.plans.motion import read_motion
 
@@ -116,7 +114,7 @@ def compare_trials(
     if given := [name for name in OF_A_PREDICTION if getattr(asked, name) is not None]:
         raise RequestError(f"`{given[0]}` belongs to a prediction made before the drive, not to trials; leave it out")
     given_soil = GivenSoil.read(asked.soil or PRIORS)
-    soils, found, failed = _soils(given_soil, asked), list["TrialScore"](), list[Failure]()
+    soils, scores, failed = _soils(given_soil, asked), list["TrialScore"](), list[Failure]()
     (inputs, tables), names = soil_hashes(given_soil, None), list[str]()
     for one in [trials] if isinstance(trials, str) else trials:
         try:
@@ -126,7 +124,7 @@ def compare_trials(
     for number, name in enumerate(names):
         try:
             measured = _measured(name, asked)
-            found.append(_scored(name, measured, given_soil, soils, asked.seed))
+            scores.append(_scored(name, measured, given_soil, soils, asked.seed))
         except LunarSciError as error:
             failed.append(Failure.of(name, error))
         else:
@@ -134,10 +132,10 @@ def compare_trials(
             tables |= measured.known.tables
         if progress is not None:
             progress(number + 1, len(names))
-    if not found:
+    if not scores:
         raise BatchError.of(failed or [Failure.of("trials", "there are none; name folders or files of drives")])
     return ScoredTrials(
-        trials=tuple(found),
+        trials=tuple(scores),
         soils=(soils.kind, given_soil.name or str(given_soil.named)),
         failed=tuple(failed),
         inputs=inputs,
@@ -163,25 +161,25 @@ def _soils(given: GivenSoil, asked: TrialsRequest) -> TrialSoils:
 def _measured(name: str, asked: TrialsRequest) -> MeasuredStates:
     """Wheel states of a trial; what is found wrong stays with it, as there may be many."""
 
-    own = {key: getattr(asked, key) for key in ("rover", "terrain", "height_unit", "gravity", "interpolation")}
+    given = {key: getattr(asked, key) for key in ("rover", "terrain", "height_unit", "gravity", "interpolation")}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
-        return states(name, None, StatesRequest(**own))
+        return states(name, None, StatesRequest(**given))
 
 
 def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialSoils, seed: int) -> TrialScore:
 
-    known, drive, tables = measured.known, measured.drive, measured.tables
-    known.check.belief(given.name, given.belief)
-    motion = read_motion(_file(name, tables["motion.csv"]), known.rover)
+    inputs, drive, tables = measured.known, measured.drive, measured.tables
+    inputs.check.belief(given.name, given.belief)
+    motion = read_motion(_file(name, tables["motion.csv"]), inputs.rover)
     begin = float(motion.time_s[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
-        states = read_drive_states(_file(name, tables["states.csv"], begin), known.rover)
-        record, _ = whole_record(states, _file(name, tables["positions.csv"], begin), known.rover)
-    terrain = _on_soil(known.terrain, given.named)
-    turns = WheelTurns.of(drive.telemetry, known.rover, begin)
-    score = score_trial(name, known.rover, terrain, motion, turns, record, soils, seed)
+        states = read_drive_states(_file(name, tables["states.csv"], begin), inputs.rover)
+        record, _ = whole_record(states, _file(name, tables["positions.csv"], begin), inputs.rover)
+    terrain = _on_soil(inputs.terrain, given.named)
+    turns = WheelTurns.of(drive.telemetry, inputs.rover, begin)
+    score = score_trial(name, inputs.rover, terrain, motion, turns, record, soils, seed)
     return replace(score, doubt=measured.untrusted, synthetic=drive.telemetry.synthetic)
 
 

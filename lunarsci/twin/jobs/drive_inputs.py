@@ -1,31 +1,44 @@
-"""What drives where: plan, rover, terrain and soil of a drive, read and checked against each other."""
+"""What drives where: plan, rover, terrain and soil of a drive, checked against each other; soils of all its members."""
 
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.heights import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import SoilBelief, other_law
+from lunarsci.regolith.belief import FitVerdict, SoilBelief, doubt, other_law
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import Question, asked_in, prior_hash
 from lunarsci.regolith.soil import read_soil, soil_hash, soil_tables, unusual
 from lunarsci.regolith.states import StateTable
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.segments import planned_places
-from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
-from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
+from lunarsci.twin.ground.driven_soil import (
+    DEFAULT_SOIL,
+    PRIORS,
+    DrivenSoil,
+    GivenSoil,
+    caution_of,
+    doubt_of,
+    lay_soil_on,
+    no_use,
+    read_soil_samples,
+    soil_record,
+)
+from lunarsci.twin.ground.finer_ground import terrain_questions
+from lunarsci.twin.ground.hazards import near_way, read_keep_outs
+from lunarsci.twin.ground.soil_map import drawn_grounds
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
-from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
-from lunarsci.twin.ground.unresolved import terrain_questions
-from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL, PRIORS, GivenSoil, caution_of, doubt_of
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, TerrainFile, read_terrain_file
 from lunarsci.twin.plans.made_for_check import MadeForCheck
-from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
+from lunarsci.twin.plans.plan import Fixes, Plan, Sweep, parse_fixes, parse_sweep, read_plan
 from lunarsci.twin.rover import Rover, build_rover, rover_questions, with_gravity
 
 SYNTHETIC = "synthetic-longji"
@@ -74,10 +87,10 @@ class DriveInputs:
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
-        found = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
+        record = soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
         cautions = (self.caution_of_belief, other_law(self.given.name, self.given.verdict, self.rover.name))
-        told = {"doubt": self.doubt_of_belief, "caution": "; ".join(filter(None, cautions))}
-        return found | {key: text for key, text in told.items() if text}
+        remarks = {"doubt": self.doubt_of_belief, "caution": "; ".join(filter(None, cautions))}
+        return record | {key: text for key, text in remarks.items() if text}
 
     def soil_notes(self, members: int, drawn: int) -> list[str]:
         """Which soil `members` drives have, but for that of the stand-in, and what a belief in its place means.
@@ -123,12 +136,12 @@ class DriveInputs:
         """
         if as_written:
             return self
-        found, soil = rover_questions(self.rover), self.given.named
+        questions, soil = rover_questions(self.rover), self.given.named
         if heights:
-            found += terrain_questions(self.terrain)
+            questions += terrain_questions(self.terrain)
         if soil is not None and soil not in soil_tables():
-            found += unusual(read_soil(soil), soil)
-        return replace(self, questions=(*found, *(() if states is None else states.questions(self.rover.wheel))))
+            questions += unusual(read_soil(soil), soil)
+        return replace(self, questions=(*questions, *(() if states is None else states.questions(self.rover.wheel))))
 
     def about(self) -> dict[str, Any]:
         """Terrain and rover, for a result."""
@@ -193,11 +206,11 @@ def read_drive_inputs(
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
     check = MadeForCheck(description, built, rover is not None, surface, (named or below) is not None, file.read_as)
     drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
-    drive = _kept_out(drive, built, keep_out, inputs, surface.crs)
+    drive = _with_keep_outs(drive, built, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
-    check.looked_at(file.made_for, terrain)
+    check.note("terrain", file.made_for, terrain)
     check.belief(given.name, given.belief)
     check.law(given.name, given.verdict)
     check.stand_in()
@@ -230,13 +243,13 @@ def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | N
     if plan is None or isinstance(plan, Plan):
         return plan
     if isinstance(plan, str) and plan != "-" and not Path(plan).exists():
-        _check_found(Path(plan))
+        _check_missing(Path(plan))
     file = read_input(plan)
     inputs[file.name] = file.sha256
     return read_plan(file)
 
 
-def _check_found(plan: Path) -> None:
+def _check_missing(plan: Path) -> None:
     """Raises DataError where a plan is missing as `twin plan` found none, by the record in its folder."""
     try:
         record = json_document((plan.parent / "result.json").read_text("utf-8"))
@@ -252,7 +265,7 @@ def _check_found(plan: Path) -> None:
         )
 
 
-def _kept_out(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:
+def _with_keep_outs(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:
     """The plan with the circles of keep-out files that its way comes near to; their hashes go to the `inputs`."""
     for name in files:
         file = read_input(name)
@@ -276,12 +289,12 @@ def _read_ground(
 ) -> tuple[TerrainFile, Terrain, DrivenSoil]:
     """The terrain's file, the terrain with the soil that is driven on, and where this comes from."""
     name = given.named or DEFAULT_SOIL
-    own = read_soil(name)
-    made = below or (synthetic_longji(own) if terrain == SYNTHETIC else None)
+    soil = read_soil(name)
+    made = below or (synthetic_longji(soil) if terrain == SYNTHETIC else None)
     if made is not None and unit is not None:
         raise RequestError(f"`height_unit` does not apply to {terrain}; leave it out")
-    file = read_terrain_file(terrain, own, unit) if made is None else TerrainFile(made)
-    surface, driven = lay_soil_on(file, terrain, own, name, asked=given.named is not None)
+    file = read_terrain_file(terrain, soil, unit) if made is None else TerrainFile(made)
+    surface, driven = lay_soil_on(file, terrain, soil, name, asked=given.named is not None)
     return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
 
 
@@ -315,5 +328,148 @@ def on_gravity(rover: Rover, gravity: str | None) -> Rover:
 
 def named_option(name: str, error: Exception) -> str:
     """What is wrong with an option's value, with its name in backticks."""
-    said = str(error)
-    return f"`{name}`{said.removeprefix(name)}" if said.startswith(name) else f"`{name}`: {said}"
+    text = str(error)
+    return f"`{name}`{text.removeprefix(name)}" if text.startswith(name) else f"`{name}`: {text}"
+
+
+SOIL_TABLE = "soils.toml"
+OF_A_BELIEF = 64
+"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Soils:
+    """The soils of the members of an ensemble: a sweep, or those of a file, of which some may be drawn; and the seed.
+
+    Attributes
+    ----------
+    inputs : what drives where, without the hash of a soil that no drive meets.
+    sweep : None for that of the plan.
+    members : how many drives were asked for, None for all of the sweep or the file.
+    samples : parameter to one value for each drive; None for a sweep or a soil map.
+    verdict : of the fit that the soils come from, None where they come from none.
+    discrepancy : what a belief knows of the twin's physics, None where the soils are of no belief.
+    """
+
+    inputs: DriveInputs
+    sweep: tuple[Sweep, ...] | None
+    members: int | None
+    seed: int
+    samples: Mapping[str, FloatArray] | None = None
+    verdict: FitVerdict | None = None
+    discrepancy: PhysicsDiscrepancy | None = None
+
+    @classmethod
+    def of(cls, inputs: DriveInputs, sweep: Sequence[str] | None, members: int | None, seed: int) -> "Soils":
+        """The soils of some inputs; a sweep that is None is the plan's.
+
+        Raises RequestError for a sweep beside a file of soils, and for a soil that no drive meets.
+        """
+        given = inputs.given
+        if sweep is not None and given.file is not None:
+            what = {"belief": "a belief", "map": "a soil map", "samples": "samples"}[given.of]
+            raise RequestError(f"`sweep` and {what} as `soil` are two ways to name the soils; give one")
+        ranges = None if sweep is None else _parsed_sweep(sweep)
+        soils = cls(inputs, ranges, members, seed)
+        if given.belief is not None:
+            drawn, belief = given.belief.draws(members or OF_A_BELIEF, seed), given.belief
+            soils = replace(soils, samples=drawn, verdict=belief.verdict, discrepancy=belief.discrepancy)
+        elif given.soil_map is not None:
+            law = given.soil_map.belief_along(planned_places(inputs.plan, inputs.rover)).discrepancy
+            soils = replace(soils, discrepancy=law)
+        elif given.file is not None:
+            rows = read_soil_samples(given.file, members, seed)
+            soils = replace(soils, samples=rows, verdict=given.verdict)
+        return soils._without_unused_soil()
+
+    def _without_unused_soil(self) -> "Soils":
+        inputs = self.inputs
+        if inputs.driven.of == "belief" or not set(self.drawn) >= set(SOIL_COLUMNS):
+            return self
+        if inputs.driven.of == "option":
+            raise RequestError(no_use(inputs.driven.name, self._origin))
+        tables = {name: digest for name, digest in inputs.tables.items() if name != SOIL_TABLE}
+        options = {name: value for name, value in inputs.options.items() if value != DEFAULT_SOIL}
+        return replace(self, inputs=replace(inputs, tables=tables, options=options))
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """Soil parameters that each drive has for itself, whatever lies on the terrain."""
+        if self.inputs.given.soil_map is not None:
+            return tuple(SOIL_COLUMNS)
+        if self.samples is not None:
+            return tuple(self.samples)
+        return tuple(sweep.name for sweep in (self.inputs.plan.sweep if self.sweep is None else self.sweep))
+
+    @property
+    def drawn_by(self) -> int | None:
+        """The seed, or None where it draws nothing."""
+        inputs = self.inputs
+        drawn = self.kind == "belief" or self.members is not None or inputs.plan.fixes is not None
+        return self.seed if drawn or inputs.terrain.errors is not None else None
+
+    def warn_of_seed(self, seed: int | None) -> None:
+        """Say it where a seed that was given draws nothing."""
+        if seed is not None and self.drawn_by is None:
+            text = "the seed has nothing to draw here: the soils are given or a grid, and the plan has no fixes"
+            warnings.warn(text, LunarSciWarning, stacklevel=3)
+
+    @property
+    def doubt(self) -> str:
+        """Why soils should not be driven on, by their fit, its law or the drives of their belief; empty if they may."""
+        fit = "" if self.verdict is None else doubt(self.verdict)
+        inputs = self.inputs
+        law = other_law(inputs.given.name, inputs.given.verdict, inputs.rover.name)
+        return "; ".join(part for part in (fit, law, inputs.doubt_of_belief) if part)
+
+    def warn_of_fit(self) -> None:
+        """Say the doubt of a fit."""
+        if self.verdict is not None and (text := doubt(self.verdict)):
+            warnings.warn(text, LunarSciWarning, stacklevel=3)
+
+    @property
+    def _origin(self) -> str:
+        return self.inputs.given.name or (self.inputs.plan.origin if self.sweep is None else "`sweep`")
+
+    def record(self) -> dict[str, Any]:
+        """The soil that is driven on, for the result."""
+        driven, given = self.inputs.driven, self.inputs.given
+        named = None
+        if given.of == "map" or given.of == "samples":
+            named = DrivenSoil(given.name, given.of, driven.carried, driven.rest)
+        return self.inputs.soil_record(self.drawn, named)
+
+    @property
+    def kind(self) -> str:
+        """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""
+        of = self.inputs.given.of
+        if of != "none":
+            return "samples" if of == "samples" else "belief"
+        return "sweep" if (self.inputs.plan.sweep if self.sweep is None else self.sweep) else "one"
+
+    def of_members(self) -> dict[str, Any]:
+        """What `drive_ensemble` takes: rover, terrain and plan, ruts, and the soils of all members."""
+        inputs = self.inputs
+        result: dict[str, Any] = {
+            "rover": inputs.rover,
+            "terrain": inputs.terrain,
+            "plan": inputs.plan,
+            "seed": self.seed,
+        }
+        result |= {"ruts": inputs.ruts, "before": inputs.before}
+        if inputs.given.soil_map is not None:
+            along, members = planned_places(inputs.plan, inputs.rover), self.members or OF_A_BELIEF
+            grounds = drawn_grounds(inputs.given.soil_map, inputs.terrain, along, members, self.seed)
+            return result | {"grounds": grounds}
+        if self.samples is not None:
+            return result | {"samples": self.samples}
+        if self.kind == "one" and self.members is None and inputs.rough and inputs.terrain.errors is not None:
+            result |= {"draws": inputs.terrain.errors.draws(OF_A_BELIEF, self.seed)}
+        return result | {"sweep": self.sweep, "members": self.members}
+
+
+def _parsed_sweep(sweep: Sequence[str]) -> tuple[Sweep, ...]:
+    try:
+        return tuple(parse_sweep(text) for text in sweep)
+    except ParameterError as error:
+        raise RequestError(named_option("sweep", error)) from error

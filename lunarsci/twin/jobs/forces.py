@@ -10,10 +10,9 @@ from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.predict import predict_drives
 from lunarsci.twin.jobs.requests import DriveRequest
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement.quantities import abscissa
 from lunarsci.twin.judgement.tables import WheelLoads, state_table, wheel_loads
 from lunarsci.twin.lanes import outcome_texts
@@ -55,8 +54,8 @@ class DriveForces(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known, seed = self.soils.inputs, self.soils.drawn_by
-        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=known.options)
+        inputs, seed = self.soils.inputs, self.soils.drawn_by
+        return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
@@ -66,13 +65,13 @@ class DriveForces(Result):
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        known, members = self.soils.inputs, self.prediction.members
+        inputs, members = self.soils.inputs, self.prediction.members
         drives = "1 drive" if members == 1 else f"{members} drives"
-        return f"Wheel forces of {drives}: {known.plan.name}, on {known.terrain.name}"
+        return f"Wheel forces of {drives}: {inputs.plan.name}, on {inputs.terrain.name}"
 
     def to_dict(self) -> dict[str, Any]:
-        found = {"of": "prediction", "members": self.prediction.members, "missing": None, "soil": self.soils.record()}
-        return load_record(self.soils.inputs, self.loads) | found
+        record = {"of": "prediction", "members": self.prediction.members, "missing": None, "soil": self.soils.record()}
+        return load_record(self.soils.inputs, self.loads) | record
 
     def rows(self) -> list[dict[str, Any]]:
         """One a drive, time and wheel."""
@@ -103,9 +102,9 @@ def forces(
     """
 
     asked = request_of(DriveRequest, request, options)
-    known = read_drive_inputs(plan, *asked.ground, soil=asked.soil, fixes=asked.fixes)
-    alone = not asked.sweep and asked.members is None and known.given.one_soil
-    soils = Soils.of(known, () if alone else asked.sweep or None, asked.members, asked.seed or 0)
+    inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, fixes=asked.fixes)
+    alone = not asked.sweep and asked.members is None and inputs.given.one_soil
+    soils = Soils.of(inputs, () if alone else asked.sweep or None, asked.members, asked.seed or 0)
     if asked.seed is not None and soils.drawn_by is None:
         raise RequestError("`seed` has nothing to draw; give `members`, `soil` or `fixes`, or leave it out")
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
@@ -119,10 +118,10 @@ def _reached(prediction: Prediction) -> Any:
     return np.where(prediction.reached[..., None, None], prediction.states, np.nan)
 
 
-def load_record(known: DriveInputs, loads: Sequence[WheelLoads]) -> dict[str, Any]:
+def load_record(inputs: DriveInputs, loads: Sequence[WheelLoads]) -> dict[str, Any]:
     """Rover, terrain and wheels, for a result."""
-    return known.about() | {
-        "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
+    return inputs.about() | {
+        "weight_n": inputs.rover.mass_kg * inputs.rover.gravity_m_s2,
         "wheels": [
             {"wheel": load.wheel, "valid_share": load.valid_share}
             | {name: asdict(spread) for name, spread in load.quantities.items()}

@@ -20,7 +20,7 @@ from lunarsci.regolith.belief import (
 )
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.result import MadeFrom, Result
-from lunarsci.twin.jobs.given_soil import doubt_of
+from lunarsci.twin.ground.driven_soil import doubt_of
 from lunarsci.twin.jobs.requests import HistoryRequest
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ SOURCES = [
     "Bhattacharyya (1946), Sankhya 7, 401",
     "Kullback & Leibler (1951), Ann. Math. Stat. 22, 79, 10.1214/aoms/1177729694",
 ]
-KEPT = (
+COPIED = (
     "states",
     "sha256",
     "parent_sha256",
@@ -151,7 +151,7 @@ def _drives(belief: SoilBelief) -> list[dict[str, Any]]:
     steps = zip(belief.history, moved_sd(belief), past_beliefs(belief)[1:], strict=True)
     return [
         {"drive": number}
-        | {key: entry.get(key) for key in KEPT}
+        | {key: entry.get(key) for key in COPIED}
         | {
             "reduced_chi_square": _reduced(entry),
             "surprise": entry.get("surprise"),

@@ -14,10 +14,9 @@ from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+from lunarsci.twin.ground.driven_soil import DrivenSoil, doubt_of, soil_record
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.forces import load_record
-from lunarsci.twin.jobs.given_soil import doubt_of
 from lunarsci.twin.jobs.requests import LoadsRequest
 from lunarsci.twin.judgement.tables import WheelLoads, force_table, held_table, wheel_loads
 from lunarsci.twin.lanes import FINISHED
@@ -66,8 +65,8 @@ class MotionLoads(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known = self.known
-        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, options=known.options)
+        inputs = self.known
+        return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
@@ -86,8 +85,8 @@ class MotionLoads(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        found = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.known.soil_record()}
-        return load_record(self.known, self.wheels) | found
+        result = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.known.soil_record()}
+        return load_record(self.known, self.wheels) | result
 
     def rows(self) -> list[dict[str, Any]]:
         """One a pose and wheel."""
@@ -98,20 +97,20 @@ class MotionLoads(Result):
 
         from lunarsci.twin.figures.wheel_states import force_figure
 
-        found, title = self.found, self.title.replace(name := self.motion.name, Path(name).name)
-        drawn = (self.known.rover.wheels, (found.motion.time_s, "time [s]"), found.states, title, found.residual_n)
+        result, title = self.found, self.title.replace(name := self.motion.name, Path(name).name)
+        drawn = (self.known.rover.wheels, (result.motion.time_s, "time [s]"), result.states, title, result.residual_n)
         yield force_figure(*drawn, synthetic=self.known.terrain.synthetic)
 
 
-def _missing(found: PrescribedLoads) -> dict[str, float]:
+def _missing(result: PrescribedLoads) -> dict[str, float]:
 
-    known = found.outcome == FINISHED
-    ahead, left = found.residual_n[known].mean(axis=0)
+    finite = result.outcome == FINISHED
+    ahead, left = result.residual_n[finite].mean(axis=0)
     return {
-        "rms_share_of_weight": found.residual_share,
+        "rms_share_of_weight": result.residual_share,
         "mean_ahead_n": float(ahead),
         "mean_left_n": float(left),
-        "rms_moment_nm": float(np.sqrt((found.residual_nm[known] ** 2).mean())),
+        "rms_moment_nm": float(np.sqrt((result.residual_nm[finite] ** 2).mean())),
     }
 
 
@@ -144,15 +143,15 @@ class UncertainLoads(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known = self.known
-        tables = known.tables | ({} if "belief" in self.given else prior_hash())
+        inputs = self.known
+        tables = inputs.tables | ({} if "belief" in self.given else prior_hash())
         sources = [*SOURCES, *METHODS]
-        return MadeFrom(inputs=known.inputs, tables=tables, sources=sources, seed=self.seed, options=known.options)
+        return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
-        own = self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
-        return "; ".join(part for part in (*map(str, self.known.questions), own, self.doubt_of_belief) if part)
+        of_forces = self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
+        return "; ".join(part for part in (*map(str, self.known.questions), of_forces, self.doubt_of_belief) if part)
 
     @property
     def title(self) -> str:
@@ -178,21 +177,21 @@ class UncertainLoads(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        known, found, belief = self.known, self.found, self.given.get("belief")
+        inputs, result, belief = self.known, self.found, self.given.get("belief")
         driven = DrivenSoil("priors", "priors") if belief is None else DrivenSoil(belief.name, "belief")
-        uncertain = found.held.motion.sigmas is not None
-        return known.about() | {
+        uncertain = result.held.motion.sigmas is not None
+        return inputs.about() | {
             "of": "uncertain motion",
-            "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
+            "weight_n": inputs.rover.mass_kg * inputs.rover.gravity_m_s2,
             "draws": self.draws,
-            "poses": {"known": int(found.with_forces.sum()), "all": len(found.with_forces)},
+            "poses": {"known": int(result.with_forces.sum()), "all": len(result.with_forces)},
             "motion_errors": {"correlation_m": self.correlation_m, "basis": self.basis} if uncertain else None,
             "balance_error": self.balance_error,
-            "wheels": _wheels(found),
-            "shares": _shares(found) if found.with_forces.any() else None,
-            "totals": _totals(found) if found.with_forces.any() else None,
+            "wheels": _wheels(result),
+            "shares": _shares(result) if result.with_forces.any() else None,
+            "totals": _totals(result) if result.with_forces.any() else None,
             "iteration": None if self.turned is None else _iteration(self.turned),
-            "soil": soil_record(driven, known.terrain, PARAMETERS),
+            "soil": soil_record(driven, inputs.terrain, PARAMETERS),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -228,24 +227,24 @@ def loads(
     """
 
     asked = request_of(LoadsRequest, request, options)
-    known = read_drive_inputs(plan, *asked.ground, soil=asked.soil, soil_counts=not asked.uncertain)
-    if not known.given.one_soil:
+    inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, soil_counts=not asked.uncertain)
+    if not inputs.given.one_soil:
         raise RequestError("a motion is held on one soil; give the belief as `belief`")
     given = {"motion": motion, "states": asked.states, "belief": asked.belief}
     files = {name: read_input(source) for name, source in given.items() if source is not None}
-    known.inputs.update({file.name: file.sha256 for file in files.values()})
-    known.check.tables(file for name, file in files.items() if name != "belief")
-    poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
-    known = known.asked(heights=asked.heights_without_unit, as_written=asked.as_written)
+    inputs.inputs.update({file.name: file.sha256 for file in files.values()})
+    inputs.check.tables(file for name, file in files.items() if name != "belief")
+    poses = read_motion(files["motion"], inputs.rover, inputs.plan if plan is not None else None, asked.member)
+    inputs = inputs.asked(heights=asked.heights_without_unit, as_written=asked.as_written)
     if asked.uncertain:
-        return _uncertain(known, files, poses, asked, progress)
-    found = prescribed_loads(known.rover, known.terrain, poses)
-    loads, moved = wheel_loads(known.rover.wheels, found.states), files["motion"]
-    return MotionLoads(known=known, motion=moved, found=found, wheels=loads)
+        return _uncertain(inputs, files, poses, asked, progress)
+    result = prescribed_loads(inputs.rover, inputs.terrain, poses)
+    loads, moved = wheel_loads(inputs.rover.wheels, result.states), files["motion"]
+    return MotionLoads(known=inputs, motion=moved, found=result, wheels=loads)
 
 
 def _uncertain(
-    known: DriveInputs,
+    inputs: DriveInputs,
     files: dict[str, InputFile],
     motion: Motion,
     asked: LoadsRequest,
@@ -254,24 +253,24 @@ def _uncertain(
 
     if asked.correlation is not None and motion.sigmas is None:
         raise RequestError("`correlation` is of the motion's errors, and it has none; add x_m_sigma and others")
-    states = read_pose_states(files["states"], known.rover) if "states" in files else None
+    states = read_pose_states(files["states"], inputs.rover) if "states" in files else None
     belief = read_belief(files["belief"]).soil if "belief" in files else first_belief()
     length, basis = correlation_length(motion, states) if asked.correlation is None else (asked.correlation, "given")
     draws, seed = asked.draws or DRAWS, asked.seed or 0
     error = BALANCE_ERROR if asked.balance_error is None else asked.balance_error
     drawn: dict[str, Any] = {"correlation_m": length, "balance_error": error, "seed": seed, "progress": progress}
-    drive, turned = (known.rover, known.terrain, motion), None
+    drive, turned = (inputs.rover, inputs.terrain, motion), None
     if asked.iterate is not None and states is not None:
         turned = alternate(*drive, states, belief, rounds=asked.iterate, draws=draws, **drawn)
-        found = turned.forces
+        result = turned.forces
     else:
         middle = {name: value for name, (value, _, _) in belief.intervals().items()}
-        found = draw_loads(*drive, belief.draws(draws, seed), middle, **drawn)
+        result = draw_loads(*drive, belief.draws(draws, seed), middle, **drawn)
     return UncertainLoads(
-        known=known,
+        known=inputs,
         given=files,
         states=states,
-        found=found,
+        found=result,
         turned=turned,
         draws=draws,
         correlation_m=length,
@@ -282,45 +281,45 @@ def _uncertain(
     )
 
 
-def _shares(found: LoadEnsemble) -> dict[str, Any]:
+def _shares(result: LoadEnsemble) -> dict[str, Any]:
     """Where the variance of each force comes from, before and after the balance."""
 
     both = {"before": False, "after": True}
     return {
-        name: {when: asdict(found.shares(k, balanced=balanced)) for when, balanced in both.items()}
+        name: {when: asdict(result.shares(k, balanced=balanced)) for when, balanced in both.items()}
         for k, name in enumerate(FORCES)
     }
 
 
-def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
+def _wheels(result: LoadEnsemble) -> list[dict[str, Any]]:
 
-    known = found.with_forces
-    if not known.any():
+    finite = result.with_forces
+    if not finite.any():
         return []
     return [
         {"wheel": wheel}
         | {
             name: {
-                "mean": float(found.after[known, w, k].mean()),
-                "sigma": _rms(found.after_sigma[known, w, k]),
-                "mean_before": float(found.before[known, w, k].mean()),
-                "sigma_before": _rms(found.before_sigma[known, w, k]),
+                "mean": float(result.after[finite, w, k].mean()),
+                "sigma": _rms(result.after_sigma[finite, w, k]),
+                "mean_before": float(result.before[finite, w, k].mean()),
+                "sigma_before": _rms(result.before_sigma[finite, w, k]),
             }
             for k, name in enumerate(FORCES)
         }
-        for w, wheel in enumerate(found.held.rover.wheels)
+        for w, wheel in enumerate(result.held.rover.wheels)
     ]
 
 
-def _totals(found: LoadEnsemble) -> dict[str, dict[str, float]]:
+def _totals(result: LoadEnsemble) -> dict[str, dict[str, float]]:
 
-    known = found.with_forces
+    finite = result.with_forces
     return {
         name: {
-            "missing_before": _rms(found.residual_before[known, k]),
-            "missing_after": _rms(found.residual_after[known, k]),
-            "sigma_before": _rms(found.total_before[known, k]),
-            "sigma_after": _rms(found.total_after[known, k]),
+            "missing_before": _rms(result.residual_before[finite, k]),
+            "missing_after": _rms(result.residual_after[finite, k]),
+            "sigma_before": _rms(result.total_before[finite, k]),
+            "sigma_after": _rms(result.total_after[finite, k]),
         }
         for k, name in enumerate(TOTALS)
     }

@@ -13,10 +13,8 @@ from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.requests import PlanRequest, _numbers
 from lunarsci.twin.jobs.terrain import SurveyedSite, light_of
-from lunarsci.twin.plans.limits import Limit
 from lunarsci.twin.plans.made_for_check import limits_of_rover
-from lunarsci.twin.plans.plan import read_plan
-from lunarsci.twin.plans.plan_files import read_limits
+from lunarsci.twin.plans.plan import Limit, read_limits, read_plan
 from lunarsci.twin.simulation.ensemble import PowerState
 
 

@@ -15,12 +15,11 @@ from lunarsci.regolith.prior import Question
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
+from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.illumination import parse_sun
-from lunarsci.twin.ground.unresolved import Unresolved, with_unresolved
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
 from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement import tables as judged
 from lunarsci.twin.judgement.endpoint import (
     EndpointSensitivity,
@@ -95,15 +94,15 @@ class PredictedDrives(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known = self.inputs
-        options = known.options | {"seed": self.prediction.seed}
+        inputs = self.inputs
+        options = inputs.options | {"seed": self.prediction.seed}
         seed = self.soils.drawn_by
-        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=options)
+        return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=options)
 
     @property
     def untrusted(self) -> str:
-        found = self.verdict
-        parts = [] if found.verdict == "go" else [f"{found.verdict}: {'; '.join(found.reasons)}"]
+        verdict = self.verdict
+        parts = [] if verdict.verdict == "go" else [f"{verdict.verdict}: {'; '.join(verdict.reasons)}"]
         return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
     def to_dict(self) -> dict[str, Any]:
@@ -166,14 +165,14 @@ class PredictedDrives(Result):
         """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
 
         prediction, rover = self.prediction, sha256(self.inputs.description.text.encode())
-        kept = {
+        tables = {
             "states.csv": cache(lambda: csv_bytes(judged.state_table(prediction))),
             "paths.csv": cache(lambda: csv_bytes(judged.path_table(prediction))),
         }
         forecast = forecast_of(prediction, soils=self.soils.kind, rover_sha256=rover, soil=self.soils.record())
         return {
-            **kept,
-            FILE: lambda: to_json(forecast_document(forecast, kept)).encode(),
+            **tables,
+            FILE: lambda: to_json(forecast_document(forecast, tables)).encode(),
             "endpoints.csv": lambda: csv_bytes(judged.endpoint_table(prediction)),
             "profiles.csv": lambda: csv_bytes(judged.profile_table(prediction)),
         }
@@ -217,13 +216,13 @@ def predict(
     return _asked_about(_judged(soils, prediction, asked, unresolved), questions)
 
 
-def _asked_about(found: PredictedDrives, questions: tuple[Question, ...]) -> PredictedDrives:
+def _asked_about(result: PredictedDrives, questions: tuple[Question, ...]) -> PredictedDrives:
     """A verdict is not determined while questions are open."""
     if not questions:
-        return found
-    reasons = (*map(str, questions), *found.verdict.reasons)
-    verdict = replace(found.verdict, verdict="not-determined", reasons=reasons)
-    return replace(found, questions=questions, verdict=verdict)
+        return result
+    reasons = (*map(str, questions), *result.verdict.reasons)
+    verdict = replace(result.verdict, verdict="not-determined", reasons=reasons)
+    return replace(result, questions=questions, verdict=verdict)
 
 
 def _rough(inputs: DriveInputs, seed: int) -> tuple[DriveInputs, Unresolved | None]:

@@ -38,14 +38,14 @@ class MadeUpDrive(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known = self.inputs
-        options, seed = known.options, self.drive.seed
-        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=options)
+        inputs = self.inputs
+        options, seed = inputs.options, self.drive.seed
+        return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=options)
 
     @property
     def untrusted(self) -> str:
-        found = self.drive.prediction
-        return "" if found.finished[0] else f"the drive did not reach its end: {found.outcome_text(0)}"
+        driven = self.drive.prediction
+        return "" if driven.finished[0] else f"the drive did not reach its end: {driven.outcome_text(0)}"
 
     def to_dict(self) -> dict[str, Any]:
         telemetry, errors = self.drive.telemetry, asdict(self.drive.errors)
@@ -66,17 +66,17 @@ class MadeUpDrive(Result):
 
     def _halts(self) -> dict[str, Any]:
         """Where the rover halted for a position fix, and how far off this was; nothing for a plan without fixes."""
-        found, sent = self.drive.prediction, self.drive.telemetry
-        if found.plan.fixes is None:
+        driven, sent = self.drive.prediction, self.drive.telemetry
+        if driven.plan.fixes is None:
             return {}
         return {
             "halts": [
                 {
-                    "time_s": float(found.time_s[row]),
-                    "distance_m": float(found.distance_m[row]),
-                    "x_m": float(found.paths[0, row, 0]),
-                    "y_m": float(found.paths[0, row, 1]),
-                    "off_m": math.hypot(*(sent[name].iloc[row] - found.paths[0, row, k] for k, name in enumerate(XY))),
+                    "time_s": float(driven.time_s[row]),
+                    "distance_m": float(driven.distance_m[row]),
+                    "x_m": float(driven.paths[0, row, 0]),
+                    "y_m": float(driven.paths[0, row, 1]),
+                    "off_m": math.hypot(*(sent[name].iloc[row] - driven.paths[0, row, k] for k, name in enumerate(XY))),
                 }
                 for row in self.drive.halts.tolist()
             ]

@@ -14,8 +14,7 @@ from lunarsci.options import request_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.drives.layouts import read_public_drive
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain import Terrain, read_terrain
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.requests import StatesRequest
 from lunarsci.twin.plans.plan import Plan
@@ -57,8 +56,10 @@ class MeasuredStates(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known = self.known
-        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=[*SOURCES, SMOOTHER], options=known.options)
+        inputs = self.known
+        return MadeFrom(
+            inputs=inputs.inputs, tables=inputs.tables, sources=[*SOURCES, SMOOTHER], options=inputs.options
+        )
 
     @property
     def untrusted(self) -> str:
@@ -133,35 +134,37 @@ def states(
     if public is not None:
         asked = replace(asked, rover=asked.rover or public.rover, gravity=asked.gravity or public.gravity)
         below = None if asked.terrain else public.plane()
-    known = read_drive_inputs(plan, *asked.ground, soil_counts=False, below=below)
-    known.check.read_as = (*(public.read_as if public else ()), *known.check.read_as)
+    inputs = read_drive_inputs(plan, *asked.ground, soil_counts=False, below=below)
+    inputs.check.read_as = (*(public.read_as if public else ()), *inputs.check.read_as)
     with open_input(telemetry if public is None else public.telemetry) as source:
         findings = Findings(source.name)
         placed = asked.positions is None
         sent = read_telemetry(
-            source, known.rover, findings, placed=placed, span_s=asked.span_s, start_s=asked.start_time
+            source, inputs.rover, findings, placed=placed, span_s=asked.span_s, start_s=asked.start_time
         )
-    known.inputs.update({source.name: source.sha256} if public is None else public.inputs)
+    inputs.inputs.update({source.name: source.sha256} if public is None else public.inputs)
     if asked.positions is not None:
         fixes = read_input(asked.positions)
-        known.inputs[fixes.name] = fixes.sha256
+        inputs.inputs[fixes.name] = fixes.sha256
         located = read_positions(fixes)
         located = located._replace(time_s=located.time_s - sent.start_s)
         sent = with_positions(sent, located, fixes.name, findings)
-    drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None, asked.lag)
+    drive = states_of(
+        sent, inputs.rover, inputs.terrain, findings, inputs.plan if plan is not None else None, asked.lag
+    )
     if asked.track is not None:
-        drive = with_sinkage(drive, _read_track(known, asked.track), known.terrain)
-    return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
+        drive = with_sinkage(drive, _read_track(inputs, asked.track), inputs.terrain)
+    return MeasuredStates(known=inputs, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
 
 
-def _read_track(known: DriveInputs, track: Any) -> RutPoints | Terrain:
+def _read_track(inputs: DriveInputs, track: Any) -> RutPoints | Terrain:
 
     source = read_input(track)
-    known.inputs[source.name] = source.sha256
+    inputs.inputs[source.name] = source.sha256
     if is_table_of_ruts(source):
         return read_track(source)
-    track_ground = read_terrain(source.name, read_soil("longji"), onto=known.terrain.crs)
-    return replace(track_ground, interpolation=known.terrain.interpolation)
+    track_ground = read_terrain(source.name, read_soil("longji"), onto=inputs.terrain.crs)
+    return replace(track_ground, interpolation=inputs.terrain.interpolation)
 
 
 def _changes(drive: DriveStates) -> dict[str, Any]:
@@ -190,16 +193,16 @@ def _slope_effects(drive: DriveStates) -> dict[str, Any]:
 def _of_wheel(drive: DriveStates, k: int) -> dict[str, Any]:
     """Medians over the measured states of a wheel, of the values and of their errors."""
 
-    found: dict[str, Any] = {name: int(getattr(drive.rows, name)[:, k].sum()) for name in ("measured", "valid")}
+    record: dict[str, Any] = {name: int(getattr(drive.rows, name)[:, k].sum()) for name in ("measured", "valid")}
     for name in MEASURED:
         value, sigma = (getattr(drive.rows, column)[:, k] for column in (name, f"{name}_sigma"))
-        known = drive.rows.measured[:, k] & np.isfinite(value)
-        spread = np.percentile(value[known], (50, 5, 95)) if known.any() else np.full(3, np.nan)
-        found[name] = {
+        finite = drive.rows.measured[:, k] & np.isfinite(value)
+        spread = np.percentile(value[finite], (50, 5, 95)) if finite.any() else np.full(3, np.nan)
+        record[name] = {
             "median": float(spread[0]),
             "low": float(spread[1]),
             "high": float(spread[2]),
-            "sigma": float(np.median(sigma[known])) if known.any() else np.nan,
-            "count": int(known.sum()),
+            "sigma": float(np.median(sigma[finite])) if finite.any() else np.nan,
+            "count": int(finite.sum()),
         }
-    return found
+    return record

@@ -9,10 +9,9 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, named_option, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
 from lunarsci.twin.jobs.predict import power_of
 from lunarsci.twin.jobs.requests import SweepRequest
-from lunarsci.twin.jobs.soils import Soils
 from lunarsci.twin.judgement.designs import (
     Design,
     Variation,
@@ -63,9 +62,9 @@ class DesignTrade(Result):
     def made_from(self) -> MadeFrom:
 
         inputs = {name: digest for soils in self.soils for name, digest in soils.inputs.inputs.items()}
-        known, seed = self.inputs, self.soils[0].seed
+        first, seed = self.inputs, self.soils[0].seed
         sources = list(dict.fromkeys([*SOURCES, PAPER]))
-        return MadeFrom(inputs=inputs, tables=known.tables, sources=sources, seed=seed, options=known.options)
+        return MadeFrom(inputs=inputs, tables=first.tables, sources=sources, seed=seed, options=first.options)
 
     @property
     def untrusted(self) -> str:
@@ -91,10 +90,10 @@ class DesignTrade(Result):
 
     def figures(self) -> "Iterator[Figure]":
 
-        from lunarsci.twin.figures.designs import curve_page, front_page
+        from lunarsci.twin.figures.choice import curve_page, design_front_page
 
         synthetic = any(soils.inputs.terrain.synthetic for soils in self.soils)
-        yield front_page(self.designs, self.front, synthetic=synthetic)
+        yield design_front_page(self.designs, self.front, synthetic=synthetic)
         yield curve_page(self.designs, [entry.name for entry in self.variations], synthetic=synthetic)
 
 
@@ -144,10 +143,10 @@ def _driver(soils: Sequence[Soils], asked: SweepRequest) -> Callable[[int, dict[
     members, power = [one.of_members() for one in soils], power_of(asked)
 
     def drive(number: int, changes: dict[str, Any]) -> Prediction:
-        found = predict(**members[number] | changes, time_step_s=asked.time_step, sample_m=asked.sample)
+        driven = predict(**members[number] | changes, time_step_s=asked.time_step, sample_m=asked.sample)
         law = soils[number].discrepancy
-        found = found if law is None else with_discrepancy(found, law, soils[number].seed)
-        return replace(found, power=power)
+        driven = driven if law is None else with_discrepancy(driven, law, soils[number].seed)
+        return replace(driven, power=power)
 
     return drive
 
@@ -156,7 +155,7 @@ def _mission(plans: Any, asked: SweepRequest) -> tuple[Soils, ...]:
     """The soils of each plan, as many and the same on all of them. Raises RequestError where plans have others."""
 
     several = list(plans) if isinstance(plans, list | tuple) else [plans]
-    found = []
+    soils = []
     for plan in several or [None]:
         inputs = read_drive_inputs(
             plan,
@@ -166,10 +165,10 @@ def _mission(plans: Any, asked: SweepRequest) -> tuple[Soils, ...]:
             judged=True,
             terrain_errors=not asked.exact_terrain,
         )
-        found.append(Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0))
-    if len({one.drawn for one in found}) > 1 or (
-        not asked.sweep and len({one.inputs.plan.sweep for one in found}) > 1 and found[0].kind in ("sweep", "one")
+        soils.append(Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0))
+    if len({one.drawn for one in soils}) > 1 or (
+        not asked.sweep and len({one.inputs.plan.sweep for one in soils}) > 1 and soils[0].kind in ("sweep", "one")
     ):
         raise RequestError("the plans sweep different soils; give `sweep` or `soil` for all of them")
-    found[0].warn_of_seed(None if asked.designs is not None else asked.seed)
-    return tuple(found)
+    soils[0].warn_of_seed(None if asked.designs is not None else asked.seed)
+    return tuple(soils)

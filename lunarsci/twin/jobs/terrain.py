@@ -14,20 +14,31 @@ from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription, made_for, read_rover
 from lunarsci.twin.ground import synthetic
-from lunarsci.twin.ground.cost_layers import CostLayer, parse_classes, parse_cost, read_cost_layer, shadow_layer
-from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
-from lunarsci.twin.ground.hazards import Mobility, Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.driven_soil import DEFAULT_SOIL, DrivenSoil, lay_soil_on, soil_record
+from lunarsci.twin.ground.hazards import (
+    CostLayer,
+    Mobility,
+    Traversability,
+    Zones,
+    assess,
+    ground_maps,
+    map_scales,
+    maps_bytes,
+    maps_geotiff,
+    parse_classes,
+    parse_cost,
+    read_cost_layer,
+    read_keep_outs,
+    read_mobility,
+    shadow_layer,
+)
 from lunarsci.twin.ground.illumination import sunlit
-from lunarsci.twin.ground.keep_out import Zones, read_keep_outs
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import TerrainFile, maps_bytes, maps_geotiff, read_terrain_file, terrain_bytes
+from lunarsci.twin.ground.terrain import Terrain, TerrainFile, read_terrain_file, terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SYNTHETIC, on_gravity
-from lunarsci.twin.jobs.given_soil import DEFAULT_SOIL
 from lunarsci.twin.jobs.requests import MAKERS, GroundRequest, TerrainRequest
 from lunarsci.twin.plans.made_for_check import MadeForCheck
-from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.routes.path_geojson import path_geojson
-from lunarsci.twin.routes.planner import PlannedPath, path_table, share_on
+from lunarsci.twin.plans.plan import plan_text
+from lunarsci.twin.routes.planner import PlannedPath, path_geojson, path_table, share_on
 from lunarsci.twin.rover import Rover, build_rover, check_turning
 
 if TYPE_CHECKING:
@@ -105,8 +116,8 @@ class SurveyedSite:
     def surface(self, baseline_m: float | None, progress: Progress | None) -> Traversability:
         """The maps, compared with the limits."""
 
-        own, wheel = map_scales(self.rover)
-        maps = ground_maps(self.terrain, own if baseline_m is None else baseline_m, wheel, progress)
+        baseline, wheel = map_scales(self.rover)
+        maps = ground_maps(self.terrain, baseline if baseline_m is None else baseline_m, wheel, progress)
         if self.sun_deg is None:
             return assess(self.terrain, maps, self.mobility, self.keep_outs, self.layers)
 
@@ -151,8 +162,8 @@ class TerrainSurvey(Result):
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
         soil = {"soil": site.driven.name} if site.driven.of == "default" else {}
-        own, seed = {"rover": site.description.origin, "terrain": site.origin} | soil, site.made.get("seed")
-        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=own)
+        options, seed = {"rover": site.description.origin, "terrain": site.origin} | soil, site.made.get("seed")
+        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=options)
 
     def to_dict(self) -> dict[str, Any]:
         surface = self.surface
@@ -206,17 +217,17 @@ class TerrainSurvey(Result):
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
 
         site, path = self.site, self.path
-        found: dict[str, Callable[[], bytes]] = {
+        contents: dict[str, Callable[[], bytes]] = {
             "terrain.npz": site.content,
             "maps.npz": lambda: maps_bytes(self.surface),
         }
         if geotiff:
-            found["maps.tif"] = lambda: maps_geotiff(self.surface)
+            contents["maps.tif"] = lambda: maps_geotiff(self.surface)
         if path is not None:
-            found["plan.toml"] = lambda: plan_text(path.plan).encode()
-            found["path.geojson"] = lambda: path_geojson(path, self.surface)
-            found["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
-        return found
+            contents["plan.toml"] = lambda: plan_text(path.plan).encode()
+            contents["path.geojson"] = lambda: path_geojson(path, self.surface)
+            contents["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
+        return contents
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
@@ -231,7 +242,7 @@ class TerrainSurvey(Result):
         if site.keep_outs:
             notes.append(f"ground to keep out of counts as hazards: {len(site.keep_outs)} circles")
         notes += [
-            f"layer {layer.name}: {layer.known_share:.1%} of the terrain, {layer.forbidden.mean():.1%} forbidden"
+            f"layer {layer.name}: {layer.covered_share:.1%} of the terrain, {layer.forbidden.mean():.1%} forbidden"
             for layer in site.layers
         ]
         if site.mobility.assumed:
@@ -266,21 +277,21 @@ def read_site(
 
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
     description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)
-    built, own_soil = on_gravity(build_rover(description), asked.gravity), read_soil(name)
+    built, named_soil = on_gravity(build_rover(description), asked.gravity), read_soil(name)
     check_turning(built, limits.get("min_turning_radius_m"))
     if terrain in MAKERS:
         make = synthetic.synthetic_longji if terrain == SYNTHETIC else synthetic.synthetic_terrain
-        file, inputs = TerrainFile(make(own_soil, **made)), {}
+        file, inputs = TerrainFile(make(named_soil, **made)), {}
     else:
         inputs = {terrain: read_input(terrain).sha256}
-        file = read_terrain_file(terrain, own_soil, asked.height_unit, onto=onto)
-    laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
+        file = read_terrain_file(terrain, named_soil, asked.height_unit, onto=onto)
+    laid, driven = lay_soil_on(file, terrain, named_soil, name, asked=soil is not None)
     (sun, shadow_cost), costs = light_of(asked), costs_of(asked)
     layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in (*asked.keep_out, *asked.input_files())}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None, file.read_as)
-    check.looked_at(file.made_for, terrain)
+    check.note("terrain", file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
         terrain=file.likely(laid),

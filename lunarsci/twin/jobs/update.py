@@ -16,12 +16,10 @@ from lunarsci.result import MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change, planned_places
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
-from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
-from lunarsci.twin.ground.soil_layers import soil_layers
-from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_map_bytes
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.driven_soil import PRIORS, DrivenSoil, doubt_of, soil_record
+from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_layers, soil_map_bytes
+from lunarsci.twin.ground.terrain import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
-from lunarsci.twin.jobs.given_soil import PRIORS, doubt_of
 from lunarsci.twin.jobs.requests import UpdateRequest
 from lunarsci.twin.telemetry.checks import WheelPace
 
@@ -51,7 +49,7 @@ class Before:
     believed: bool = False
 
     @classmethod
-    def read(cls, asked: UpdateRequest, known: DriveInputs) -> "Before":
+    def read(cls, asked: UpdateRequest, inputs: DriveInputs) -> "Before":
         """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
 
         file = None if asked.soil in (None, PRIORS) else read_input(asked.soil)
@@ -62,21 +60,21 @@ class Before:
             raise RequestError(NO_MAP)
         soil_map, belief = None, first_belief() if file is None or of_map else read_belief(file)
         if of_map or asked.by_place:
-            across = abs(known.rover.wheel_positions_m[:, 1]).max() + 0.5 * known.rover.wheel.width_m
+            across = abs(inputs.rover.wheel_positions_m[:, 1]).max() + 0.5 * inputs.rover.wheel.width_m
             soil_map = read_soil_map(file) if file is not None else SoilMap(reach_m=round(float(across), 3))
             if asked.correlation is not None:
                 soil_map = replace(soil_map, correlation_m=asked.correlation)
-            belief = soil_map.belief_along(planned_places(known.plan, known.rover))
+            belief = soil_map.belief_along(planned_places(inputs.plan, inputs.rover))
         doubt = "" if file is None or asked.forget == 1.0 else doubt_of(file.name, belief)
         belief = belief.inflated(asked.forget) if asked.forget else belief
         believed = file is not None and soil_map is None and asked.forget < 1.0
         return cls(belief=belief, soil_map=soil_map, file=file, doubt=doubt, believed=believed)
 
-    def cautions(self, found: SoilUpdate) -> list[str]:
+    def cautions(self, learned: SoilUpdate) -> list[str]:
         """What to know of a drive's soil and is no doubt; a map keeps other ground apart by itself."""
-        return [text for text in (found.caution, found.other_ground if self.believed else "") if text]
+        return [text for text in (learned.caution, learned.other_ground if self.believed else "") if text]
 
-    def refuse_known(self, states: InputFile) -> None:
+    def refuse_repeated(self, states: InputFile) -> None:
         """Raises DataError where the belief has learned from these states: the same drive does not count twice."""
         if self.file is None or self.soil_map is not None:
             return
@@ -122,9 +120,9 @@ class LearnedSoil(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        known = self.known
-        tables, sources = known.tables | prior_hash(), [*SOURCES, SAMPLER]
-        return MadeFrom(inputs=known.inputs, tables=tables, sources=sources, seed=self.seed, options=known.options)
+        inputs = self.known
+        tables, sources = inputs.tables | prior_hash(), [*SOURCES, SAMPLER]
+        return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
@@ -139,7 +137,7 @@ class LearnedSoil(Result):
         return "; ".join(part for part in (*asked, *self.doubts, self.before.doubt) if part)
 
     @property
-    def forces_told(self) -> bool:
+    def forces_measured(self) -> bool:
         """Whether forces were measured: without, the soil is that of the mass in the rover file."""
         return bool((self.record.values[:, 3:] == self.record.values[:, 3:]).any())
 
@@ -147,33 +145,33 @@ class LearnedSoil(Result):
     def doubts(self) -> list[str]:
         """Why what was learned is doubtful, each reason once."""
         parts = [self.found] if self.segments is None else [one.update for one in self.segments if one.learned]
-        told = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
+        texts = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
         leans = [self.slip] if self.segments is None else [one.slip for one in self.segments]
-        told += [lean.doubt for lean in leans if lean]
-        return list(dict.fromkeys(text for text in told if text))
+        texts += [lean.doubt for lean in leans if lean]
+        return list(dict.fromkeys(text for text in texts if text))
 
     def to_dict(self) -> dict[str, Any]:
 
-        found, soil_map = self.found, self.soil_map
+        learned, soil_map = self.found, self.soil_map
         return {
-            "parameters": parameter_rows(found.belief),
-            "contact": contact_rows(found.belief) or None,
-            "values": found.values,
-            "outliers": int(found.outliers.sum()),
-            "chi_square": found.chi_square,
-            "reduced_chi_square": found.reduced,
-            "inflation": dict(found.inflation),
-            "wheel_errors": dict(found.wheel_errors),
-            "ruts": found.prediction.ruts,
-            "surprise": found.prior_shift,
-            "persistence": found.autocorrelation,
-            "refused": found.refused or None,
+            "parameters": parameter_rows(learned.belief),
+            "contact": contact_rows(learned.belief) or None,
+            "values": learned.values,
+            "outliers": int(learned.outliers.sum()),
+            "chi_square": learned.chi_square,
+            "reduced_chi_square": learned.reduced,
+            "inflation": dict(learned.inflation),
+            "wheel_errors": dict(learned.wheel_errors),
+            "ruts": learned.prediction.ruts,
+            "surprise": learned.prior_shift,
+            "persistence": learned.autocorrelation,
+            "refused": learned.refused or None,
             "doubt": "; ".join(self.doubts) or None,
-            "caution": "; ".join(self.before.cautions(found)) or None,
+            "caution": "; ".join(self.before.cautions(learned)) or None,
             "pace": None if self.pace is None else self.pace.to_dict(),
             "slip_ratio": None if self.slip is None else self.slip.to_dict(),
-            "drives": len(found.belief.history),
-            "discrepancy": found.belief.discrepancy.to_dict(),
+            "drives": len(learned.belief.history),
+            "discrepancy": learned.belief.discrepancy.to_dict(),
             "changes": [asdict(change) | {"text": change.text} for change in self.changes],
             "made_for": self.known.made_for,
             "rover": self.known.rover.name,
@@ -242,39 +240,39 @@ def update(
     asked = request_of(UpdateRequest, request, options)
     if asked.correlation is not None and asked.soil is None and not asked.by_place:
         raise RequestError(NO_MAP)
-    known = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
+    inputs = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
-    table = read_drive_states(source, known.rover)
-    known = known.asked(heights=asked.heights_without_unit, as_written=asked.as_written, states=table)
-    record = read_record(table, known.rover, positions=fixes)
-    before = Before.read(asked, known)
-    known.check.belief(before.file.name if before.file else "", before.belief)
-    known.check.law(before.file.name if before.file else "", before.belief.verdict if before.believed else None)
-    before.refuse_known(source)
-    known.check.states(source.name, table.table, known=known.made_for["plan"] is not None)
-    known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
-    along = record if fixes is None else read_record(table, known.rover)
+    table = read_drive_states(source, inputs.rover)
+    inputs = inputs.asked(heights=asked.heights_without_unit, as_written=asked.as_written, states=table)
+    record = read_record(table, inputs.rover, positions=fixes)
+    before = Before.read(asked, inputs)
+    inputs.check.belief(before.file.name if before.file else "", before.belief)
+    inputs.check.law(before.file.name if before.file else "", before.belief.verdict if before.believed else None)
+    before.refuse_repeated(source)
+    inputs.check.states(source.name, table.table, named=inputs.made_for["plan"] is not None)
+    inputs.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
+    along = record if fixes is None else read_record(table, inputs.rover)
     drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
     of_map, teach = before.soil_map is not None, not before.belief.discrepancy.has_scored(source.sha256)
-    drive = (known.rover, known.terrain, known.plan)
-    found = assimilate(*drive, record, before.belief, ruts=asked.ruts, wheel=not of_map, teach=teach, **drawing)
-    pace = pace_of(along, known.rover, known.plan)
-    slip = SlipLean.of(along, found)
-    line = _DrivenLine(known=known, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
+    drive = (inputs.rover, inputs.terrain, inputs.plan)
+    learned = assimilate(*drive, record, before.belief, ruts=asked.ruts, wheel=not of_map, teach=teach, **drawing)
+    pace = pace_of(along, inputs.rover, inputs.plan)
+    slip = SlipLean.of(along, learned)
+    line = _DrivenLine(inputs=inputs, states=source, before=before, doubts=(along.doubt, pace.doubt if pace else ""))
     whole = replace(line, doubts=(*line.doubts, slip.doubt if slip else ""))
-    found = _with_history(found, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
-    for text in before.cautions(found):
+    learned = _with_history(learned, before, whole, asked.forget, scored=len(record.fix_time_s) > 0)
+    for text in before.cautions(learned):
         warnings.warn(f"{source.name}: {text}", LunarSciWarning, stacklevel=2)
     segments = soil_map = None
     if before.soil_map is None:
-        change = find_change(along, found, seed=asked.seed)
+        change = find_change(along, learned, seed=asked.seed)
         changes = [] if change is None else [change]
     else:
-        segments, changes = drive_segments(*drive, along, found, before.soil_map, forget=asked.forget, **drawing)
-        kept = [_zone(segment, line) for segment in segments if segment.learned]
-        soil_map = before.soil_map.with_zones(kept)
+        segments, changes = drive_segments(*drive, along, learned, before.soil_map, forget=asked.forget, **drawing)
+        zones = [_zone(segment, line) for segment in segments if segment.learned]
+        soil_map = before.soil_map.with_zones(zones)
     return LearnedSoil(
-        known=known, record=along, states=source, before=before, found=found, changes=changes, segments=segments,
+        known=inputs, record=along, states=source, before=before, found=learned, changes=changes, segments=segments,
         soil_map=soil_map, seed=asked.seed, pace=pace, slip=slip,
     )  # fmt: skip
 
@@ -284,53 +282,55 @@ class _DrivenLine:
     """What a line of history says of a drive, whatever was found: its inputs, its states, why they are doubtful, and
     what was believed before."""
 
-    known: DriveInputs
+    inputs: DriveInputs
     states: InputFile
     doubts: tuple[str, ...]
     before: Before
 
-    def of(self, found: SoilUpdate) -> Mapping[str, Any]:
+    def of(self, learned: SoilUpdate) -> Mapping[str, Any]:
         """The line of history of what was found."""
-        doubts = () if found.refused else (*self.doubts, found.doubt)
-        caution = "; ".join(self.before.cautions(found))
+        doubts = () if learned.refused else (*self.doubts, learned.doubt)
+        caution = "; ".join(self.before.cautions(learned))
         return (
             {
                 "states": Path(self.states.name).name,
                 "sha256": self.states.sha256,
-                "plan": self.known.plan.name,
-                "rover": self.known.rover.written,
-                "gravity_m_s2": self.known.rover.gravity_m_s2,
-                "ground": self.known.terrain.written,
-                "values": found.values,
-                "outliers": int(found.outliers.sum()),
-                "chi_square": found.chi_square,
-                "inflation": dict(found.inflation),
-                "ruts": found.prediction.ruts,
-                "surprise": found.prior_shift,
-                "refused": found.refused,
+                "plan": self.inputs.plan.name,
+                "rover": self.inputs.rover.written,
+                "gravity_m_s2": self.inputs.rover.gravity_m_s2,
+                "ground": self.inputs.terrain.written,
+                "values": learned.values,
+                "outliers": int(learned.outliers.sum()),
+                "chi_square": learned.chi_square,
+                "inflation": dict(learned.inflation),
+                "ruts": learned.prediction.ruts,
+                "surprise": learned.prior_shift,
+                "refused": learned.refused,
                 "doubt": "; ".join(text for text in doubts if text),
             }
             | ({"caution": caution} if caution else {})
-            | ({"synthetic": True} if self.known.terrain.synthetic else {})
+            | ({"synthetic": True} if self.inputs.terrain.synthetic else {})
         )
 
 
-def _with_history(found: SoilUpdate, before: Before, drive: _DrivenLine, forget: float, *, scored: bool) -> SoilUpdate:
+def _with_history(
+    learned: SoilUpdate, before: Before, drive: _DrivenLine, forget: float, *, scored: bool
+) -> SoilUpdate:
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
 
-    belief, law, states = found.belief, found.belief.discrepancy, drive.states
-    if scored and not found.refused and not law.has_scored(states.sha256):
+    belief, law, states = learned.belief, learned.belief.discrepancy, drive.states
+    if scored and not learned.refused and not law.has_scored(states.sha256):
         line = {
             "states": Path(states.name).name,
             "sha256": states.sha256,
-            "plan": drive.known.plan.name,
+            "plan": drive.inputs.plan.name,
             "how": "own end",
         }
         belief = replace(belief, discrepancy=law.with_score(**line))
     of_belief = before.file is not None and before.soil_map is None
     parent = before.file.sha256 if of_belief and before.file else None
-    entry = drive.of(found)
-    return replace(found, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forget))
+    entry = drive.of(learned)
+    return replace(learned, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forget))
 
 
 def _zone(segment: Segment, drive: _DrivenLine) -> Zone:
@@ -339,5 +339,5 @@ def _zone(segment: Segment, drive: _DrivenLine) -> Zone:
     line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.update)) if segment.update else {}
     line |= {"from_m": round(segment.from_m, 3), "to_m": round(segment.to_m, 3)}
     belief = replace(segment.belief, history=(*segment.before.history, line))
-    name = f"{drive.known.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"
+    name = f"{drive.inputs.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"
     return Zone(name=name, place_m=segment.place_m, belief=belief)

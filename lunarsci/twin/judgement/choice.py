@@ -29,9 +29,8 @@ from lunarsci.twin.judgement.keeping import (
     limits_judged,
 )
 from lunarsci.twin.judgement.quantities import least_of_95
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import make_schedule
+from lunarsci.twin.plans.path import make_schedule
+from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import DrawnDiscrepancy, PowerState, Prediction, predict

@@ -14,9 +14,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.twin.judgement.keeping import extremes
 from lunarsci.twin.plans.plan import Fixes
-from lunarsci.twin.simulation.discrepancy import way_matrix
+from lunarsci.twin.simulation.discrepancy import turn_matrix, way_matrix
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
-from lunarsci.twin.simulation.turn_discrepancy import turn_matrix
 
 
 @dataclass(frozen=True, slots=True)

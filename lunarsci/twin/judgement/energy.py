@@ -8,12 +8,11 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.electrics import SOLAR_CONSTANT_W_M2, Motors, PowerSupply
 from lunarsci.twin.ground.illumination import SunDirection, sunlit
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.quantities import least_of_95, most_of_95
-from lunarsci.twin.plans.schedule import all_commands, make_schedule
-from lunarsci.twin.rover import Rover
+from lunarsci.twin.plans.path import all_commands, make_schedule
+from lunarsci.twin.rover import SOLAR_CONSTANT_W_M2, Motors, PowerSupply, Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, PowerState, Prediction
 
 SECONDS_PER_HOUR = 3600.0

@@ -13,7 +13,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.energy import power_use, wheel_turns_rad
 from lunarsci.twin.judgement.quantities import along, clearance
-from lunarsci.twin.plans.limits import AT_LEAST, QUANTITIES, Limit, own_limits
+from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, rover_limits
 from lunarsci.twin.simulation.ensemble import Prediction
 
 NEVER_BROKEN = ("keep_out_m", "battery_charge")
@@ -93,7 +93,9 @@ def limits_judged(prediction: Prediction) -> tuple[Limit, ...]:
 
 def _implied(prediction: Prediction) -> tuple[Limit, ...]:
     rover, others = prediction.rover, []
-    of_rover = [replace(limit, source=f"{PLAN_HAS_NONE}: {limit.source}", assumed=True) for limit in own_limits(rover)]
+    of_rover = [
+        replace(limit, source=f"{PLAN_HAS_NONE}: {limit.source}", assumed=True) for limit in rover_limits(rover)
+    ]
     if prediction.plan.exclusion_zones:
         others.append(("keep_out_m", 0.0, "circles of the plan"))
     if rover.motors is not None:

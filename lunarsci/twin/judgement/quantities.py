@@ -10,8 +10,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.footprint import rover_outline
-from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.hazards import ExclusionZone, rover_outline
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.ground.unresolved import Unresolved
+from lunarsci.twin.ground.finer_ground import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
     NEVER_BROKEN,
@@ -26,9 +26,8 @@ from lunarsci.twin.judgement.keeping import (
 )
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
-from lunarsci.twin.plans.limits import Limit, check_limits
-from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.plans.plan import Limit, Plan, check_limits
+from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Prediction
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)

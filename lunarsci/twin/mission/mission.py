@@ -1,22 +1,29 @@
-"""A mission: targets in order, ground to keep out of, time, hours of communication, and errors of localisation."""
+"""A mission: targets in order, ground to keep out of, hours of communication; and how it is driven leg by leg."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Literal
 
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.io.documents import toml_of
+from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.names import one_of
-from lunarsci.twin.ground.keep_out import ExclusionZone
-from lunarsci.twin.plans.plan import Fixes
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges
+from lunarsci.twin.ground.hazards import ExclusionZone
+from lunarsci.twin.judgement.energy import charge_left, stood
+from lunarsci.twin.judgement.keeping import broken, in_the_way, limits_judged
+from lunarsci.twin.plans.path import make_schedule
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
-LONGEST_LEG_M, SHORTEST_LEG_M = 25.0, 0.5
+LEGS_M = "[0.5, 25]"
 """Between two localisations of a rover; assumed: longer legs are not planned on what cameras show."""
 MOST_TARGETS = 100
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +44,8 @@ class MissionTarget:
     stay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
-            raise ParameterError(f"target '{self.name}' needs finite x_m and y_m")
-        if not 0 < self.tolerance_m < math.inf:
-            raise ParameterError(f"target '{self.name}' has tolerance_m {self.tolerance_m:g}; give more than 0 m")
-        if not 0 <= self.stay_s < math.inf:
-            raise ParameterError(f"target '{self.name}' has stay_s {self.stay_s:g}; give 0 s or more")
+        names = {FINITE: "x_m y_m", POSITIVE: "tolerance_m", NOT_NEGATIVE: "stay_s"}
+        check_ranges(self, names, f"target '{self.name}'")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,8 +69,7 @@ class MissionStart:
     heading_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
-            raise ParameterError("[start] needs finite x_m, y_m and heading_deg")
+        check_ranges(self, {FINITE: "x_m y_m heading_deg"}, "[start]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,18 +108,12 @@ class Mission:
         names = [target.name for target in self.targets]
         if len(set(names)) < len(names):
             raise ParameterError("two targets have one name; name each of them differently")
-        if not SHORTEST_LEG_M <= self.leg_m <= LONGEST_LEG_M:
-            raise ParameterError(f"leg_m is {self.leg_m:g}; give {SHORTEST_LEG_M:g} to {LONGEST_LEG_M:g} m")
         if self.fixes.halt_s:
             raise ParameterError(
                 "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
             )
-        if not 0 <= self.localisation_s < math.inf:
-            raise ParameterError(f"localisation_s is {self.localisation_s:g}; give 0 s or more")
-        if not self.time_budget_s > 0:
-            raise ParameterError(f"time_budget_s is {self.time_budget_s:g}; give more than 0 s")
-        if self.speed_m_s is not None and not 0 < self.speed_m_s < math.inf:
-            raise ParameterError(f"speed_m_s is {self.speed_m_s:g}; give a speed above 0 m/s")
+        ranges = {LEGS_M: "leg_m", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s", POSITIVE: "speed_m_s"}
+        check_ranges(self, ranges)
         for one, after in pairwise(self.windows):
             if after.begin_s < one.end_s:
                 raise ParameterError(f"the [[window]] from {after.begin_s:g} s begins before the one before it ends")
@@ -141,57 +137,327 @@ def read_mission(source: Source) -> Mission:
     """
     file = read_input(source)
     try:
-        return _mission(toml_of(file.name, file.data), file.name)
+        document = toml_of(file.name, file.data)
+        check_keys(document, ("name", *NUMBERS, "start", "fixes", "target", "keep_out", "window"), "a mission")
+        return Mission(
+            name=str(document.get("name", file.name)),
+            start=record_of(MissionStart, document.get("start", {"x_m": 0.0, "y_m": 0.0}), "[start]"),
+            fixes=record_of(Fixes, document.get("fixes"), "[fixes]"),
+            targets=records_of(MissionTarget, document.get("target", []), "target"),
+            keep_outs=records_of(ExclusionZone, document.get("keep_out", []), "keep_out"),
+            windows=records_of(CommWindow, document.get("window", []), "window"),
+            **{name: number_of(document[name], name) for name in NUMBERS if name in document},
+        )
     except ParameterError as error:
         raise DataError(f"{file.name}: {error}") from error
 
 
-OWN = {"leg_m": float, "localisation_s": float, "time_budget_s": float, "speed_m_s": float}
-TABLES = {"target": MissionTarget, "keep_out": ExclusionZone, "window": CommWindow}
+NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
+Pose = tuple[float, float, float]
+Way = Callable[[Pose, tuple[float, float]], Plan]
+Drive = Callable[[Plan], Prediction]
+Safe = Callable[[Prediction], BoolArray]
+Fate = Literal["reached", "horizon", "no way", "no time", "no window", "no drive", "not tried"]
+
+REST_SHARE = 0.3
+"""A rest of the way shorter than this share of a leg is driven with the leg before it; assumed."""
+MOST_LEGS = 500
+CORRECTIONS = 3
+"""Legs beyond those of the way, at most, that bring the rover nearer to a target that it has missed; assumed."""
 
 
-def _mission(document: Mapping[str, Any], origin: str) -> Mission:
-    known = ("name", *OWN, "start", "fixes", *TABLES)
-    for key in document:
-        if key not in known:
-            raise ParameterError(f"'{key}' is not a key of a mission; {one_of(key, known)}")
-    lists = {name: _records(kind, document.get(name, []), name) for name, kind in TABLES.items()}
-    return Mission(
-        name=_value(document.get("name", origin), str, "name"),
-        start=_record(MissionStart, document.get("start", {"x_m": 0.0, "y_m": 0.0}), "[start]"),
-        fixes=_record(Fixes, document.get("fixes"), "[fixes]"),
-        targets=lists["target"],
-        keep_outs=lists["keep_out"],
-        windows=lists["window"],
-        **{name: _value(document[name], kind, name) for name, kind in OWN.items() if name in document},
-    )
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MissionLeg:
+    """One leg, as it is expected where the mission goes on as it was drawn.
+
+    Attributes
+    ----------
+    number, target : of the leg, from 1, and the name of the target that it leads to.
+    plan : from where the rover believes to be.
+    begin_s, waited_s, drive_s : when it begins, how long was waited for a window before, and how long it takes. [s]
+    safe : members that keep all limits on it. (members,)
+    ends_m : where members end, with the error of localisation at the begin. (members, 2) [m]
+    charge : of the battery at its end; None where that does not count. (members,) [-]
+    fixed : pose that the rover believes in after the localisation, of the drawn member. [m, m, deg]
+    """
+
+    number: int
+    target: str
+    plan: Plan
+    begin_s: float
+    waited_s: float
+    drive_s: float
+    safe: BoolArray
+    ends_m: FloatArray
+    fixed: Pose
+    charge: FloatArray | None = None
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Of the ends, before the rover finds out where it is. (2, 2) [m2]"""
+        return np.asarray(np.cov(self.ends_m.T)) if len(self.ends_m) > 1 else np.zeros((2, 2))
+
+    @property
+    def spread_m(self) -> float:
+        """Standard deviation of the ends along the longer axis of their ellipse. [m]"""
+        return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2)[-1]), 0.0))
 
 
-def _records(kind: type[Any], tables: Any, name: str) -> tuple[Any, ...]:
-    if not isinstance(tables, list):
-        raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
-    return tuple(_record(kind, table, f"[[{name}]] {number}") for number, table in enumerate(tables, 1))
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TargetFate:
+    """What becomes of a target.
+
+    Attributes
+    ----------
+    target, fate : which, and what becomes of it; `why` in a sentence where it is not reached.
+    arrival_s : when the rover is there, NaN where it never is. [s]
+    safe : members that keep all limits up to there, and end within the tolerance. (members,)
+    """
+
+    target: MissionTarget
+    fate: Fate
+    why: str = ""
+    arrival_s: float = math.nan
+    safe: BoolArray = field(repr=False)
 
 
-def _record(kind: type[T], table: Any, where: str) -> T:
-    """A dataclass from a table with its fields as keys."""
-    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(table, Mapping):
-        raise ParameterError(f"{where} is missing, or no table; its keys are: {', '.join(known)}")
-    for key in table:
-        if key not in known:
-            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
-    for name, field in known.items():
-        if name not in table and field.default is MISSING:
-            raise ParameterError(f"{where} has no {name}")
-    return kind(**{name: _value(value, str if name == "name" else float, name) for name, value in table.items()})
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrivenMission:
+    """A mission as driven: legs and the fates of its targets, in order."""
+
+    mission: Mission
+    legs: tuple[MissionLeg, ...]
+    targets: tuple[TargetFate, ...]
+
+    @property
+    def reached(self) -> int:
+        """How many targets are reached, in order."""
+        return sum(one.fate == "reached" for one in self.targets)
+
+    @property
+    def safe(self) -> BoolArray:
+        """Members that keep the whole mission; none where a target is not reached. (members,)"""
+        return self.targets[-1].safe & (self.reached == len(self.targets))
+
+    @property
+    def end_s(self) -> float:
+        """When the last leg that was driven is over, with the stay at a target. [s]"""
+        over = [leg.begin_s + leg.drive_s + self.mission.localisation_s for leg in self.legs]
+        over += [one.arrival_s + one.target.stay_s for one in self.targets if one.fate == "reached"]
+        return max(over, default=0.0)
+
+    @property
+    def waited_s(self) -> float:
+        """Time lost in waiting for windows. [s]"""
+        return math.fsum(leg.waited_s for leg in self.legs)
 
 
-def _value(value: Any, kind: type[Any], name: str) -> Any:
-    if kind is str:
-        if not isinstance(value, str):
-            raise ParameterError(f"{name} is {value!r}; give a text")
-        return value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ParameterError(f"{name} is {value!r}; give a number")
-    return float(value)
+def drive_mission(
+    mission: Mission,
+    rover: Rover,
+    way: Way,
+    drive: Drive,
+    is_safe: Safe,
+    *,
+    seed: int = 0,
+    goal_of: Callable[[MissionTarget], tuple[float, float] | None] = lambda target: None,
+    power: PowerState | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> DrivenMission:
+    """Drive a mission leg by leg.
+
+    Parameters
+    ----------
+    mission, rover : what to do, and who does it.
+    way : a plan from a pose [m, m, deg] to a place. Raises ParameterError where there is none.
+    drive : a plan over the same soils each time, so that a member has one soil throughout.
+    is_safe : members of such a prediction that keep all limits.
+    seed : of the errors of localisation, and of which member goes on.
+    power : battery and light at the begin; each member has a battery of its own, which legs, waits and stays draw from.
+        None where it does not count.
+    goal_of : the place to drive to instead of a target beyond the horizon of known ground; None where it is within.
+    progress : called with targets done and targets.
+
+    At the end of each leg the place of one member, drawn from those that have kept all limits so far, with an error of
+    localisation, is where the next leg is planned from. All members then go on from there: what they do later does not
+    depend on where each of them had come to, only on its soil. Members that broke a limit stay counted as failed. A
+    leg is driven whose end the localisation follows at once; both lie within one window of communication.
+    """
+    state = _Driven(mission, rover, way, drive, is_safe, np.random.default_rng([seed, 31]))
+    state.power = power
+    fates: list[TargetFate] = []
+    for number, target in enumerate(mission.targets):
+        if progress is not None:
+            progress(number, len(mission.targets))
+        if fates and fates[-1].fate != "reached":
+            fates.append(TargetFate(target=target, fate="not tried", why="the one before is not reached",
+                                    safe=fates[-1].safe & False))  # fmt: skip
+            continue
+        fates.append(state.to_target(target, goal_of(target)))
+    if progress is not None:
+        progress(len(mission.targets), len(mission.targets))
+    return DrivenMission(mission=mission, legs=tuple(state.legs), targets=tuple(fates))
+
+
+def first_leg(plan: Plan, leg_m: float) -> tuple[Plan, bool]:
+    """The begin of a plan, at most a leg long or with a short rest all of it, and whether that is its end."""
+    if plan.length_m <= (1.0 + REST_SHARE) * leg_m:
+        return plan, True
+    left, legs = leg_m, list[Leg]()
+    for leg in plan.legs:
+        legs.append(replace(leg, length_m=min(leg.length_m, left)) if leg.length_m else leg)
+        left -= leg.length_m
+        if left <= 0:
+            break
+    return replace(plan, legs=tuple(legs)), False
+
+
+class _Stopped(Exception):
+    """The mission ends here: fate and why."""
+
+    def __init__(self, fate: Fate, why: str) -> None:
+        super().__init__(why)
+        self.fate: Fate = fate
+
+
+class _Driven:
+    """Where a mission is: the pose that the rover believes in, the clock, and members that have kept all limits."""
+
+    def __init__(
+        self, mission: Mission, rover: Rover, way: Way, drive: Drive, is_safe: Safe, random: np.random.Generator
+    ) -> None:
+        self.mission, self.rover, self.random = mission, rover, random
+        self.way, self.drive, self.is_safe = way, drive, is_safe
+        start = mission.start
+        self.pose: Pose = (start.x_m, start.y_m, start.heading_deg)
+        self.clock_s, self.legs = 0.0, list[MissionLeg]()
+        self.alive: BoolArray | None = None
+        self.power: PowerState | None = None
+        self.stands: tuple[Prediction, float] | None = None
+
+    def to_target(self, target: MissionTarget, instead: tuple[float, float] | None) -> TargetFate:
+        """Legs until the rover believes to be there."""
+        goal = (target.x_m, target.y_m) if instead is None else instead
+        try:
+            self._legs_to(target, goal)
+        except _Stopped as stopped:
+            return TargetFate(target=target, fate=stopped.fate, why=str(stopped), safe=self._nobody())
+        self._stand_until(self.clock_s + target.stay_s)
+        arrival, safe = self.clock_s, self._those_there(target, goal)
+        if instead is not None:
+            far = math.dist(self.pose[:2], (target.x_m, target.y_m))
+            why = f"the ground is not known farther; the rover stands {far:.1f} m from it and has to look from there"
+            return TargetFate(target=target, fate="horizon", why=why, safe=safe & False)
+        if arrival + target.stay_s > self.mission.time_budget_s:
+            why = f"its stay would end after {arrival + target.stay_s:.0f} s"
+            return TargetFate(target=target, fate="no time", why=why, safe=safe & False)
+        self.clock_s += target.stay_s
+        return TargetFate(target=target, fate="reached", arrival_s=arrival, safe=safe)
+
+    def _legs_to(self, target: MissionTarget, goal: tuple[float, float]) -> None:
+        corrections = 0
+        while math.dist(self.pose[:2], goal) > target.tolerance_m:
+            if len(self.legs) >= MOST_LEGS:
+                raise _Stopped("no way", f"more than {MOST_LEGS} legs; give a longer leg_m")
+            try:
+                way = self.way(self.pose, goal)
+            except ParameterError as error:
+                raise _Stopped("no way", str(error)) from error
+            plan, last = first_leg(way, self.mission.leg_m)
+            corrections += last
+            if corrections > 1 + CORRECTIONS:
+                raise _Stopped("no drive", f"the rover misses it by more than {target.tolerance_m:g} m again and again")
+            self._one_leg(target, plan)
+
+    def _one_leg(self, target: MissionTarget, plan: Plan) -> None:
+        begin, needed = self._when(plan)
+        prediction = self._powered(self.drive(plan), begin)
+        safe = self.is_safe(prediction)
+        before = np.ones_like(safe) if self.alive is None else self.alive
+        self.alive = before & safe
+        self.stands = (prediction, begin + needed - self.mission.localisation_s)
+        self._stand_until(begin + needed)
+        ends = self._moved_ends(prediction)
+        if not self.alive.any():
+            why = in_the_way(prediction) or "the battery gets too low while the rover stands after it"
+            number = len(self.legs) + 1
+            raise _Stopped("no drive", f"no soil is left on which all limits are kept up to leg {number}: {why}")
+        member = int(self.random.choice(np.flatnonzero(self.alive)))
+        fix = self.random.normal(size=3) * self._fix_sigma
+        heading = float(prediction.paths[member, -1, 5]) + float(fix[2])
+        fixed = (float(ends[member, 0] + fix[0]), float(ends[member, 1] + fix[1]), (heading + 180.0) % 360.0 - 180.0)
+        self.legs.append(
+            MissionLeg(
+                number=len(self.legs) + 1,
+                target=target.name,
+                plan=plan,
+                begin_s=begin,
+                waited_s=begin - self.clock_s,
+                drive_s=needed - self.mission.localisation_s,
+                safe=safe,
+                ends_m=ends,
+                fixed=fixed,
+                charge=None if self.power is None else charge_left(prediction),
+            )
+        )
+        self.pose, self.clock_s = fixed, begin + needed
+
+    def _powered(self, prediction: Prediction, begin_s: float) -> Prediction:
+        """A leg with what is left in the batteries after standing since the one before, where that counts."""
+        if self.power is None:
+            return prediction
+        prediction = replace(prediction, power=self.power)
+        charge = np.broadcast_to(np.asarray(self.power.charge, dtype=float), (prediction.members,))
+        since = 0.0
+        if self.stands is not None:
+            charge, since = charge_left(self.stands[0]), self.stands[1]
+        return replace(prediction, power=replace(self.power, charge=stood(prediction, charge, begin_s - since, 0)))
+
+    def _stand_until(self, time_s: float) -> None:
+        """Members whose battery falls too low while they stand, after a leg, have failed."""
+        if self.power is None or self.stands is None or self.alive is None:
+            return
+        prediction, since = self.stands
+        charge = stood(prediction, charge_left(prediction), time_s - since, -1)
+        for limit in limits_judged(prediction):
+            if limit.quantity == "battery_charge":
+                self.alive = self.alive & ~broken(limit, charge)
+
+    def _when(self, plan: Plan) -> tuple[float, float]:
+        """When a leg begins, and how long it takes with its localisation. [s]"""
+        mission, number = self.mission, len(self.legs) + 1
+        needed = make_schedule(plan, self.rover).duration_s + mission.localisation_s
+        begin = mission.begin_of(self.clock_s, needed)
+        if begin is None:
+            raise _Stopped("no window", f"leg {number} takes {needed:.0f} s with its localisation, and no window after "
+                                        f"{self.clock_s:.0f} s has room for it")  # fmt: skip
+        if begin + needed > mission.time_budget_s:
+            raise _Stopped("no time", f"leg {number} would end after {begin + needed:.0f} s, and "
+                                      f"{mission.time_budget_s:.0f} s are given")  # fmt: skip
+        return begin, needed
+
+    @property
+    def _fix_sigma(self) -> FloatArray:
+        fixes = self.mission.fixes
+        return np.array([fixes.position_sigma_m, fixes.position_sigma_m, fixes.heading_sigma_deg])
+
+    def _moved_ends(self, prediction: Prediction) -> FloatArray:
+        """Ends as they are where the rover stood off the plan's start by an error of its localisation. (members, 2)"""
+        ends = prediction.endpoints_m
+        if not self.legs:
+            return ends
+        off = self.random.normal(size=(len(ends), 3)) * self._fix_sigma
+        start = np.array([prediction.plan.x_m, prediction.plan.y_m])
+        turn, way = np.radians(off[:, 2]), ends - start
+        turned = np.stack([way[:, 0] * np.cos(turn) - way[:, 1] * np.sin(turn),
+                           way[:, 0] * np.sin(turn) + way[:, 1] * np.cos(turn)], axis=-1)  # fmt: skip
+        return np.asarray(start + off[:, :2] + turned)
+
+    def _those_there(self, target: MissionTarget, goal: tuple[float, float]) -> BoolArray:
+        if not self.legs or self.alive is None:
+            raise ParameterError(f"the rover stands at target '{target.name}' already; leave it out")
+        near = np.hypot(*(self.legs[-1].ends_m - goal).T) <= target.tolerance_m
+        return np.asarray(self.alive & near)
+
+    def _nobody(self) -> BoolArray:
+        return np.zeros(1 if self.alive is None else len(self.alive), dtype=bool)

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.heights.projections import carried, name_of
 from lunarsci.io.inputs import InputFile
@@ -20,8 +22,7 @@ from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.synthetic import STAND_IN
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
-from lunarsci.twin.plans.limits import Limit, own_limits
-from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.plan import Limit, Plan, rover_limits
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -31,26 +32,29 @@ LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the 
 """What a plan without [limits] is judged by."""
 
 
+OF_THE_ROVER = ("sinkage_m", "tilt_deg")
+"""Limits that follow from the rover's size and file."""
+EMBEDDED = "the embedded plan"
+
+
+def _of_rover(rover: Rover) -> dict[str, Limit]:
+    return {limit.quantity: limit for limit in rover_limits(rover) if limit.quantity in OF_THE_ROVER}
+
+
 def limits_of_rover(limits: Iterable[Limit], rover: Rover) -> tuple[Limit, ...]:
     """Limits with those of the rover in place: sinkage a third of the wheel radius, tilt its steepest slope."""
-    own = {limit.quantity: limit for limit in own_limits(rover) if limit.quantity in OF_THE_ROVER}
-    return tuple(own.get(limit.quantity, limit) for limit in limits)
+    of_rover = _of_rover(rover)
+    return tuple(of_rover.get(limit.quantity, limit) for limit in limits)
 
 
 def laxer(limits: Iterable[Limit], rover: Rover) -> list[str]:
     """Where limits allow more than those of the rover do: `sinkage_m 0.05 > 0.025`."""
-    own = {limit.quantity: limit.limit for limit in own_limits(rover) if limit.quantity in OF_THE_ROVER}
+    pairs = [(limit, of_rover) for limit in limits if (of_rover := _of_rover(rover).get(limit.quantity))]
     return [
-        f"{limit.quantity} {limit.limit:g} > {own[limit.quantity]:g}"
-        for limit in limits
-        if limit.quantity in own and limit.limit > own[limit.quantity] * (1 + 1e-9)
+        f"{limit.quantity} {limit.limit:g} > {of_rover.limit:g}"
+        for limit, of_rover in pairs
+        if limit.limit > of_rover.limit * (1 + 1e-9)
     ]
-
-
-def _is_on(terrain: Terrain, plan: Plan) -> bool:
-    """Whether a plan starts on the grid of a terrain."""
-    x, y = terrain.x_m, terrain.y_m
-    return bool(x[0] <= plan.x_m <= x[-1] and y[0] <= plan.y_m <= y[-1])
 
 
 def _carried(plan: Plan, crs: str, onto: str) -> Plan:
@@ -62,13 +66,6 @@ def _carried(plan: Plan, crs: str, onto: str) -> Plan:
         for place in (carried(crs, onto, zone.x_m, zone.y_m, 0.0),)
     )
     return replace(plan, x_m=x, y_m=y, heading_deg=heading, exclusion_zones=zones, crs=onto)
-
-
-OF_THE_ROVER = ("sinkage_m", "tilt_deg")
-"""Limits that follow from the rover's size and file."""
-EMBEDDED = "the embedded plan"
-SAME_PLACE_M = 1e-3
-"""Two texts of one coordinate system differ by less; assumed. [m]"""
 
 
 @dataclass(slots=True)
@@ -102,12 +99,12 @@ class MadeForCheck:
 
         A plan without limits of its own, and the embedded one, is judged by the rover's own.
         """
-        if path is None or not plan.own_limits:
-            return self._judged_by_its_own(plan, path) if judged else plan
+        if path is None or not plan.has_limits:
+            return self._judged_by_rover(plan, path) if judged else plan
         made = plan.made_for
         if made is not None and made.kinship(self.description) == "other":
             self._refuse(plan, made, path, judged=judged)
-        self._note("plan", made, path)
+        self.note("plan", made, path)
         self.ground(path or "the plan", made.ground if made is not None else "", refused=False)
         return plan
 
@@ -118,7 +115,7 @@ class MadeForCheck:
         there its start is on the ground. Raises RequestError where the two systems have nothing to do with each other.
         """
         here, crs = self.terrain.crs, plan.crs or crs_of_file
-        if not here or crs in ("", here) or not (plan.crs or not _is_on(self.terrain, plan)):
+        if not here or crs in ("", here) or not (plan.crs or not self._is_on(plan)):
             return plan
         try:
             moved = _carried(plan, crs, here)
@@ -128,14 +125,18 @@ class MadeForCheck:
             raise RequestError(
                 f"{plan.origin} has another coordinate system than {self.terrain.name}: {error}; plan on this terrain"
             ) from error
-        if not plan.crs and not _is_on(self.terrain, moved):
+        if not plan.crs and not self._is_on(moved):
             return plan
-        if math.dist((plan.x_m, plan.y_m), (moved.x_m, moved.y_m)) > SAME_PLACE_M:
+        if round(math.dist((plan.x_m, plan.y_m), (moved.x_m, moved.y_m)), 2) > 0:
             self.say(
                 f"{plan.origin}: x and y are of '{name_of(crs)}', and are taken to those of the terrain: it starts at "
                 f"x {moved.x_m:.2f}, y {moved.y_m:.2f} m, heading {moved.heading_deg:.2f} deg"
             )
         return moved
+
+    def _is_on(self, plan: Plan) -> bool:
+        """Whether a plan starts on the grid of the terrain."""
+        return bool(self.terrain.has(*self.terrain.nodes(np.array([plan.x_m, plan.y_m]))))
 
     def ground(self, path: str, written: str, *, refused: bool = True) -> None:
         """Say it where a file was made on another ground; '' where it does not say.
@@ -145,12 +146,12 @@ class MadeForCheck:
         kinship = "same" if not written else ground_kinship(written, self.terrain.written)
         if kinship == "same":
             return
-        name, own = written.rpartition("; ")[0], self.terrain.name
+        name, here = written.rpartition("; ")[0], self.terrain.name
         other = f"'{name}'" if kinship == "other" else f"'{name}' with other heights"
         if refused and not self.terrain_asked:
             raise RequestError(f"{path} was made on {other}, and no ground is named; give its file as `terrain`")
         if kinship == "other":
-            self.say(f"{path} was made on {other}, and this is on '{own}'; give its own file as `terrain`")
+            self.say(f"{path} was made on {other}, and this is on '{here}'; give its own file as `terrain`")
         else:
             self.say(f"{path} was made on {other} than here; give the same file as `terrain`, or make it anew")
 
@@ -159,13 +160,13 @@ class MadeForCheck:
         for file in files:
             self.ground(file.name, written_in(file.name, read_csv_table(file), GROUND))
 
-    def states(self, file: str, table: "pd.DataFrame", *, known: bool = False) -> None:
+    def states(self, file: str, table: "pd.DataFrame", *, named: bool = False) -> None:
         """Whether wheel states are of the rover and the ground that are taken where nobody names them.
 
-        `known` says that another file names the rover. Warns where nothing names rover or ground. Raises RequestError
+        `named` says that another file names the rover. Warns where nothing names rover or ground. Raises RequestError
         as `ground`, DataError where states of whole wheels of the rover are missing: another's may bear the same names.
         """
-        if not (self.asked or known or written_in(file, table)) and "wheel" in table:
+        if not (self.asked or named or written_in(file, table)) and "wheel" in table:
             self._default_rover(file, set(table["wheel"].dropna().str.strip()))
         self.ground(file, written := written_in(file, table, GROUND))
         if not written and not self.terrain_asked and short_name(self.rover.name) == DEFAULT_ROVER:
@@ -181,23 +182,19 @@ class MadeForCheck:
 
     def _refuse(self, plan: Plan, made: MadeFor, path: str, *, judged: bool) -> None:
         """RequestError where nobody asked for this rover, or where the limits allow more than its own."""
-        own = self.description.origin
+        this_file = self.description.origin
         if not self.asked:
             raise RequestError(
-                f"{path} was made for {made.name}; give `rover` {made.rover}, or `rover` {own} to drive it with that "
-                "all the same"
+                f"{path} was made for {made.name}; give `rover` {made.rover}, or `rover` {this_file} to drive it with "
+                "that all the same"
             )
         beyond = laxer(plan.limits, self.rover) if judged else []
         if beyond:
             raise RequestError(
                 f"{path} was made for {made.name}, and its limits are laxer than those of {self.rover.name} "
-                f"({', '.join(beyond)}); plan with `rover` {own}, or write its [limits] for this rover "
+                f"({', '.join(beyond)}); plan with `rover` {this_file}, or write its [limits] for this rover "
                 "and take [made_for] out"
             )
-
-    def looked_at(self, made: MadeFor | None, path: str) -> None:
-        """Say it where a terrain was looked at for another rover."""
-        self._note("terrain", made, path)
 
     def soil(self, driven: DrivenSoil, path: str) -> None:
         """Say it where a soil takes the place of the one that the terrain's file carries."""
@@ -213,33 +210,33 @@ class MadeForCheck:
         RequestError where nobody asked for this rover, and on the stand-in if it was learned on measured ground.
         """
         last = belief.history[-1] if belief is not None and belief.history else {}
-        learned, own = str(last.get("rover", "")), self.rover.written
+        learned, this_rover = str(last.get("rover", "")), self.rover.written
         ground = str(last.get("ground", "")).rpartition("; ")[0]
         if learned and self.terrain.name == STAND_IN and not last.get("synthetic"):
             where = f"measured ground{f', {ground!r}' if ground else ''}"
             raise RequestError(f"{name} was learned on {where}, and this is the {STAND_IN}; give `terrain`")
         if ground and ground_kinship(str(last["ground"]), self.terrain.written) == "other":
             self.say(f"{name} was learned on '{ground}', and this is on '{self.terrain.name}': is the soil the same?")
-        if not learned or learned == own:
+        if not learned or learned == this_rover:
             return
         if not self.asked:
             raise RequestError(
                 f"{name} was learned with '{learned}'; give that one's file as `rover`, or `rover` "
-                f"{self.description.origin} to drive its soil with '{own}' all the same"
+                f"{self.description.origin} to drive its soil with '{this_rover}' all the same"
             )
-        self.say(f"{name} was learned with '{learned}', not with '{own}', whose wheels may meet another soil")
+        self.say(f"{name} was learned with '{learned}', not with '{this_rover}', whose wheels may meet another soil")
 
     def law(self, name: str, verdict: FitVerdict | None) -> None:
         """Say it where soils were found by another law than the twin's."""
-        if said := other_law(name, verdict, self.rover.name):
-            self.say(said)
+        if remark := other_law(name, verdict, self.rover.name):
+            self.say(remark)
 
     def stand_in(self) -> None:
         """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""
         if self.terrain.name == STAND_IN and short_name(self.rover.name) != DEFAULT_ROVER:
             self.say(f"this is on the {STAND_IN}, as no terrain is named; give `terrain` for the ground of your rover")
 
-    def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
+    def _judged_by_rover(self, plan: Plan, path: str | None) -> Plan:
         limits = limits_of_rover(plan.limits, self.rover)
         if limits == plan.limits:
             return plan
@@ -250,8 +247,8 @@ class MadeForCheck:
 
     def _changed(self, made: MadeFor) -> str:
         """Which limits of the ground a file was made by that the rover now does not have."""
-        own = read_mobility(self.description, self.rover)
-        now = {name: math.nan if (value := getattr(own, name, None)) is None else value for name in made.limits}
+        mobility = read_mobility(self.description, self.rover)
+        now = {name: math.nan if (value := getattr(mobility, name, None)) is None else value for name in made.limits}
         other = [
             f"{name} {value:g} then, {f'{now[name]:g}' if math.isfinite(now[name]) else 'none'} now"
             for name, value in made.limits.items()
@@ -261,7 +258,7 @@ class MadeForCheck:
             return "limits of the ground are the same; make it anew if wheels or others changed"
         return f"{', '.join(other)}; make it anew with this one"
 
-    def _note(self, what: str, made: MadeFor | None, path: str) -> None:
+    def note(self, what: str, made: MadeFor | None, path: str) -> None:
         """Keep what rover a file was made for, and say so where it is not this one."""
         if made is None:
             return
@@ -271,7 +268,7 @@ class MadeForCheck:
             which = "when its file was another" if kinship == "changed" else "by another version of its file"
             self.say(f"{path} was made for {made.rover} {which}: {self._changed(made)}")
         elif kinship == "other":
-            kept = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
+            limits = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
             self.say(
-                f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {kept or 'not known'}"
+                f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {limits or 'not known'}"
             )

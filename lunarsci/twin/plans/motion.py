@@ -16,9 +16,10 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.ranges import POSITIVE, check_range, refuse
 from lunarsci.regolith.columns import check_written_for
+from lunarsci.twin.plans.path import UNDER_WAY, commands_at, make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -30,9 +31,8 @@ GAP = 5.0
 """Times the median step between poses from which on a step is a gap; assumed."""
 CLOCK_S = 1.0
 """How far the clocks of motion and plan may differ unsaid; assumed. [s]"""
-UNDER_WAY, STANDSTILL = 0.95, 0.5
-"""Share of the full speed of the plan, and of the usual speed of the commanded rims, below which it is a halt; assumed:
-slip compares with a speed that is not there."""
+STANDSTILL = 0.5
+"""Share of the usual speed of the commanded rims below which it is a halt; assumed."""
 SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")
 
 
@@ -63,31 +63,27 @@ class Motion:
     halted: BoolArray | None = None
 
     def __post_init__(self) -> None:
+        refuse(self._ill_made())
+
+    def _ill_made(self) -> Iterator[str]:
         if len(self.time_s) < 3:
-            raise ParameterError(f"the motion has {len(self.time_s)} poses; give at least 3")
+            yield f"the motion has {len(self.time_s)} poses; give at least 3"
         for name in ("time_s", "x_m", "y_m", "yaw_deg", "steering_deg", "speed_m_s"):
-            values = getattr(self, name)
-            if not np.isfinite(values).all():
-                row = int(np.argwhere(~np.isfinite(values))[0][0])
-                raise ParameterError(f"motion {name} is not finite at pose {row}; leave such poses out")
-        late = np.flatnonzero(np.diff(self.time_s) <= 0)
-        if late.size:
-            raise ParameterError(f"motion time_s does not ascend after pose {late[0]}; sort it and drop duplicates")
+            if len(rows := np.argwhere(~np.isfinite(getattr(self, name)))):
+                yield f"motion {name} is not finite at pose {rows[0][0]}; leave such poses out"
+        if (late := np.flatnonzero(np.diff(self.time_s) <= 0)).size:
+            yield f"motion time_s does not ascend after pose {late[0]}; sort it and drop duplicates"
         if (np.abs(self.steering_deg) > 90.0).any():
-            raise ParameterError("motion steering_deg is beyond 90 deg; a wheel that runs backwards has speed < 0")
+            yield "motion steering_deg is beyond 90 deg; a wheel that runs backwards has speed < 0"
         moving = np.ones(len(self.time_s), dtype=bool) if self.halted is None else ~self.halted
         if not moving.any() or (self.speed_m_s[moving] == 0).any():
-            raise ParameterError("motion speed_m_s is 0 somewhere; slip has no meaning for a wheel that does not turn")
-        if self.sigmas is not None:
-            self._check_sigmas(self.sigmas)
-
-    def _check_sigmas(self, sigmas: FloatArray) -> None:
+            yield "motion speed_m_s is 0 somewhere; slip has no meaning for a wheel that does not turn"
+        sigmas = np.zeros((len(self.time_s), 3)) if self.sigmas is None else self.sigmas
         if sigmas.shape != (len(self.time_s), 3):
-            raise ParameterError(f"the motion's errors have shape {sigmas.shape}; {(len(self.time_s), 3)} is wanted")
+            yield f"the motion's errors have shape {sigmas.shape}; {(len(self.time_s), 3)} is wanted"
         for name, column in zip(SIGMAS, sigmas.T, strict=True):
-            wrong = np.flatnonzero(~(np.isfinite(column) & (column >= 0)))
-            if wrong.size:
-                raise ParameterError(f"motion {name} is {column[wrong[0]]:g} at pose {wrong[0]}; give 0 or more")
+            if (wrong := np.flatnonzero(~(np.isfinite(column) & (column >= 0)))).size:
+                yield f"motion {name} is {column[wrong[0]]:g} at pose {wrong[0]}; give 0 or more"
 
     @property
     def no_speed(self) -> BoolArray:
@@ -124,60 +120,56 @@ def read_motion(
     table = read_csv_table(file)
     check_written_for(file.name, table, rover.wheel, rover.name)
     try:
-        missing = [name for name in POSE_COLUMNS if name not in table]
-        if missing:
-            raise ParameterError(f"no column {missing[0]}; a motion needs {', '.join(POSE_COLUMNS)}")
-        columns = _one_member(_Columns(file.name, table), member)
-        pose = {name: columns[name] for name in POSE_COLUMNS}
-        steering, speed, halted = _commands(columns, rover, plan, pose["time_s"])
-        motion = Motion(**pose, steering_deg=steering, speed_m_s=speed, sigmas=_sigmas(columns), halted=halted)
-    except DataError:
-        raise
-    except ValueError as error:
+        refuse(_lacking(table, rover, plan))
+        table = _one_member(file.name, table, member)
+        pose = {name: numbers_of(file.name, name, table[name]) for name in POSE_COLUMNS}
+        steering, speed, halted = _commands(file.name, table, rover, plan, pose["time_s"])
+        sigmas = None
+        if SIGMAS[0] in table:
+            sigmas = np.column_stack([numbers_of(file.name, name, table[name]) for name in SIGMAS])
+        motion = Motion(**pose, steering_deg=steering, speed_m_s=speed, sigmas=sigmas, halted=halted)
+    except ParameterError as error:
         raise DataError(f"{file.name}: {error}") from error
     _warn_of_gaps(file.name, motion.time_s)
     return motion
 
 
-class _Columns:
-    """Columns of a table as numbers, on demand: what is not used may hold any text."""
-
-    def __init__(self, file: str, table: "pd.DataFrame", rows: BoolArray | None = None) -> None:
-        self.file, self.table, self.rows = file, table, rows
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.table
-
-    def __getitem__(self, name: str) -> FloatArray:
-        values = numbers_of(self.file, name, self.table[name])
-        return values if self.rows is None else values[self.rows]
+def _command_columns(rover: Rover) -> list[list[str]]:
+    """Names of the columns of steering angles, and of rim speeds."""
+    return [[f"steering_{wheel}_deg" for wheel in rover.wheels], [f"speed_{wheel}_m_s" for wheel in rover.wheels]]
 
 
-def _sigmas(columns: _Columns) -> FloatArray | None:
-    given = [name for name in SIGMAS if name in columns]
-    if not given:
-        return None
-    if len(given) < len(SIGMAS):
-        missing = next(name for name in SIGMAS if name not in columns)
-        raise ParameterError(f"no column {missing}, but {given[0]}; give the errors of x, y and yaw, or of none")
-    return np.column_stack([columns[name] for name in SIGMAS])
+def _lacking(table: "pd.DataFrame", rover: Rover, plan: Plan | None) -> Iterator[str]:
+    """Columns that a motion lacks, or has and should not."""
+    for name in POSE_COLUMNS:
+        if name not in table:
+            yield f"no column {name}; a motion needs {', '.join(POSE_COLUMNS)}"
+    commands = [name for columns in _command_columns(rover) for name in columns]
+    for names, wanted in ((SIGMAS, "the errors of x, y and yaw, or of none"),
+                          (commands, "the commands of all wheels, or a plan")):  # fmt: skip
+        given, missing = ([name for name in names if (name in table) is there] for there in (True, False))
+        if given and missing:
+            yield f"no column {missing[0]}, but {given[0]}; give {wanted}"
+    if commands[0] in table and plan is not None:
+        yield f"has the commands of all wheels ({commands[0]}, ...); leave out the plan"
+    if commands[0] not in table and plan is None:
+        yield f"no columns {commands[0]}, {commands[len(rover.wheels)]}, ...; add the commands, or give the plan"
 
 
-def _one_member(columns: _Columns, member: int | None) -> _Columns:
-    if "member" not in columns:
+def _one_member(file: str, table: "pd.DataFrame", member: int | None) -> "pd.DataFrame":
+    """The rows of one member, where there are several."""
+    if "member" not in table:
         if member is not None:
             raise ParameterError(f"no column member to choose member {member} from; leave it out")
-        return columns
-    given = columns["member"]
+        return table
+    given = numbers_of(file, "member", table["member"])
     numbers = np.unique(given[np.isfinite(given)])
-    if member is None and len(numbers) > 1:
-        raise ParameterError(f"{len(numbers)} members; choose one with `member`")
-    if not len(numbers):
-        raise ParameterError("the column member holds no number; fill it in or drop it")
-    chosen = numbers[0] if member is None else member
+    chosen = member if member is not None or len(numbers) != 1 else numbers[0]
     if chosen not in numbers:
-        raise ParameterError(f"no member {chosen}; there are {numbers[0]:g} to {numbers[-1]:g}")
-    return _Columns(columns.file, columns.table, given == chosen)
+        there = f"there are {numbers[0]:g} to {numbers[-1]:g}" if len(numbers) else "the column has no number"
+        raise ParameterError(f"no member {chosen} in the column member, {there}; choose one with `member`")
+    rows: pd.DataFrame = table[given == chosen]
+    return rows
 
 
 def _warn_of_gaps(file: str, time_s: FloatArray) -> None:
@@ -192,23 +184,17 @@ def _warn_of_gaps(file: str, time_s: FloatArray) -> None:
 
 
 def _commands(
-    columns: _Columns, rover: Rover, plan: Plan | None, time_s: FloatArray
+    file: str, table: "pd.DataFrame", rover: Rover, plan: Plan | None, time_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Steering, speeds, and which poses are at a halt."""
-    names = [(f"steering_{wheel}_deg", f"speed_{wheel}_m_s") for wheel in rover.wheels]
-    given = [name for pair in names for name in pair if name in columns]
-    if len(given) == 2 * len(names):
-        steering, speed = ([columns[pair[k]] for pair in names] for k in range(2))
-        if plan is not None:
-            raise ParameterError(f"has the commands of all wheels ({given[0]}, ...); leave out the plan")
-        return np.column_stack(steering), np.column_stack(speed), _standing(np.column_stack(speed))
-    if given:
-        missing = next(name for pair in names for name in pair if name not in columns)
-        raise ParameterError(f"no column {missing}, but {given[0]}; give the commands of all wheels, or a plan")
     if plan is None:
-        raise ParameterError(f"no columns {names[0][0]}, {names[0][1]}, ...; add the commands, or give the plan")
+        steering, speed = (
+            np.column_stack([numbers_of(file, name, table[name]) for name in names])
+            for names in _command_columns(rover)
+        )
+        return steering, speed, _standing(speed)
     schedule = make_schedule(plan, rover)
-    _check_times(columns.file, time_s, schedule.duration_s)
+    _check_times(file, time_s, schedule.duration_s)
     commands = commands_at(rover, schedule, time_s)
     return np.degrees(commands.steering_rad), commands.speed_m_s, schedule.pace_at(time_s) < UNDER_WAY
 
@@ -250,11 +236,11 @@ def correlation_of(motion: Motion, slip_ratio: FloatArray, slip_sigma: FloatArra
     ----------
     slip_ratio, slip_sigma : of any wheel states along the motion. (n,) [-]
     """
-    known = np.isfinite(slip_ratio) & np.isfinite(slip_sigma) & (slip_sigma > 0)
-    if motion.sigmas is None or not known.any():
+    given = np.isfinite(slip_ratio) & np.isfinite(slip_sigma) & (slip_sigma > 0)
+    if motion.sigmas is None or not given.any():
         return None
     sigma = float(np.median(np.sqrt((motion.sigmas[:, :2] ** 2).mean(axis=1))))
-    return sigma / float(np.median(slip_sigma[known])) if sigma > 0 else None
+    return sigma / float(np.median(slip_sigma[given])) if sigma > 0 else None
 
 
 def drawn_motions(motion: Motion, count: int, correlation_m: float, rng: np.random.Generator) -> Iterator[Motion]:
@@ -274,10 +260,8 @@ def drawn_motions(motion: Motion, count: int, correlation_m: float, rng: np.rand
     Raises ParameterError. Waves of random length have that correlation on average (Rahimi & Recht 2007, Random features
     for large-scale kernel machines, NIPS 20, 1177).
     """
-    if count < 1:
-        raise ParameterError(f"{count} draws of the motion; give 1 or more")
-    if not 0 < correlation_m < np.inf:
-        raise ParameterError(f"the errors' correlation length is {correlation_m:g} m; give a number above 0")
+    check_range("draws of the motion", count, "[1, inf)")
+    check_range("the errors' correlation length", correlation_m, POSITIVE)
     return _motions(motion, count, motion.rolled_m / correlation_m, rng)
 
 

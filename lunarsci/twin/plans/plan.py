@@ -1,25 +1,132 @@
-"""The planned drive: legs, speed, limits of safety, and which soil parameters are uncertain."""
+"""The planned drive: legs, speed, limits of safety and uncertain soil parameters; plans as TOML files."""
 
+import json
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.io.documents import toml_of
+from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.ranges import CHANCE, FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
 from lunarsci.rovers import MadeFor
-from lunarsci.twin.ground.keep_out import ExclusionZone
-from lunarsci.twin.ground.terrain import soil_override
-from lunarsci.twin.plans.limits import Limit, check_keys, check_limits, default_limits, number_of, parse_limit
+from lunarsci.twin.ground.hazards import ExclusionZone
+from lunarsci.twin.ground.terrain import OVERRIDES, soil_override
 from lunarsci.twin.rover import Rover
 
+# Quantities that can be limited, and their units.
+QUANTITIES = {
+    "slip_ratio": "-",
+    "side_slip_deg": "deg",
+    "sinkage_m": "m",
+    "tilt_deg": "deg",
+    "endpoint_miss_m": "m",
+    "clearance_m": "m",
+    "keep_out_m": "m",
+    "motor_torque_nm": "N m",
+    "motor_load": "-",
+    "battery_charge": "-",
+}
+SINKAGE_IN_RADII = 1.0 / 3.0
+"""Assumed, as in the embedded plan."""
+AT_LEAST = ("clearance_m", "keep_out_m", "battery_charge")
+"""Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
+VALUES = {
+    "slip_ratio": ("(0, 1]", "write a share, 0.3 for 30 %"),
+    "side_slip_deg": ("(0, 90]", "is it in another unit than degrees?"),
+    "tilt_deg": ("(0, 90]", "is it in another unit than degrees?"),
+    "clearance_m": (NOT_NEGATIVE, ""),
+    "keep_out_m": (NOT_NEGATIVE, ""),
+    "battery_charge": ("[0, 1]", "write a share, 0.3 for 30 %"),
+}
+"""That limits can have, where any number above 0 cannot, and what another one was meant to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What counts as safe of a quantity, its unit, where the number comes from, whether it is a guess.
+
+    It is the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which. Raises
+    ParameterError for a value that the quantity cannot have.
+    """
+
+    quantity: str
+    unit: str
+    limit: float
+    source: str
+    assumed: bool
+
+    def __post_init__(self) -> None:
+        interval, meant = VALUES.get(self.quantity, (POSITIVE, ""))
+        check_range(f"limit {self.quantity}", self.limit, interval, meant)
+
+    @property
+    def sense(self) -> Literal["at most", "at least"]:
+        """Whether values up to the limit are safe, or values from it on."""
+        return "at least" if self.quantity in AT_LEAST else "at most"
+
+
+@cache
+def default_limits() -> tuple[Limit, ...]:
+    """The [limits] of the embedded plan."""
+    return tuple(parse_limit(*entry) for entry in tomllib.loads(_embedded_plan())["limits"].items())
+
+
+def _embedded_plan() -> str:
+    return (files(__package__) / "plan.toml").read_text("utf-8")
+
+
+def rover_limits(rover: Rover) -> tuple[Limit, ...]:
+    """What is safe of a rover where a plan does not say: slip, side slip, sinkage, tilt and clearance.
+
+    Sinkage a third of the wheel's radius, tilt the steepest slope of the rover file, the others as in the embedded
+    plan: all assumed, as no mission published its thresholds.
+    """
+    of_rover = {
+        "sinkage_m": (SINKAGE_IN_RADII * rover.wheel.radius_m, "a third of the wheel radius"),
+        "tilt_deg": (rover.max_slope_deg, "the steepest slope of the rover's limits, taken as a limit of the tilt"),
+    }
+    limits = []
+    for limit in default_limits():
+        value, source = of_rover.get(limit.quantity, (limit.limit, limit.source))
+        same = math.isclose(limit.limit, value, rel_tol=1e-9)
+        limits.append(limit if same else replace(limit, limit=value, source=source, assumed=True))
+    return tuple(limit for limit in limits if limit.quantity != "endpoint_miss_m")
+
+
+def check_limits(limits: Iterable[Limit], rover: Rover, origin: str = "") -> None:
+    """Raises ParameterError for limits that say nothing of this rover: in another unit, as it seems."""
+    radius, body = rover.wheel.radius_m, rover.body
+    belly = math.inf if body is None else body.belly_z_m - float(rover.wheel_positions_m[:, 2].min()) + radius
+    largest = {
+        "sinkage_m": (radius, f"the wheels of {rover.name} have a radius of {radius:g} m"),
+        "clearance_m": (belly + rover.wheel.grouser_height_m, f"{rover.name} has {belly:.3g} m on level ground"),
+    }
+    for limit in limits:
+        most, why = largest.get(limit.quantity, (math.inf, ""))
+        if limit.limit > most:
+            where = f"{origin}: " if origin else ""
+            raise ParameterError(f"{where}limit {limit.quantity} is {limit.limit:g}, and {why}; is it in mm?")
+
+
+def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
+    """A limit from a number, or a table with value, source, and whether it is assumed. Raises ParameterError."""
+    check_keys({quantity: entry}, QUANTITIES, "[limits]")
+    table = entry if isinstance(entry, dict) else {"value": entry, "source": source}
+    check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
+    value = number_of(table.get("value"), quantity)
+    return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
+
+
 _KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
-LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0  # assumed, to tell a slip of the pen
+LENGTHS_M, STOPS_S, HALTS_S = "[0, 10000]", "[1, 3600]", "[0, 3600]"  # assumed, to tell a slip of the pen
 SLOWEST_M_S = 0.001
 """Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
-LEAST_RATIO, MOST_RATIO = 0.2, 3.0
+RATIOS = "[0.2, 3]"
 """Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
 
 
@@ -30,17 +137,14 @@ class WheelTest:
     Attributes
     ----------
     wheel : FL, FR, ML, MR, RL or RR, as `Rover.wheels` has them.
-    rate_ratio : its rate over the one with which it would not slip, 0.2 to 3, not 1. [-]
+    rate_ratio : its rate over the one with which it would not slip, 0.2 to 3. [-]
     """
 
     wheel: str
     rate_ratio: float
 
     def __post_init__(self) -> None:
-        if not LEAST_RATIO <= self.rate_ratio <= MOST_RATIO or self.rate_ratio == 1:
-            raise ParameterError(
-                f"wheel_test rate_ratio is {self.rate_ratio}; give {LEAST_RATIO:g} to {MOST_RATIO:g}, and not 1"
-            )
+        check_ranges(self, {RATIOS: "rate_ratio"}, "wheel_test")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,21 +173,12 @@ class Leg:
     wheel_test: WheelTest | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.length_m <= LONGEST_M:
-            raise ParameterError(f"length_m is {self.length_m}; give more than 0, at most {LONGEST_M:g} m")
-        if not (self.stop_s == 0 or 1 <= self.stop_s <= LONGEST_STOP_S):
-            raise ParameterError(f"stop_s is {self.stop_s}; give 1 to {LONGEST_STOP_S:g} s")
-        for name, most in (("crab_deg", 180.0), ("turn_deg", 360.0)):
-            if not abs(getattr(self, name)) <= most:
-                raise ParameterError(f"{name} is {getattr(self, name)}; give -{most:g} to {most:g}")
-        if not math.isfinite(self.curvature_per_m):
-            raise ParameterError(f"curvature_per_m is {self.curvature_per_m}; give a finite number")
+        names = {LENGTHS_M: "length_m", "[-180, 180]": "crab_deg", "[-360, 360]": "turn_deg"}
+        check_ranges(self, names | {FINITE: "curvature_per_m"} | ({STOPS_S: "stop_s"} if self.stop_s else {}))
         if sum(value != 0 for value in (self.length_m, self.turn_deg, self.stop_s)) != 1:
             raise ParameterError("a leg needs exactly one of length_m, turn_deg and stop_s, and not 0")
-        if self.length_m == 0 and (self.curvature_per_m != 0 or self.crab_deg != 0):
-            raise ParameterError("curvature_per_m and crab_deg belong to a leg with length_m")
-        if self.length_m == 0 and self.wheel_test is not None:
-            raise ParameterError("wheel_test belongs to a leg with length_m")
+        if not self.length_m and (self.curvature_per_m or self.crab_deg or self.wheel_test is not None):
+            raise ParameterError("curvature_per_m, crab_deg and wheel_test belong to a leg with length_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +197,7 @@ class Fixes:
     halt_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("position_sigma_m", "heading_sigma_deg", "halt_s"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ParameterError(f"fixes {name} is {getattr(self, name)}; give 0 or more")
-        if self.halt_s > LONGEST_STOP_S:
-            raise ParameterError(f"fixes halt_s is {self.halt_s:g}; give at most {LONGEST_STOP_S:g} s")
+        check_ranges(self, {NOT_NEGATIVE: "position_sigma_m heading_sigma_deg", HALTS_S: "halt_s"}, "fixes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +238,7 @@ class Plan:
     sweep : uncertain soil parameters.
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
-    own_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
+    has_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
     accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
     """
@@ -165,25 +256,15 @@ class Plan:
     exclusion_zones: tuple[ExclusionZone, ...] = ()
     origin: str = ""
     made_for: MadeFor | None = None
-    own_limits: bool = field(default=True, compare=False)
+    has_limits: bool = field(default=True, compare=False)
     crs: str = ""
     accepted_risk: float | None = None
 
     def __post_init__(self) -> None:
-        if self.accepted_risk is not None and not 0 < self.accepted_risk < 1:
-            raise ParameterError(f"the plan's accepted_risk is {self.accepted_risk:g}; give more than 0, less than 1")
         if not self.legs:
             raise ParameterError("the plan has no leg; its length is zero, so there is nothing to drive")
-        if self.length_m > LONGEST_M:
-            raise ParameterError(f"the plan is {self.length_m:g} m long; give at most {LONGEST_M:g} m")
-        if not 0 < self.speed_m_s < math.inf:
-            raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s}; give a speed above 0 m/s")
-        if self.speed_m_s < SLOWEST_M_S:
-            raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s:g}; give at least {SLOWEST_M_S:g} m/s")
-        if not 0 <= self.blend_m < math.inf:
-            raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
-        if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
-            raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
+        names = {CHANCE: "accepted_risk", NOT_NEGATIVE: "blend_m", FINITE: "x_m y_m heading_deg"}
+        check_ranges(self, names | {f"[{SLOWEST_M_S}, inf)": "speed_m_s", LENGTHS_M: "length_m"}, "the plan's")
         if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
 
@@ -196,46 +277,31 @@ class Plan:
 def check_plan(plan: Plan, rover: Rover) -> None:
     """Raises ParameterError for a plan that the rover cannot follow, or with limits that no rover of its size has."""
     check_limits(plan.limits, rover, plan.origin)
-    where = f"{plan.origin}: " if plan.origin else ""
-    if plan.speed_m_s > rover.max_speed_m_s:
-        raise ParameterError(
-            f"{where}the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most "
-            f"{rover.max_speed_m_s:g} m/s"
-        )
-    rate = plan.speed_m_s / rover.wheel.shearing_radius_m
-    if rover.motors is not None and rover.motors.torque_nm(rate) <= 0:
-        raise ParameterError(
-            f"{where}the plan's speed_m_s is {plan.speed_m_s:g}, {rate:.3g} rad/s of a wheel; the motors of "
-            f"{rover.name} turn at most at {rover.motors.no_load_rate_rad_s:g} rad/s"
-        )
+    refuse(_undrivable(plan, rover), plan.origin)
+
+
+def _undrivable(plan: Plan, rover: Rover) -> Iterator[str]:
+    """Why a rover cannot follow a plan."""
+    speed, fastest = f"the plan's speed_m_s is {plan.speed_m_s:g}", rover.max_speed_m_s
+    if plan.speed_m_s > fastest:
+        yield f"{speed}; {rover.name} drives at most {fastest:g} m/s"
+    if rover.motors is not None:
+        rate, most = plan.speed_m_s / rover.wheel.shearing_radius_m, rover.motors.no_load_rate_rad_s
+        fastest = max(fastest, most * rover.wheel.shearing_radius_m)
+        if rate >= most:
+            yield f"{speed}, {rate:.3g} rad/s of a wheel; the motors of {rover.name} turn at most at {most:g} rad/s"
     tightest = rover.tightest_curvature_per_m
     for number, leg in enumerate(plan.legs, 1):
-        if leg.wheel_test is not None:
-            _check_wheel_test(leg.wheel_test, plan.speed_m_s, rover, f"{where}leg {number}: ")
+        test = leg.wheel_test
+        if test is not None and test.wheel not in rover.wheels:
+            yield (f"leg {number}: wheel_test wheel is '{test.wheel}'; the wheels of {rover.name} are "
+                   f"{', '.join(rover.wheels)}")  # fmt: skip
+        if test is not None and (rim := test.rate_ratio * plan.speed_m_s) > fastest:
+            yield (f"leg {number}: wheel_test lets wheel {test.wheel} roll at {rim:.3g} m/s; those of {rover.name} "
+                   f"reach {fastest:.3g} m/s, so give a smaller rate_ratio or a slower plan")  # fmt: skip
         if abs(leg.curvature_per_m) > tightest:
-            raise ParameterError(
-                f"{where}leg {number}: curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie "
-                f"outside the wheels, so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
-            )
-
-
-def _check_wheel_test(test: WheelTest, speed_m_s: float, rover: Rover, where: str) -> None:
-    """Raises ParameterError, beginning with `where`, for a wheel that the rover has not, or that cannot turn so fast.
-
-    `speed_m_s` is the rover's.
-    """
-    if test.wheel not in rover.wheels:
-        raise ParameterError(
-            f"{where}wheel_test wheel is '{test.wheel}'; the wheels of {rover.name} are {', '.join(rover.wheels)}"
-        )
-    fastest = rover.max_speed_m_s
-    if rover.motors is not None:
-        fastest = max(fastest, rover.motors.no_load_rate_rad_s * rover.wheel.shearing_radius_m)
-    if (rim := test.rate_ratio * speed_m_s) > fastest:
-        raise ParameterError(
-            f"{where}wheel_test lets wheel {test.wheel} roll at {rim:.3g} m/s; those of {rover.name} reach "
-            f"{fastest:.3g} m/s, so give a smaller rate_ratio or a slower plan"
-        )
+            yield (f"leg {number}: curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie outside the "
+                   f"wheels, so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg")  # fmt: skip
 
 
 def parse_sweep(text: str) -> Sweep:
@@ -268,9 +334,8 @@ def read_plan(source: "Source | None" = None) -> Plan:
 
     A file without [limits] gets those of the embedded plan; one without [sweep] sweeps nothing.
     """
-    embedded = (files(__package__) / "plan.toml").read_text("utf-8")
     if source is None:
-        return parse_plan(embedded, "the embedded plan")
+        return parse_plan(_embedded_plan(), "the embedded plan")
     file = read_input(source)
     return parse_plan(file.data, file.name)
 
@@ -280,22 +345,24 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
     try:
         document = toml_of(origin, text)
         check_keys(document, _KEYS, "the plan")
-        start, drive = _table(document, "start"), _table(document, "drive")
+        start, drive, limits, sweep = (document.get(name, {}) for name in ("start", "drive", "limits", "sweep"))
         check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
         check_keys(drive, ("speed_m_s", "blend_m", "accepted_risk"), "[drive]")
+        check_keys(limits, QUANTITIES, "[limits]")
+        check_keys(sweep, OVERRIDES, "[sweep]")
         if "speed_m_s" not in drive:
             raise ParameterError("[drive] has no speed_m_s")
-        limits = _table(document, "limits") if "limits" in document else default_limits()
+        given_limits = tuple(parse_limit(quantity, entry) for quantity, entry in limits.items())
         return Plan(
             name=str(document.get("name", origin)),
-            legs=_legs(_list(document, "leg")),
-            fixes=_fixes(document),
-            limits=tuple(parse_limit(quantity, entry) for quantity, entry in limits.items()),
-            sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
-            exclusion_zones=tuple(_exclusion_zone(table) for table in _list(document, "keep_out")),
+            legs=records_of(Leg, document.get("leg", []), "leg"),
+            fixes=record_of(Fixes, document["fixes"], "[fixes]") if "fixes" in document else None,
+            limits=given_limits if "limits" in document else default_limits(),
+            sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in sweep.items()),
+            exclusion_zones=records_of(ExclusionZone, document.get("keep_out", []), "keep_out"),
             origin=origin,
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
-            own_limits="limits" in document,
+            has_limits="limits" in document,
             crs=str(document.get("crs", "")),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
@@ -303,56 +370,53 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
         raise DataError(f"{origin}: {error}") from error
 
 
-def _list(document: dict[str, Any], name: str) -> list[Any]:
-    tables = document.get(name, [])
-    if not isinstance(tables, list):
-        raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
-    return tables
+def plan_text(plan: Plan) -> str:
+    """The TOML text that `read_plan` reads back as the same plan, but for `origin`."""
+    lines = [f"name = {_quoted(plan.name)}", *([f"crs = {_quoted(plan.crs)}"] if plan.crs else [])]
+    if plan.made_for is not None:
+        made = plan.made_for.to_table().items()
+        rows = (f"{name} = {_quoted(value) if isinstance(value, str) else repr(float(value))}" for name, value in made)
+        lines += ["", "[made_for]", *rows]
+    lines += ["", "[start]", *_numbers(plan, "x_m", "y_m", "heading_deg")]
+    risk = () if plan.accepted_risk is None else ("accepted_risk",)
+    lines += ["", "[drive]", *_numbers(plan, "speed_m_s", "blend_m", *risk)]
+    for leg in plan.legs:
+        lines += ["", "[[leg]]"]
+        lines += _numbers(leg, *(name for name in Leg.__slots__ if name != "wheel_test" and getattr(leg, name)))
+        if (test := leg.wheel_test) is not None:
+            lines.append(f"wheel_test = {{ wheel = {_quoted(test.wheel)}, {_numbers(test, 'rate_ratio')[0]} }}")
+    if plan.fixes is not None:
+        halt = ("halt_s",) if plan.fixes.halt_s else ()
+        lines += ["", "[fixes]", *_numbers(plan.fixes, "position_sigma_m", "heading_sigma_deg", *halt)]
+    for circle in plan.exclusion_zones:
+        lines += ["", "[[keep_out]]", f"name = {_quoted(circle.name)}", *_numbers(circle, "x_m", "y_m", "radius_m")]
+    lines += ["", "[limits]"]
+    for limit in plan.limits:
+        source, assumed = _quoted(limit.source), "true" if limit.assumed else "false"
+        lines.append(f"{limit.quantity} = {{ value = {limit.limit!r}, assumed = {assumed}, source = {source} }}")
+    lines += ["", "[sweep]"]
+    lines += [f'{one.name} = "{float(one.low)!r}:{float(one.high)!r}:{one.count}"' for one in plan.sweep]
+    return "\n".join(lines) + "\n"
 
 
-def _legs(tables: list[Any]) -> tuple[Leg, ...]:
-    legs = []
-    for number, table in enumerate(tables, 1):
-        try:
-            legs.append(_leg(table))
-        except ParameterError as error:
-            raise ParameterError(f"leg {number}: {error}") from error
-    return tuple(legs)
+def _numbers(given: object, *names: str) -> list[str]:
+    return [f"{name} = {float(getattr(given, name))!r}" for name in names]
 
 
-def _leg(table: Any) -> Leg:
-    check_keys(table, Leg.__slots__, "[[leg]]")
-    numbers = {name: number_of(value, name) for name, value in table.items() if name != "wheel_test"}
-    return Leg(**numbers, wheel_test=_wheel_test(table["wheel_test"]) if "wheel_test" in table else None)
+def read_limits(source: Source) -> tuple[Limit, ...]:
+    """The [limits] of a TOML file, which may be a plan. Raises DataError, also for one without any."""
+    file = read_input(source)
+    try:
+        table = toml_of(file.name, file.data).get("limits")
+        if not isinstance(table, dict) or not table:
+            raise ParameterError("no [limits] in it; write quantities and their limits there, as endpoint_miss_m = 0.5")
+        if "keep_out_m" in table:
+            raise ParameterError("limit keep_out_m is of the circles of one plan; leave it out, or make these wider")
+        return tuple(parse_limit(quantity, entry, file.name) for quantity, entry in table.items())
+    except ParameterError as error:
+        raise DataError(f"{file.name}: {error}") from error
 
 
-def _wheel_test(table: Any) -> WheelTest:
-    _check_complete(table, WheelTest.__slots__, 'wheel_test, as { wheel = "FL", rate_ratio = 0.6 },')
-    return WheelTest(str(table["wheel"]), number_of(table["rate_ratio"], "rate_ratio"))
-
-
-def _fixes(document: dict[str, Any]) -> Fixes | None:
-    if "fixes" not in document:
-        return None
-    table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
-    _check_complete(table, known, "[fixes]", "halt_s")
-    return Fixes(*(number_of(table[name], name) for name in (*known, "halt_s") if name in table))
-
-
-def _exclusion_zone(table: Any) -> ExclusionZone:
-    _check_complete(table, ("name", "x_m", "y_m", "radius_m"), "[[keep_out]]")
-    return ExclusionZone(str(table["name"]), *(number_of(table[name], name) for name in ("x_m", "y_m", "radius_m")))
-
-
-def _table(document: dict[str, Any], name: str) -> dict[str, Any]:
-    table = document.get(name, {})
-    if not isinstance(table, dict):
-        raise ParameterError(f"[{name}] must be a table")
-    return table
-
-
-def _check_complete(table: Any, needed: Iterable[str], where: str, *optional: str) -> None:
-    check_keys(table, (*needed, *optional), where)
-    for name in needed:
-        if name not in table:
-            raise ParameterError(f"{where} has no {name}")
+def _quoted(text: str) -> str:
+    # The escapes of JSON are among those of TOML, which also forbids a bare delete character.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,17 +1,182 @@
 """Search for courses of arcs over a map of costs and clearances: a lattice of arcs, then a local refinement.
 
 Arcs that end a path exactly where it shall end.
+
+What the search of a path looks up at a point: distance from the nearest obstacle, and cost of a metre.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.compiled import compiled
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
-from lunarsci.twin.routes.search_ground import Window, drive_arcs, drive_course
+
+
+class Window(NamedTuple):
+    """What `drive_arc` reads: origin and spacing [m], and at each node (ny, nx, 2) distance [m] and cost of a metre."""
+
+    x0: float
+    y0: float
+    spacing: float
+    values: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SearchGround:
+    """A rectangle of the map about start and target.
+
+    Attributes
+    ----------
+    window : distance from the nearest obstacle, negative inside one, and cost of a metre.
+    rows, columns : which part of the map it is.
+    border : nodes of obstacles next to free ones, as rows and columns of the whole map. (n, 2)
+    """
+
+    window: Window
+    rows: slice
+    columns: slice
+    border: IntArray
+
+
+def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float) -> SearchGround:
+    """Distances and costs in a box about some points (n, 2) [m] and a margin about them.
+
+    Obstacles are nodes whose height is unknown or where a limit is exceeded; beyond the edge of the map all is unknown.
+    """
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    terrain = surface.terrain
+    rows, columns = terrain.window(points_m, margin_m)
+    blocked = surface.hazard[rows, columns] | np.isnan(terrain.height_m[rows, columns])
+    # The frame of the box is a wall, so that nothing beyond it can come near the path.
+    walled = np.pad(blocked, 1, constant_values=True)
+    free, inside = (distance_transform_edt(mask, terrain.spacing_m)[1:-1, 1:-1] for mask in (~walled, walled))
+    values = np.empty((*blocked.shape, 2), dtype=np.float32)
+    values[..., 0] = np.where(blocked, -inside, free)
+    values[..., 1] = np.where(surface.unknown[rows, columns], np.inf, surface.travel_cost(rows, columns))
+    border = np.argwhere(walled & ~binary_erosion(walled, border_value=1))
+    border += np.array([rows.start - 1, columns.start - 1])
+    return SearchGround(
+        window=Window(float(terrain.x_m[columns.start]), float(terrain.y_m[rows.start]), terrain.spacing_m, values),
+        rows=rows,
+        columns=columns,
+        border=border[_real(border, surface.demand.shape, rows, columns)],
+    )
+
+
+def _real(border: IntArray, whole: tuple[int, ...], rows: slice, columns: slice) -> BoolArray:
+    """Which border nodes are obstacles or lie beyond the map, and not just beyond the box."""
+    row, column = border.T
+    in_box = (row >= rows.start) & (row < rows.stop) & (column >= columns.start) & (column < columns.stop)
+    in_map = (row >= 0) & (row < whole[0]) & (column >= 0) & (column < whole[1])
+    return np.asarray(in_box | ~in_map)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def drive_arc(
+    window: Any, discs: Any, pose: Any, length: float, curvature: float, step: float, need: float, wanted: float,
+    stop: bool,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Cost of an arc, how far it falls short of the clearance, and how far it could be driven.
+
+    Parameters
+    ----------
+    window : a `Window`.
+    discs : places of the covering discs along the rover's x (n,). [m]
+    pose : x, y, heading at its start. [m, m, rad]
+    length, curvature, step : of the arc, and the distance of the places looked at. [m, 1/m, m]
+    need, wanted : least distance of the disc centres from obstacles, and the one below which cost rises. [m]
+    stop : leave at the first place that is too near.
+
+    Cost is the integral of the cost of a metre times 1 + ((wanted - distance) / (wanted - need))^2 where the distance
+    is below `wanted`; shortfall is the integral of need - distance where that is positive, and of 1 m where the origin
+    is on unknown ground. Maps are bilinear; beyond them all is an obstacle. Returns (cost [m], shortfall [m2], length
+    driven [m]).
+    """
+    ny, nx = window.values.shape[:2]
+    pieces = max(int(np.ceil(length / step)), 1)
+    ds = length / pieces
+    cost, shortfall = 0.0, 0.0
+    for number in range(pieces):
+        s = (number + 1) * ds
+        half = 0.5 * s * curvature
+        chord = s if abs(half) < 1e-9 else s * np.sin(half) / half
+        x = pose[0] + chord * np.cos(pose[2] + half)
+        y = pose[1] + chord * np.sin(pose[2] + half)
+        heading = pose[2] + 2.0 * half
+        ahead, aside = np.cos(heading), np.sin(heading)
+        nearest, metre = 1e9, 0.0
+        for place in range(-1, len(discs)):
+            along = 0.0 if place < 0 else discs[place]
+            column = (x + along * ahead - window.x0) / window.spacing
+            row = (y + along * aside - window.y0) / window.spacing
+            if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+                nearest, metre = -1.0, np.inf
+                continue
+            j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+            a, b = column - j, row - i
+            layer = 1 if place < 0 else 0
+            low = (1.0 - a) * window.values[i, j, layer] + a * window.values[i, j + 1, layer]
+            high = (1.0 - a) * window.values[i + 1, j, layer] + a * window.values[i + 1, j + 1, layer]
+            value = (1.0 - b) * low + b * high
+            if place >= 0:
+                nearest = min(nearest, value)
+            elif value < np.inf:
+                metre = value
+            else:
+                nearest, metre = need - 1.0, 100.0
+        metre = min(metre, 100.0)
+        if nearest < wanted:
+            metre *= 1.0 + ((wanted - nearest) / (wanted - need)) ** 2
+        cost += metre * ds
+        if nearest < need:
+            if stop:
+                return cost, np.inf, number * ds
+            shortfall += (need - nearest) * ds
+    return cost, shortfall, length
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def drive_arcs(
+    window: Any, discs: Any, poses: Any, lengths: Any, curvatures: Any, step: float, need: float, wanted: float
+) -> Any:
+    """`drive_arc` with `stop` from each of the poses (n, 3): cost, infinite when stopped, and length driven. (n, 2)"""
+    result = np.empty((len(lengths), 2))
+    for n in range(len(lengths)):
+        cost, shortfall, driven = drive_arc(
+            window, discs, poses[n], lengths[n], curvatures[n], step, need, wanted, True
+        )
+        result[n, 0] = cost + shortfall
+        result[n, 1] = driven
+    return result
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def drive_course(
+    window: Any, discs: Any, start: Any, arcs: Any, step: float, need: float, wanted: float
+) -> tuple[float, float]:
+    """Cost [m] and shortfall [m2], as in `drive_arc`, of arcs (n, 2) of length and curvature one after the other."""
+    pose = start.copy()
+    cost, shortfall = 0.0, 0.0
+    for n in range(len(arcs)):
+        length, curvature = arcs[n, 0], arcs[n, 1]
+        more, short, _ = drive_arc(window, discs, pose, length, curvature, step, need, wanted, False)
+        cost += more
+        shortfall += short
+        half = 0.5 * length * curvature
+        chord = length if abs(half) < 1e-9 else length * np.sin(half) / half
+        pose[0] += chord * np.cos(pose[2] + half)
+        pose[1] += chord * np.sin(pose[2] + half)
+        pose[2] += 2.0 * half
+    return cost, shortfall
+
 
 LARGEST_TURN = 0.75 * np.pi
 """No closing arc turns further than this; assumed. [rad]"""
@@ -64,7 +229,8 @@ LENGTHS = 8
 HALVINGS = 5
 """and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
 LONGEST = 2.5
-"""A course is at most this many distances of the target long, and two tightest turns; assumed."""
+"""A course is at most this many distances of the target long, and two tightest turns, and costs at most as many times
+what the cheapest one does; assumed."""
 TURNING_M2 = 0.5
 """Cost of a change of curvature by 1/m: assumed. [m2]"""
 ARC_M = 0.1
@@ -79,26 +245,57 @@ PENALTY = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ArcProblem:
-    """What a course is searched for.
+class Strip:
+    """Ground about a way, and the clearance that a rover keeps on it.
 
     Attributes
     ----------
     window, discs : what `drive_arc` looks up, and where.
-    start, goal : poses [m, m, rad]; the heading of the goal is NaN where any will do.
-    tightest_per_m : largest curvature. [1/m]
-    step_m : distance of the places looked at in the lattice; at most 0.1 m or a spacing in the refinement. [m]
+    step_m : distance of the places looked at. [m]
     need_m, wanted_m : as in `drive_arc`. [m]
     """
 
     window: Window
     discs: FloatArray
-    start: FloatArray
-    goal: FloatArray
-    tightest_per_m: float
     step_m: float
     need_m: float
     wanted_m: float
+
+    def drive(self, poses: FloatArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
+        """Cost, infinite where the clearance is not kept, and length driven. (n, 2) [m]"""
+        return np.asarray(
+            drive_arcs(self.window, self.discs, poses, lengths, curvatures, self.step_m, self.need_m, self.wanted_m)
+        )
+
+    def drive_course(self, start: FloatArray, arcs: FloatArray) -> tuple[float, float]:
+        """Cost [m] of arcs (n, 2) one after the other, and how far they fall short of the clearance. [m2]"""
+        drive: tuple[float, float] = drive_course(
+            self.window, self.discs, start, arcs, self.step_m, self.need_m, self.wanted_m
+        )
+        return drive
+
+
+def clearance(surface: Traversability, footprint: RoverFootprint) -> dict[str, Any]:
+    """Discs and distances of a `Strip` for a footprint that travels along its x."""
+    discs, radius = footprint.discs()
+    # Between nodes and between places the distance may be less by a small part of the spacing.
+    need = radius + surface.mobility.hazard_distance_m + 0.25 * surface.terrain.spacing_m + 0.005
+    return {"discs": discs, "need_m": need, "wanted_m": need + footprint.half_width_m}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArcProblem(Strip):
+    """What a course is searched for: the places looked at lie `step_m` apart in the lattice, closer in the refinement.
+
+    Attributes
+    ----------
+    start, goal : poses [m, m, rad]; the heading of the goal is NaN where any will do.
+    tightest_per_m : largest curvature. [1/m]
+    """
+
+    start: FloatArray
+    goal: FloatArray
+    tightest_per_m: float
 
     @property
     def distance_m(self) -> float:
@@ -120,12 +317,6 @@ class ArcProblem:
         if math.isnan(self.goal[2]):
             return close_on_point(poses, self.goal[:2])
         return close_on_pose(poses, self.goal)
-
-    def drive(self, poses: FloatArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
-        """Cost, infinite where the clearance is not kept, and length driven. (n, 2) [m]"""
-        return np.asarray(
-            drive_arcs(self.window, self.discs, poses, lengths, curvatures, self.step_m, self.need_m, self.wanted_m)
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,12 +353,12 @@ class LatticeCourses:
 
     Attributes
     ----------
-    found : courses that end at the goal and keep the clearance.
+    complete : courses that end at the goal and keep the clearance.
     nearly : where there is none, those that fall least short of the clearance.
     nearest : the one that comes nearest to the goal.
     """
 
-    found: list[Course]
+    complete: list[Course]
     nearly: list[Course]
     nearest: Course
 
@@ -181,22 +372,22 @@ def lattice_courses(
     """
     closing = problem.closing
     branches = _Branches(arcs=np.empty((1, 0, 2)), poses=problem.start[None], cost=np.zeros(1), length=np.zeros(1))
-    found: list[Course] = []
+    complete: list[Course] = []
     nearly: list[Course] = []
     nearest = (math.inf, Course(np.empty((0, 2)), 0.0))
     for free in range(MOST_ARCS - closing + 1):
         if free:
-            if free + closing == MOST_ARCS and found:
+            if free + closing == MOST_ARCS and complete:
                 break
             branches = _grow(problem, branches)
         good, stopped = _closed(problem, branches, pick)
-        found += good
+        complete += good
         nearest = min(nearest, stopped, key=lambda pair: pair[0])
-        if not found and free + closing < MOST_ARCS:
+        if not complete and free + closing < MOST_ARCS:
             nearly += _shortest_falls(problem, branches)
         if progress is not None:
             progress(free + 1, MOST_ARCS)
-    return LatticeCourses(found=found, nearly=nearly, nearest=nearest[1])
+    return LatticeCourses(complete=complete, nearly=nearly, nearest=nearest[1])
 
 
 def find_courses(
@@ -208,7 +399,9 @@ def find_courses(
     can. All courses are deterministic.
     """
     lattice = lattice_courses(problem, progress=progress)
-    refined = [course for course in (refine(problem, course) for course in lattice.found or lattice.nearly) if course]
+    refined = [
+        course for course in (refine(problem, course) for course in lattice.complete or lattice.nearly) if course
+    ]
     if progress is not None:
         progress(MOST_ARCS, MOST_ARCS)
     return sorted(refined, key=lambda course: course.cost_m), lattice.nearest
@@ -243,26 +436,30 @@ def _grow(problem: ArcProblem, branches: _Branches) -> _Branches:
     branch, curvature, length = branch[wanted], curvature[wanted], length[wanted]
     poses = branches.poses[branch]
     cost = problem.drive(poses, length, curvature)[:, 0] + branches.cost[branch]
-    kept = np.isfinite(cost)
-    branch, curvature, length = branch[kept], curvature[kept], length[kept]
+    clear = np.isfinite(cost)
+    branch, curvature, length = branch[clear], curvature[clear], length[clear]
     arcs = np.concatenate([branches.arcs[branch], np.stack([length, curvature], axis=-1)[:, None]], axis=1)
     return _Branches(
         arcs=arcs,
-        poses=_moved(poses[kept], length, curvature),
-        cost=cost[kept],
+        poses=_moved(poses[clear], length, curvature),
+        cost=cost[clear],
         length=branches.length[branch] + length,
     )
 
 
+def _with_closing_arcs(problem: ArcProblem, branches: _Branches) -> tuple[BoolArray, FloatArray]:
+    """Which branches can be closed without a turn too tight, and the arcs (n, k, 2) of those with the closing ones."""
+    arcs = np.stack(problem.close(branches.poses), axis=-1)
+    possible = np.asarray((np.abs(arcs[..., 1]) <= problem.tightest_per_m).all(axis=1))
+    return possible, np.concatenate([branches.arcs, arcs], axis=1)[possible]
+
+
 def _closed(problem: ArcProblem, branches: _Branches, pick: Pick) -> tuple[list[Course], tuple[float, Course]]:
     """The picked courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
-    lengths, curvatures = problem.close(branches.poses)
-    possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
-    arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
+    possible, arcs = _with_closing_arcs(problem, branches)
     poses, cost = branches.poses[possible], branches.cost[possible]
     ends, driven = poses, np.zeros(len(poses))
-    for number in range(lengths.shape[1]):
-        length, curvature = lengths[possible, number], curvatures[possible, number]
+    for length, curvature in arcs[:, -problem.closing :].transpose(1, 2, 0):
         result = problem.drive(poses, length, curvature)
         driven = np.where(np.isfinite(cost), result[:, 1], 0.0)
         ends = np.where(np.isfinite(cost)[:, None], _moved(poses, driven, curvature), ends)
@@ -293,18 +490,14 @@ def _nearest(
 
 def _shortest_falls(problem: ArcProblem, branches: _Branches) -> list[Course]:
     """Courses whose closing arcs fall least short of the clearance."""
-    lengths, curvatures = problem.close(branches.poses)
-    possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
-    arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
+    arcs = _with_closing_arcs(problem, branches)[1]
     scores = np.array([_score(problem, course) for course in arcs])
     return [Course(arcs[number], float(scores[number])) for number in np.argsort(scores, kind="stable")[:NEARLY]]
 
 
 def _score(problem: ArcProblem, arcs: FloatArray) -> float:
     """Cost with its number and changes of arcs, and a penalty on what falls short of the clearance. [m]"""
-    cost, shortfall = drive_course(
-        problem.window, problem.discs, problem.start, arcs, problem.step_m, problem.need_m, problem.wanted_m
-    )
+    cost, shortfall = problem.drive_course(problem.start, arcs)
     return float(cost + PENALTY * shortfall + TURNING_M2 * _changes(arcs[None])[0] + ARC_M * len(arcs))
 
 
@@ -322,10 +515,10 @@ def refine(coarse: ArcProblem, course: Course) -> Course | None:
     scale = np.array([0.1 * problem.distance_m, 0.1 * problem.tightest_per_m])
 
     def arcs_of(numbers: FloatArray) -> FloatArray:
-        own = free + numbers.reshape(-1, 2) * scale
-        pose = pose_after(problem.start, own)[None]
+        moved = free + numbers.reshape(-1, 2) * scale
+        pose = pose_after(problem.start, moved)[None]
         lengths, curvatures = problem.close(pose)
-        return np.concatenate([own, np.stack([lengths[0], curvatures[0]], axis=-1)])
+        return np.concatenate([moved, np.stack([lengths[0], curvatures[0]], axis=-1)])
 
     def score(numbers: FloatArray) -> float:
         arcs = arcs_of(numbers)
@@ -339,22 +532,19 @@ def refine(coarse: ArcProblem, course: Course) -> Course | None:
     if free.size:
         simplex = np.vstack([best, np.eye(free.size)])
         steps = 120 * free.size
-        found = minimize(
+        minimum = minimize(
             score, best, method="Nelder-Mead",
             options={"initial_simplex": simplex, "maxiter": steps, "xatol": 1e-3, "fatol": 1e-4},
         )  # fmt: skip
-        best = np.asarray(found.x)
+        best = np.asarray(minimum.x)
     arcs = _merged(arcs_of(best))
-    kept = np.isfinite(arcs).all() and keeps_clear(problem, arcs) and score(best) < PENALTY
-    return Course(arcs, _score(problem, arcs)) if kept else None
+    clear = np.isfinite(arcs).all() and keeps_clear(problem, arcs) and score(best) < PENALTY
+    return Course(arcs, _score(problem, arcs)) if clear else None
 
 
 def keeps_clear(problem: ArcProblem, arcs: FloatArray) -> bool:
     """Whether a course keeps the clearance."""
-    window, step = problem.window, problem.step_m
-    return bool(
-        drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1] == 0
-    )
+    return problem.drive_course(problem.start, arcs)[1] == 0
 
 
 def _merged(arcs: FloatArray) -> FloatArray:

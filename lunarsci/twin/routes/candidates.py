@@ -11,12 +11,10 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.footprint import RoverFootprint
-from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
-from lunarsci.twin.plans.plan import Fixes, Leg, Plan
-from lunarsci.twin.routes.arc_search import ArcProblem, Course, keeps_clear, lattice_courses, refine
+from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
+from lunarsci.twin.routes.arc_search import LONGEST, ArcProblem, Course, keeps_clear, lattice_courses, refine
 from lunarsci.twin.routes.planner import RouteSearch, commanded_speed
 from lunarsci.twin.rover import Rover
 
@@ -52,10 +50,10 @@ def obstacle_places(problem: ArcProblem) -> FloatArray:
     distance = window.values[..., 0]
     parts, count = label(distance < problem.need_m, structure=np.ones((3, 3)))
     at_frame = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
-    own = np.setdiff1d(np.arange(1, count + 1), at_frame)
-    if not own.size:
+    inner = np.setdiff1d(np.arange(1, count + 1), at_frame)
+    if not inner.size:
         return np.empty((0, 2))
-    rows, columns = np.array(minimum_position(distance, parts, own)).T
+    rows, columns = np.array(minimum_position(distance, parts, inner)).T
     return np.column_stack([window.x0 + window.spacing * columns, window.y0 + window.spacing * rows])
 
 
@@ -129,8 +127,6 @@ LEAST_TURN_DEG = 15.0
 """Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
 FIX_EVERY_M = (5.0, 2.5)
 """Way between localisation updates, where there are any; assumed. [m]"""
-LONGEST_WAY = 2.5
-"""Candidates cost at most so many times as much as the cheapest one; assumed."""
 MOST = 50
 
 
@@ -159,12 +155,12 @@ def manners(rover: Rover, start: FloatArray, goal: FloatArray) -> tuple[Manner, 
     back = math.remainder(bearing + 180.0, 360.0)
     widest = WIDEST_CRAB_DEG if rover.steered_mask.all() else DRAGGED_DEG
     crab = round(math.copysign(min(max(abs(bearing), DRAGGED_DEG), widest), bearing), 1)
-    found = [Manner(), Manner(crab_deg=180.0), Manner(crab_deg=crab)]
+    result = [Manner(), Manner(crab_deg=180.0), Manner(crab_deg=crab)]
     if abs(bearing) >= LEAST_TURN_DEG:
-        found.append(Manner(turn_deg=round(bearing, 1)))
+        result.append(Manner(turn_deg=round(bearing, 1)))
     if abs(back) >= LEAST_TURN_DEG:
-        found.append(Manner(turn_deg=round(back, 1), crab_deg=180.0))
-    return tuple(found)
+        result.append(Manner(turn_deg=round(back, 1), crab_deg=180.0))
+    return tuple(result)
 
 
 def candidate_plans(
@@ -201,18 +197,18 @@ def candidate_plans(
     )  # fmt: skip
     ahead = search.problem(search.footprint, search.start, search.goal)
     ways = DistinctWays(ahead, obstacle_places(ahead), search.footprint.half_width_m, most)
-    known = manners(rover, search.start, search.goal)
-    found: list[list[tuple[float, Plan]]] = []
-    for number, manner in enumerate(known):
+    all_manners = manners(rover, search.start, search.goal)
+    by_manner: list[list[tuple[float, Plan]]] = []
+    for number, manner in enumerate(all_manners):
         if progress is not None:
-            progress(number, len(known))
-        found.append(_plans(search, ways, manner, template))
+            progress(number, len(all_manners))
+        by_manner.append(_plans(search, ways, manner, template))
     if progress is not None:
-        progress(len(known), len(known))
-    if not any(found):
+        progress(len(all_manners), len(all_manners))
+    if not any(by_manner):
         raise ParameterError(search.why_not(lattice_courses(ahead).nearest))
-    least = min(cost for plans in found for cost, _ in plans)
-    near = [[one for one in plans if one[0] <= LONGEST_WAY * least] for plans in found]
+    least = min(cost for plans in by_manner for cost, _ in plans)
+    near = [[one for one in plans if one[0] <= LONGEST * least] for plans in by_manner]
     first = sorted((plans[0] for plans in near if plans), key=lambda one: one[0])
     rest = sorted((one for plans in near for one in plans[1:]), key=lambda one: one[0])
     plans = [plan for _, plan in (*first, *rest)]
@@ -227,32 +223,32 @@ def _plans(search: RouteSearch, ways: DistinctWays, manner: Manner, template: Pl
     crab = np.array([0.0, 0.0, math.radians(manner.crab_deg)])
     footprint = _enclosing(search.footprint, math.radians(manner.crab_deg))
     problem = search.problem(footprint, turned + crab, search.goal + crab)
-    found = []
+    plans = []
     for course in _courses(replace(ways, problem=problem)):
         arcs = tuple(Leg(float(length), float(bend), manner.crab_deg) for length, bend in course.arcs)
         legs = (Leg(turn_deg=manner.turn_deg), *arcs) if manner.turn_deg else arcs
         places = course_places(problem.start, course.arcs[None])[0]
-        found.append((course.cost_m, replace(template, name=f"{manner.words} {_bend(places)}", legs=legs)))
-    return found
+        plans.append((course.cost_m, replace(template, name=f"{manner.words} {_bend(places)}", legs=legs)))
+    return plans
 
 
 def _courses(ways: DistinctWays) -> list[Course]:
     """Distinct courses of all numbers of arcs, the best of each class refined, the cheapest first."""
     problem = ways.problem
     lattice = lattice_courses(problem, ways)
-    if not lattice.found:
+    if not lattice.complete:
         return sorted(filter(None, (refine(problem, course) for course in lattice.nearly)), key=lambda one: one.cost_m)
-    courses = sorted(lattice.found, key=lambda course: course.cost_m)
+    courses = sorted(lattice.complete, key=lambda course: course.cost_m)
     places = np.concatenate([course_places(problem.start, course.arcs[None]) for course in courses])
     picked, seen = [courses[number] for number in ways.of_places(places)], set()
-    found = []
+    distinct = []
     for course in picked:
         side = tuple(sides(course_places(problem.start, course.arcs[None]), ways.obstacles_m)[0])
         better = None if side in seen else refine(problem, course)
         seen.add(side)
         if better is not None or keeps_clear(problem.fine, course.arcs):
-            found.append(better or course)
-    return sorted(found, key=lambda course: course.cost_m)
+            distinct.append(better or course)
+    return sorted(distinct, key=lambda course: course.cost_m)
 
 
 def _enclosing(footprint: RoverFootprint, angle: float) -> RoverFootprint:
@@ -277,9 +273,9 @@ def _bend(places_m: FloatArray) -> str:
 def _with_fixes(plans: list[Plan], fixes: Fixes, most: int) -> tuple[Plan, ...]:
     """Plans in turn without and with localisation updates, the cheapest first."""
     halting = [_halting(plan, fixes, every) for plan in plans for every in FIX_EVERY_M]
-    kept = list(dict.fromkeys(plan for plan in halting if plan is not None))
-    free = plans[: max(1, most - len(kept), most // 3)]
-    return (*free, *kept)[:most]
+    fixed = list(dict.fromkeys(plan for plan in halting if plan is not None))
+    free = plans[: max(1, most - len(fixed), most // 3)]
+    return (*free, *fixed)[:most]
 
 
 def _halting(plan: Plan, fixes: Fixes, every_m: float) -> Plan | None:
@@ -291,5 +287,5 @@ def _halting(plan: Plan, fixes: Fixes, every_m: float) -> Plan | None:
     updates = len(legs) - 1
     if not updates:
         return None
-    said = "1 fix" if updates == 1 else f"{updates} fixes"
-    return replace(plan, legs=tuple(legs), fixes=fixes, name=f"{plan.name}, {said}")
+    label = "1 fix" if updates == 1 else f"{updates} fixes"
+    return replace(plan, legs=tuple(legs), fixes=fixes, name=f"{plan.name}, {label}")

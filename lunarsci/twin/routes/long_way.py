@@ -12,13 +12,19 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.finer_ground import laid_over, patch
-from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import COST_CAP, Traversability
-from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.ground.hazards import COST_CAP, Traversability, rover_footprint, swept_nodes
 from lunarsci.twin.plans.path import poses_along
-from lunarsci.twin.routes.arc_search import FINEST_M
-from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, beyond, check_free, plan_path, search_margin_m
-from lunarsci.twin.routes.search_ground import Window, drive_arcs, search_ground
+from lunarsci.twin.plans.plan import Limit
+from lunarsci.twin.routes.arc_search import FINEST_M, Strip, Window, clearance, search_ground
+from lunarsci.twin.routes.planner import (
+    FAR_MARGIN_M,
+    MARGIN_SHARE,
+    PLACES_M,
+    PlannedPath,
+    check_place,
+    plan_path,
+    search_margin_m,
+)
 from lunarsci.twin.rover import Rover
 
 LONG_M = 30.0
@@ -29,27 +35,6 @@ AS_CHEAP = 1.02
 """A straight line may cost so many times the way over the nodes that it replaces; assumed."""
 MOST_NODES = 2_000_000
 """Of a larger map every second, third ... node is searched."""
-END_M = 2.0
-"""Finer ground so near to start or target is looked at for whether a rover can be there; assumed. [m]"""
-MARGIN_SHARE, MARGIN_M = 0.5, 50.0
-"""Ground beyond both ends that is searched, as a share of their distance and beside it [m]; assumed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Strip:
-    """Ground about a way, and the clearance that a rover keeps on it.
-
-    Attributes
-    ----------
-    window, discs : what `drive_arc` looks up, and where.
-    step_m, need_m, wanted_m : as in `drive_arc`. [m]
-    """
-
-    window: Window
-    discs: FloatArray
-    step_m: float
-    need_m: float
-    wanted_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,52 +70,29 @@ def long_way(
     arcs.
     """
     for what, place in (("start", start[:2]), ("target", target)):
-        _check_end(patch(surface, finer, np.array([place]), END_M), what, place)
+        check_place(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place)
     ends, whole = np.array([start[:2], target]), laid_over(surface, finer) if finer else surface
     strip = _strip(whole, rover, ends)
     way = way_over_nodes(whole, strip, ends)
     places = straightened(way, strip)
-    found: list[PlannedPath] = []
+    pieces: list[PlannedPath] = []
     pose, number = start, 0
     while number < len(places) - 1:
         if progress is not None:
             progress(number, len(places))
         piece, number = _joined(surface, finer, rover, pose, places, number, final_heading_deg, speed_m_s)
-        found.append(piece)
+        pieces.append(piece)
         end = piece.end
         pose = (float(end[0]), float(end[1]), math.degrees(end[2]))
     if progress is not None:
         progress(len(places), len(places))
-    return _chained(found, start, target, limits, name)
-
-
-def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -> None:
-    """Raises ParameterError, with the reason, where an end of the way is no place for a rover."""
-    if not all(map(math.isfinite, place)):
-        raise ParameterError(f"the {name} is {place}; give finite numbers")
-    terrain = surface.terrain
-    column, row = (
-        round((at - first) / terrain.spacing_m) for at, first in zip(place, (terrain.x0_m, terrain.y0_m), strict=True)
-    )
-    ny, nx = surface.demand.shape
-    if not (0 <= row < ny and 0 <= column < nx):
-        raise ParameterError(f"the {name} x {place[0]:g} m, y {place[1]:g} m lies {beyond(terrain)}")
-    check_free(surface, name, row, column)
+    return _chained(pieces, start, target, limits, name)
 
 
 def _strip(surface: Traversability, rover: Rover, ends_m: FloatArray) -> Strip:
-    ground = search_ground(surface, ends_m, MARGIN_SHARE * math.dist(*ends_m) + MARGIN_M)
-    footprint, spacing = rover_footprint(rover), surface.terrain.spacing_m
-    discs, radius = footprint.discs()
-    # As in `plan_path`: between nodes the distance may be less by a small part of the spacing.
-    need = radius + surface.mobility.hazard_distance_m + 0.25 * spacing + 0.005
-    return Strip(
-        window=ground.window,
-        discs=discs,
-        step_m=max(FINEST_M, spacing),
-        need_m=need,
-        wanted_m=need + footprint.half_width_m,
-    )
+    ground = search_ground(surface, ends_m, MARGIN_SHARE * math.dist(*ends_m) + FAR_MARGIN_M)
+    step_m = max(FINEST_M, surface.terrain.spacing_m)
+    return Strip(window=ground.window, step_m=step_m, **clearance(surface, rover_footprint(rover)))
 
 
 def way_over_nodes(surface: Traversability, strip: Strip, ends_m: FloatArray) -> NodeWay:
@@ -191,10 +153,10 @@ def _nearest_free(free: BoolArray, place: FloatArray) -> tuple[int, int]:
     nearest = np.clip(np.rint(place[::-1]).astype(int), 0, np.array(free.shape) - 1)
     low = np.maximum(nearest - 3, 0)
     block = free[low[0] : nearest[0] + 4, low[1] : nearest[1] + 4]
-    found: IntArray = np.argwhere(block) + low
-    if not len(found):
+    nodes: IntArray = np.argwhere(block) + low
+    if not len(nodes):
         return int(nearest[0]), int(nearest[1])
-    row, column = found[np.hypot(*(found - place[::-1]).T).argmin()]
+    row, column = nodes[np.hypot(*(nodes - place[::-1]).T).argmin()]
     return int(row), int(column)
 
 
@@ -223,11 +185,7 @@ def _straight_costs(here_m: FloatArray, there_m: FloatArray, strip: Strip) -> Fl
     """Cost of a straight drive from one place to others (n, 2), infinite where it comes too near to something. [m]"""
     chord = there_m - here_m
     poses = np.column_stack([np.tile(here_m, (len(chord), 1)), np.arctan2(chord[:, 1], chord[:, 0])])
-    lengths = np.hypot(*chord.T)
-    driven = drive_arcs(
-        strip.window, strip.discs, poses, lengths, np.zeros(len(chord)), strip.step_m, strip.need_m, strip.wanted_m
-    )
-    return np.asarray(driven[:, 0])
+    return strip.drive(poses, np.hypot(*chord.T), np.zeros(len(chord)))[:, 0]
 
 
 def _joined(
@@ -249,10 +207,10 @@ def _joined(
         for heading in _headings(places, goal, final_heading_deg):
             try:
                 x, y = places[goal]
-                found = _arcs_to(
+                path = _arcs_to(
                     surface, finer, rover, pose, (float(x), float(y)), final_heading_deg=heading, speed_m_s=speed_m_s
                 )
-                return found, goal
+                return path, goal
             except ParameterError as error:
                 failed = failed or error
     raise ParameterError(f"after place {number} of {len(places) - 1} of the way: {failed}")
@@ -269,10 +227,10 @@ def _arcs_to(
     """`plan_path`, on a patch where finer ground lies near; its swept nodes are those of the surface."""
     margin = search_margin_m(rover_footprint(rover), math.dist(start[:2], target)) + surface.terrain.spacing_m
     ground = patch(surface, finer, np.array([start[:2], target]), margin)
-    found = plan_path(ground, rover, start, target, **options)
+    path = plan_path(ground, rover, start, target, **options)
     if ground is surface:
-        return found
-    return replace(found, swept=swept_nodes(found.footprint, surface.terrain, poses_along(found.plan, PLACES_M)))
+        return path
+    return replace(path, swept=swept_nodes(path.footprint, surface.terrain, poses_along(path.plan, PLACES_M)))
 
 
 def _headings(places: FloatArray, goal: int, final_heading_deg: float | None) -> tuple[float | None, ...]:
@@ -318,14 +276,12 @@ def _no_way(surface: Traversability, window: Window, cost: FloatArray, spacing: 
     left = np.hypot(*(places - target_m).T)
     nearest, terrain = places[left.argmin()], surface.terrain
     ahead = (target_m - nearest) / max(float(left.min()), 1e-9)
-    said = ""
+    reason = ""
     for step in terrain.spacing_m * np.arange(1, 2 + round(left.min() / terrain.spacing_m)):
-        x, y = nearest + step * ahead
-        row, column = round((y - terrain.y0_m) / terrain.spacing_m), round((x - terrain.x0_m) / terrain.spacing_m)
-        inside = 0 <= row < surface.demand.shape[0] and 0 <= column < surface.demand.shape[1]
-        if inside and (said := surface.reason(row, column)):
+        row, column = terrain.nodes(nearest + step * ahead)
+        if terrain.has(row, column) and (reason := surface.reason(int(row), int(column))):
             break
-    beyond = f"; beyond it {said}" if said else ""
+    beyond = f"; beyond it {reason}" if reason else ""
     return (
         f"no way over the nodes of the map keeps the limits; the nearest place reached is x {nearest[0]:.1f} m, "
         f"y {nearest[1]:.1f} m, {left.min():.1f} m from the target{beyond}; try other limits or a nearer target"

@@ -1,38 +1,46 @@
-"""Plan a path of a few arcs from a pose to a place, within the limits of a rover and clear of hazards."""
+"""Plan a path of a few arcs from a pose to a place, within the limits of a rover and clear of hazards; paths as tables
+and GeoJSON.
+"""
 
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.heights.projections import name_of
-from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
-from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.plans.limits import Limit
+from lunarsci.heights.projections import MapProjection, name_of, projection_or_none
+from lunarsci.twin.ground.hazards import RoverFootprint, Traversability, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
-from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, ArcProblem, Course, find_courses, pose_after
-from lunarsci.twin.routes.search_ground import SearchGround, search_ground
+from lunarsci.twin.plans.plan import Leg, Limit, Plan
+from lunarsci.twin.routes.arc_search import (
+    COARSEST_M,
+    FINEST_M,
+    ArcProblem,
+    Course,
+    SearchGround,
+    clearance,
+    find_courses,
+    pose_after,
+    search_ground,
+)
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
     import pandas as pd
 
-BoolMap = BoolArray
 Progress = Callable[[int, int], None]
 
 NEAR_M = 1.0
 """From a footprint farther than this an obstacle is not taken for what is in the way; assumed. [m]"""
 ARRIVAL_M = 0.01
 """A path ends at least this near to its target; assumed. [m]"""
-MARGIN_SHARE, MARGIN_M = 0.5, 3.0
-"""The search looks this share of the distance, and so far, beyond start and target; assumed."""
+MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
+"""The search looks this share of the distance, and so far, beyond start and target; farther on long ways; assumed."""
 PLACES_M = 0.02
 
 
@@ -76,7 +84,7 @@ class PlannedPath:
     max_slope_on_path_deg: float
     max_curvature_per_m: float
     footprint: RoverFootprint
-    swept: BoolMap
+    swept: BoolArray
 
     @property
     def end(self) -> FloatArray:
@@ -132,8 +140,8 @@ class RouteSearch:
         """Raises ParameterError for a start or target that is outside the map, on a hazard or too near to one."""
         goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
         pose = np.array([start[0], start[1], math.radians(start[2])])
-        _check_place(surface, "start", start)
-        _check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
+        check_place(surface, "start", start)
+        check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
         distance = math.dist(start[:2], target)
         if distance < ARRIVAL_M:
             raise ParameterError("the target is where the rover stands; give another target")
@@ -148,19 +156,14 @@ class RouteSearch:
 
     def problem(self, footprint: RoverFootprint, start: FloatArray, goal: FloatArray) -> ArcProblem:
         """The search of arcs for a footprint that travels along its x."""
-        mobility, spacing = self.surface.mobility, self.surface.terrain.spacing_m
-        discs, radius = footprint.discs()
-        # Between nodes and between places the distance may be less by a small part of the spacing.
-        need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
+        spacing = self.surface.terrain.spacing_m
         return ArcProblem(
             window=self.ground.window,
-            discs=discs,
             start=start,
             goal=goal,
-            tightest_per_m=min(1.0 / mobility.min_turning_radius_m, self.rover.tightest_curvature_per_m),
+            tightest_per_m=min(1.0 / self.surface.mobility.min_turning_radius_m, self.rover.tightest_curvature_per_m),
             step_m=min(max(FINEST_M, spacing, 0.01 * math.dist(start[:2], goal[:2])), max(COARSEST_M, spacing)),
-            need_m=need,
-            wanted_m=need + footprint.half_width_m,
+            **clearance(self.surface, footprint),
         )
 
     def clear_m(self, poses: FloatArray) -> tuple[float, int]:
@@ -269,9 +272,9 @@ def plan_path(
             heading_deg=start[2],
             limits=limits,
         )
-        found = measured_path(search, plan, course.cost_m)
-        if found.min_hazard_distance_m >= surface.mobility.hazard_distance_m and found.miss_m <= ARRIVAL_M:
-            return found
+        path = measured_path(search, plan, course.cost_m)
+        if path.min_hazard_distance_m >= surface.mobility.hazard_distance_m and path.miss_m <= ARRIVAL_M:
+            return path
     raise ParameterError(search.why_not(nearest))
 
 
@@ -283,11 +286,11 @@ def commanded_speed(rover: Rover, speed_m_s: float | None) -> float:
     return speed
 
 
-def share_on(nodes: BoolMap, path: PlannedPath, surface: Traversability) -> float:
+def share_on(nodes: BoolArray, path: PlannedPath, surface: Traversability) -> float:
     """Share of a path's length over some of the nodes (ny, nx), looked at every 2 cm. [-]"""
     length = path.plan.length_m
     poses = planned_pose(path.plan, np.linspace(0.0, length, max(2, math.ceil(length / PLACES_M) + 1)))
-    return float(nodes[_nodes(surface, poses)].mean())
+    return float(nodes[surface.terrain.nodes(poses)].mean())
 
 
 def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1) -> "pd.DataFrame":
@@ -296,7 +299,7 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
 
     distance = np.linspace(0.0, path.plan.length_m, max(2, math.ceil(path.plan.length_m / every_m) + 1))
     poses = planned_pose(path.plan, distance)
-    row, column = _nodes(surface, poses)
+    row, column = surface.terrain.nodes(poses)
     maps = surface.maps
     return pd.DataFrame(
         {
@@ -312,39 +315,18 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
     )
 
 
-def _nodes(surface: Traversability, poses: FloatArray) -> tuple[IntArray, IntArray]:
-    """Row and column of the node nearest to each pose."""
-    terrain = surface.terrain
-    return (
-        np.rint((poses[:, 1] - terrain.y0_m) / terrain.spacing_m).astype(np.int64),
-        np.rint((poses[:, 0] - terrain.x0_m) / terrain.spacing_m).astype(np.int64),
-    )
-
-
-def beyond(terrain: Terrain) -> str:
-    """That a place is outside the map, and where that is, for a message."""
-    of = f" of '{name_of(terrain.crs)}'" if terrain.crs else ""
-    return (
-        f"outside the map, which goes from x {terrain.x_m[0]:g} to {terrain.x_m[-1]:g} m and from y "
-        f"{terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}"
-    )
-
-
-def _check_place(surface: Traversability, name: str, place: tuple[float, float, float]) -> None:
-    x, y, _ = place
+def check_place(surface: Traversability, name: str, place: Sequence[float]) -> None:
+    """Raises ParameterError for what is no place for a rover: outside the map, or with the reason."""
     if not all(map(math.isfinite, place)):
         raise ParameterError(f"the {name} is {place}; give finite numbers")
-    terrain = surface.terrain
+    terrain, (x, y) = surface.terrain, place[:2]
     if not (terrain.x_m[0] <= x <= terrain.x_m[-1] and terrain.y_m[0] <= y <= terrain.y_m[-1]):
-        raise ParameterError(f"the {name} x {x:g} m, y {y:g} m lies {beyond(terrain)}")
-    column, row = (
-        round((value - first) / terrain.spacing_m) for value, first in ((x, terrain.x0_m), (y, terrain.y0_m))
-    )
-    check_free(surface, name, row, column)
-
-
-def check_free(surface: Traversability, name: str, row: int, column: int) -> None:
-    """Raises ParameterError, with the reason, where a node is no place for a rover."""
+        of = f" of '{name_of(terrain.crs)}'" if terrain.crs else ""
+        raise ParameterError(
+            f"the {name} x {x:g} m, y {y:g} m lies outside the map, which goes from x {terrain.x_m[0]:g} to "
+            f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}"
+        )
+    row, column = map(int, terrain.nodes(np.array([x, y])))
     if reason := surface.reason(row, column):
         steep = float(surface.maps.slope_deg[row, column])
         limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
@@ -360,7 +342,7 @@ def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> 
     surface = search.surface
     terrain, maps = surface.terrain, surface.maps
     swept = swept_nodes(search.footprint, terrain, poses)
-    row, column = _nodes(surface, poses)
+    row, column = surface.terrain.nodes(poses)
     return PlannedPath(
         plan=plan,
         target_m=(float(search.goal[0]), float(search.goal[1])),
@@ -377,5 +359,76 @@ def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> 
 
 
 def _largest(values: npt.NDArray[np.float32]) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.max()) if known.size else math.nan
+    finite = values[~np.isnan(values)]
+    return float(finite.max()) if finite.size else math.nan
+
+
+EVERY_M, SHOWN_M = 0.5, 10.0
+LOCAL = "local frame of the terrain, x and y in m"
+
+
+def path_geojson(path: PlannedPath, surface: Traversability) -> bytes:
+    """A FeatureCollection: path, start, target, what is kept out of, and the hazards near the path as polygons.
+
+    Coordinates are longitude and latitude, as RFC 7946 has them, where the terrain has a coordinate system (and
+    rasterio is there); these are on the body that the member `body` names, not on WGS 84. Elsewhere they are m, and a
+    member `crs` says so. Each feature also has `x_m` and `y_m` of its first place.
+    """
+    plan = path.plan
+    projection = projection_or_none(plan.crs)
+    places = planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / EVERY_M) + 1)))[:, :2]
+    line = {"name": plan.name, "length_m": plan.length_m, "speed_m_s": plan.speed_m_s, "arcs": len(plan.legs)}
+    line |= {"max_slope_deg": path.max_slope_deg, "cost_m": path.cost_m}
+    features = [
+        _feature("LineString", places, {"role": "path"} | line, projection),
+        _feature("Point", places[:1], {"role": "start", "heading_deg": plan.heading_deg}, projection),
+        _feature("Point", np.array([path.target_m]), {"role": "target"}, projection),
+        *(
+            _feature("Point", np.array([(zone.x_m, zone.y_m)]),
+                     {"role": "keep_out", "name": zone.name, "radius_m": zone.radius_m}, projection)
+            for zone in plan.exclusion_zones
+        ),
+    ]  # fmt: skip
+    if rings := hazard_rings(path, surface):
+        shown = [[_shown(ring, projection).tolist()] for ring in rings]
+        shape = {"type": "MultiPolygon", "coordinates": shown}
+        features.append({"type": "Feature", "geometry": shape, "properties": {"role": "hazards"}})
+    where: dict[str, Any] = {"crs": {"type": "name", "properties": {"name": LOCAL}}}
+    if projection is not None:
+        radius, flattening = projection.ellipsoid
+        where = {"body": {"equatorial_radius_m": radius, "flattening": flattening, "map": projection.name}}
+    document = {"type": "FeatureCollection", "features": features} | where
+    return (json.dumps(document, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def hazard_rings(path: PlannedPath, surface: Traversability) -> list[FloatArray]:
+    """Rectangles that hold the hazards within 10 m of the box about a path: one for each run of nodes in a row. [m]
+
+    Each node stands for its square; rings are closed and go to the left. (5, 2)
+    """
+    terrain, plan = surface.terrain, path.plan
+    places = planned_pose(plan, np.linspace(0.0, plan.length_m, 1000))[:, :2]
+    rows, columns = terrain.window(places, SHOWN_M)
+    hazard, half = surface.hazard[rows, columns].astype(np.int8), 0.5 * terrain.spacing_m
+    steps = np.diff(hazard, axis=1, prepend=0, append=0)
+    (row, first), (_, last) = np.nonzero(steps == 1), np.nonzero(steps == -1)
+    south = terrain.y_m[rows][row] - half
+    west, east = (terrain.x_m[columns.start] - half + terrain.spacing_m * column for column in (first, last))
+    north = south + terrain.spacing_m
+    corners = ((west, south), (east, south), (east, north), (west, north), (west, south))
+    return list(np.stack([np.stack(pair, axis=-1) for pair in corners], axis=1))
+
+
+def _shown(places_m: FloatArray, projection: MapProjection | None) -> FloatArray:
+    return places_m if projection is None else projection.lonlat(*places_m.T)
+
+
+def _feature(
+    kind: str, places_m: FloatArray, properties: Mapping[str, Any], projection: MapProjection | None
+) -> dict[str, Any]:
+    shown = _shown(places_m, projection)
+    coordinates = shown.tolist() if kind == "LineString" else shown[0].tolist()
+    values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
+           for name, value in properties.items()}  # fmt: skip
+    place = {"x_m": float(places_m[0, 0]), "y_m": float(places_m[0, 1])}
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": values | place}

@@ -16,6 +16,7 @@ so free fall is exact, and the stiff parts (shear: 12-18 ms at 0.05 m/s, less wh
 at any time_step_s. First order in time_step_s.
 """
 
+import math
 from typing import Any
 
 from lunarsci.compiled import compiled, joined
@@ -29,6 +30,7 @@ from lunarsci.twin.lanes import (
     FINISHED,
     GROUP,
     OVERTURNED,
+    STEEPEST_DEG,
     SYSTEM,
     WHEEL,
     cross,
@@ -37,11 +39,9 @@ from lunarsci.twin.lanes import (
     seen_from,
     times,
 )
-from lunarsci.twin.simulation.contact import add_wheel
-from lunarsci.twin.simulation.ruts import read_ruts
+from lunarsci.twin.simulation.contact import add_wheel, read_ruts
 
-COS_OVERTURNED = 0.5
-"""Cosine of 60 deg, as the outcome says; assumed."""
+COS_OVERTURNED = math.cos(math.radians(STEEPEST_DEG))
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
 FALLING = 1.0
@@ -147,17 +147,17 @@ def begin_system(work: Any, rover: Any, time_step_s: Any, lane: Any) -> None:
 def add_chassis(body: Any, rover: Any, time_step_s: Any, matrix: Any, right: Any) -> None:
     """The chassis' mass at its centre, its principal moments and gyroscopic torque."""
     axes, omega, kg = (body.x_row, body.y_row, body.z_row), body.omega, rover.body_kg
-    center, own = ([triple[k] for k in range(3)] for triple in (rover.center, rover.inertia))
+    center, inertia = ([triple[k] for k in range(3)] for triple in (rover.center, rover.inertia))
     arm, remaining = seen_from(axes, center), seen_from(axes, cross(omega, cross(omega, center)))
     pull = (-kg * remaining[0], -kg * remaining[1], -kg * (rover.gravity + remaining[2]))
-    torque = seen_from(axes, cross(tuple(map(_product, own, omega)), omega))
+    torque = seen_from(axes, cross(tuple(map(_product, inertia, omega)), omega))
     right[:6] = (*times(pull, time_step_s), *times(plus(torque, cross(arm, pull)), time_step_s))
     square = dot(arm, arm)
     skew = ((0.0, arm[2], -arm[1]), (-arm[2], 0.0, arm[0]), (arm[1], -arm[0], 0.0))
     for i in range(3):
         matrix[9 * i] = kg
         for j in range(3):
-            moment = dot(tuple(map(_product, axes[i], own)), axes[j])
+            moment = dot(tuple(map(_product, axes[i], inertia)), axes[j])
             matrix[27 + 8 * i + j] = moment + kg * ((square if i == j else 0.0) - arm[i] * arm[j])
             if i != j:
                 matrix[8 * i + 3 + j] = matrix[24 + 8 * j + i] = kg * skew[i][j]
@@ -205,10 +205,10 @@ def eliminate(work: Any, lane: Any) -> None:
     order = (*JOINTS, *range(7))
     matrix = {(i, j): sides[0].matrix[8 * i + j] + sides[1].matrix[8 * i + j] for i in range(7) for j in range(7)}
     right = {i: sides[0].right[i] + sides[1].right[i] for i in range(7)}
-    for own, side in zip(JOINTS, sides, strict=True):
-        right[own], matrix[own, own] = side.right[7], side.matrix[63]
-        matrix |= {(i, own): side.matrix[8 * i + 7] for i in range(7)}
-        matrix |= {(own, j): side.matrix[56 + j] for j in range(7)}
+    for bogie, side in zip(JOINTS, sides, strict=True):
+        right[bogie], matrix[bogie, bogie] = side.right[7], side.matrix[63]
+        matrix |= {(i, bogie): side.matrix[8 * i + 7] for i in range(7)}
+        matrix |= {(bogie, j): side.matrix[56 + j] for j in range(7)}
     later = {k: [i for i in order[n + 1 :] if (k, i) in matrix] for n, k in enumerate(order)}
     inverse: dict[int, Any] = {}
     change: dict[int, Any] = {}
@@ -285,8 +285,8 @@ def weigh(work: Any, w: Any, tyre: Any, rover: Any, weight: Any, lane: Any) -> N
     """
     body, wheel = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane)
     pressed = wheel.normal * highest(0.0, wheel.sinkage) / (wheel.soil[1] + 1.5)
-    own = rover.wheel_kg * (0.5 * dot(wheel.velocity, wheel.velocity) + rover.gravity * wheel.center[2])
-    body.energy = body.energy + own + pressed
+    of_wheel = rover.wheel_kg * (0.5 * dot(wheel.velocity, wheel.velocity) + rover.gravity * wheel.center[2])
+    body.energy = body.energy + of_wheel + pressed
     body.power = body.power + highest(0.0, wheel.resistance) * (abs(wheel.rim) / wheel.tread[0])
     body.error = body.error + wheel.missed
     falls = highest(abs(body.speed[2]), -wheel.velocity[2]) > IMPACT
@@ -298,8 +298,8 @@ def gained(work: Any, before: Any, tyre: Any, weight: Any, time_step_s: Any, beg
     """Sum up energy that came from nowhere and what the steps miss; note where either is too much. Energy comes from
     the rims alone."""
     body, was = BODY.of(work.body, lane), BODY.of(before, lane)
-    found = was.excess + (body.energy - was.energy - time_step_s * was.power)
-    body.excess = choose(begins, 0.0, highest(found, 0.0))
+    excess = was.excess + (body.energy - was.energy - time_step_s * was.power)
+    body.excess = choose(begins, 0.0, highest(excess, 0.0))
     body.error = choose(begins, 0.0, was.error + MEMORY * (body.error - was.error))
     too_much = (body.error > MOST_ERROR * weight) | (body.excess > MOST_EXCESS * weight * tyre[0])
     body.outcome = choose(too_much, DIVERGED, body.outcome)

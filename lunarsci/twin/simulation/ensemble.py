@@ -9,16 +9,16 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, check_range
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.lanes import OUTCOMES
+from lunarsci.twin.plans.path import UNDER_WAY, Schedule, make_schedule
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
-from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
-from lunarsci.twin.simulation.drives import drive_all, drive_finer
-from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds
+from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
+from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
@@ -40,8 +40,6 @@ LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
 """Measured: beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between
 samples."""
 MOST_MEMBERS = 100_000
-UNDER_WAY = 0.95
-"""Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
 
@@ -192,8 +190,8 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
     names = [entry.name for entry in sweep]
     if len(set(names)) < len(names):
         raise ParameterError(f"a parameter is swept twice: {', '.join(names)}")
-    if members is not None and members < 1:
-        raise ParameterError(f"members is {members}; give 1 or more")
+    if members is not None:
+        check_range("members", members, "[1, inf)")
     if members is not None and not sweep:
         raise ParameterError(
             f"{members} members but no soil parameter to sample; give `sweep` NAME=LOW:HIGH:N, or soils to draw from "
@@ -220,10 +218,9 @@ def _given_parameters(
     if sweep is not None or members is not None:
         raise ParameterError("the soils are given; leave out the sweep and the number of members")
     values = {name: np.asarray(value, dtype=float) for name, value in samples.items()}
-    if len({value.shape for value in values.values()}) != 1 or next(iter(values.values())).ndim != 1:
-        raise ParameterError("give one value of each soil parameter for each member")
-    if not 0 < next(iter(values.values())).size <= MOST_MEMBERS:
-        raise ParameterError(f"give 1 to {MOST_MEMBERS} soils")
+    shapes = {value.shape for value in values.values()}
+    if len(shapes) != 1 or len(shape := shapes.pop()) != 1 or not 0 < shape[0] <= MOST_MEMBERS:
+        raise ParameterError(f"give one value of each soil parameter for each of 1 to {MOST_MEMBERS} members")
     return values
 
 
@@ -258,7 +255,7 @@ def predict(
         hold. 0.1 s puts the end of the embedded plan within 1.5 mm, which holds for no other ground: 5 m over a ramp
         10 cm high and long end 9 to 37 mm off. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
-    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them. What makes
+    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.contact` has them. What makes
         forces or soils of states takes every wheel's ground as undisturbed.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too. Where that
         drive did not end, this one has its outcome.
@@ -271,7 +268,7 @@ def predict(
     ParameterError for a plan the rover cannot follow or a value that is no step, seed or sweep.
     """
     _check_plans(plan, before, rover, ruts)
-    _check_steps(time_step_s, sample_m, seed)
+    check_range("seed", seed, NOT_NEGATIVE)
     if grounds is not None and samples is not None:
         raise ParameterError("samples and grounds are two ways to name the soils; give one")
     given = samples if grounds is None else grounds.parameters
@@ -317,6 +314,8 @@ def predict(
 
 def _steps(schedule: Schedule, members: int, time_step_s: float, sample_m: float) -> tuple[FloatArray, int]:
     """Times of all steps [s], and steps between samples. Raises ParameterError for too many of them."""
+    check_range("time_step_s", time_step_s, f"(0, {LONGEST_STEP_S}]")
+    check_range("sample_m", sample_m, f"(0, {LONGEST_SAMPLE_M}]")
     if schedule.duration_s / time_step_s > MOST_STEPS:
         raise ParameterError(f"the drive takes over {MOST_STEPS:g} steps; give a longer time_step_s")
     stops = max(1, math.ceil(schedule.duration_s * schedule.plan.speed_m_s / sample_m - 1e-9))
@@ -332,14 +331,6 @@ def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool) -> N
         check_plan(before, rover)
         if not ruts:
             raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; ask for ruts, too")
-
-
-def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
-    for name, value, most in (("time_step_s", time_step_s, LONGEST_STEP_S), ("sample_m", sample_m, LONGEST_SAMPLE_M)):
-        if not 0 < value <= most:
-            raise ParameterError(f"{name} is {value:g}; give a number above 0, at most {most:g}")
-    if seed < 0:
-        raise ParameterError(f"seed is {seed}; give 0 or more")
 
 
 def for_people(scene: DriveSetup, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray) -> None:

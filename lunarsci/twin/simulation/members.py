@@ -1,37 +1,49 @@
-"""Drives of many members: stepped along the schedule, sixteen at a time, in finer steps where a soil asks for it."""
+"""Drives of all members, sixteen at a time, here or on a cluster, and again in finer steps where a soil asks for it."""
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, Self
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray, spans
 from lunarsci.compiled import compiled
 from lunarsci.compiled.formulas import LANES
 from lunarsci.errors import ParameterError
+from lunarsci.parallel.blocks import run_blocks, shared_out
 from lunarsci.regolith.forces import slip_ratio
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.lanes import BODY, FINISHED, GROUP, LEFT, WHEEL, Work
-from lunarsci.twin.plans.path import Commands, reach_m
-from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import (
+from lunarsci.twin.ground.terrain import STEEPEST, Grid, Terrain
+from lunarsci.twin.lanes import BODY, CLIFF, DIVERGED, FINISHED, GROUP, LEFT, WHEEL, Work, new_work
+from lunarsci.twin.plans.path import (
+    Commands,
     Schedule,
     all_commands,
     fix_errors,
     legs_from,
     make_schedule,
+    reach_m,
     run_commands,
     start_motion,
     steps_of_runs,
 )
+from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact import DRIVEN
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import (
+    DEEPEST,
+    DRIVEN,
+    SHALLOWEST,
+    SLOWEST,
+    SPACING_M,
+    VALID_SLIP,
+    RutGrid,
+    press_ruts,
+    rut_grid,
+    with_ruts,
+)
 from lunarsci.twin.simulation.dynamics import advance, assemble, check_sense, orient
-from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid
 from lunarsci.twin.simulation.settle import settle, tread
 
 # Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
@@ -281,19 +293,19 @@ class DriveSetup:
         return rut_grid(self.schedule.poses[0], places, reach_m(self.rover) + STRAY_M)
 
 
-def _begin(scene: DriveSetup, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
+def _begin(scene: DriveSetup, inputs: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
     start = np.tile(scene.schedule.poses[0], (GROUP, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
-    begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
+    begin(*inputs, start, motion, commands.steering_rad, commands.speed_m_s, work)
 
 
 def drive_group(
     scene: DriveSetup,
-    known: tuple[Any, Any, Any, Any],
+    inputs: tuple[Any, Any, Any, Any],
     common: Commands | None,
     errors: FloatArray,
     work: Work,
-    kept: tuple[Any, ...],
+    records: tuple[Any, ...],
     steered: FloatArray,
 ) -> None:
     """Drive a group's plan, run by run where each of it leads from where the rover then believes to be.
@@ -302,9 +314,9 @@ def drive_group(
     """
     slow = scene.slow
     if common is not None:
-        _begin(scene, known, common, work)
+        _begin(scene, inputs, common, work)
         rims = (common.steering_rad, common.speed_m_s, scene.time_step_s)
-        drive(*known, *rims, 0, scene.every, True, scene.pressing, slow, work, *kept)
+        drive(*inputs, *rims, 0, scene.every, True, scene.pressing, slow, work, *records)
         return
     commands: Commands | None = None
     legs: FloatArray | None = None
@@ -317,7 +329,119 @@ def drive_group(
         begins = commands is None
         commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
         if begins:
-            _begin(scene, known, commands, work)
+            _begin(scene, inputs, commands, work)
         last = number == len(pieces) - 1
-        driven = (*known, commands.steering_rad, commands.speed_m_s, scene.time_step_s, piece.start, scene.every)
-        drive(*driven, last, scene.pressing, slow, work, *kept)
+        driven = (*inputs, commands.steering_rad, commands.speed_m_s, scene.time_step_s, piece.start, scene.every)
+        drive(*driven, last, scene.pressing, slow, work, *records)
+
+
+Driven = tuple[FloatArray, FloatArray, IntArray, FloatArray]
+"""Paths, states, results, and legs as steered after position fixes."""
+FINER = (4, 16)
+"""How many times shorter the steps are that are tried in turn where a soil is not held by those asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class MemberDrives:
+    """The drives of some members, in groups that do not depend on who drives the others.
+
+    Members with a ground of their own are a group each.
+    """
+
+    scene: DriveSetup
+    overrides: FloatArray
+    samples: int
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return MemberDrives, (self.scene, self.overrides, self.samples)
+
+    @cached_property
+    def shared(self) -> tuple[Grid, RutGrid | None, list[tuple[DriveSetup, Commands | None, FloatArray]]]:
+        """What all groups have: ground, ruts, and commands and errors of fixes of each drive."""
+        scene, count = self.scene, len(self.overrides)
+        parts = [part for part in (scene.earlier, scene) if part is not None]
+        drives = [(part, part.commands(), part.fix_errors(count)) for part in parts]
+        return scene.terrain.grid(scene.draws), scene.rut_grid(), drives
+
+    @property
+    def together(self) -> int:
+        """Members of a group."""
+        return GROUP if self.scene.grounds is None else 1
+
+    def __call__(self, block: range) -> Driven:
+        """What comes of the members of a block, which begins with a group."""
+        scene, (shared, ruts, drives) = self.scene, self.shared
+        whole = self.empty(len(block))
+        numbers = np.arange(len(self.overrides)) if scene.only is None else scene.only
+        for first in range(block.start, block.stop, self.together):
+            rows = slice(first - block.start, min(first + self.together, block.stop) - block.start)
+            lanes = np.minimum(np.arange(first, first + GROUP), block.start + rows.stop - 1)
+            grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[first])).grid(scene.draws)
+            if scene.draws is not None:
+                grid = grid._replace(draws=scene.draws[numbers[lanes]])
+            inputs = (scene.rover.vector(), scene.rover.wheel.vector(), grid, self.overrides[lanes])
+            work = new_work(len(scene.rover.wheels))
+            work = work if ruts is None else with_ruts(work, ruts)
+            size, before = rows.stop - rows.start, np.full(rows.stop - rows.start, FINISHED)
+            for part, common, errors in drives:
+                records = self.empty(size, part, 2)
+                if part is scene:
+                    records = (whole[0][rows], whole[1][rows], whole[2][rows], whole[3][rows])
+                drive_group(part, inputs, common, errors[lanes], work, records[:3], records[3])
+                records[2][:, 0] = np.where(before == FINISHED, records[2][:, 0], before)
+                before = records[2][:, 0]
+        return whole
+
+    def empty(self, members: int, scene: DriveSetup | None = None, samples: int | None = None) -> Driven:
+        """What is to be filled, of the scene or of another one."""
+        setup = self.scene if scene is None else scene
+        wheels, rows = len(setup.rover.wheels), self.samples if samples is None else samples
+        runs = 0 if setup.schedule.plan.fixes is None else len(setup.schedule.runs)
+        results = np.zeros((members, 2), dtype=np.int64)
+        steered = np.zeros((members, runs, 3))
+        return np.zeros((members, rows, 6)), np.zeros((members, rows, wheels, 10)), results, steered
+
+
+def drive_all(
+    scene: DriveSetup, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
+) -> Driven:
+    """Drive the members, GROUP together, as many such groups at a time as there are threads, here or on a cluster.
+
+    The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
+    are a group each. A member whose drive before did not end has the outcome of that.
+    """
+    drives, count = MemberDrives(scene, overrides, samples), len(overrides)
+    result = drives.empty(count)
+    for block, records in run_blocks(drives, spans(count, shared_out(count, drives.together)), progress=progress):
+        for whole, part in zip(result, records, strict=True):
+            whole[block.start : block.stop] = part
+    return result
+
+
+def drive_finer(scene: DriveSetup, overrides: FloatArray, driven: Driven) -> IntArray:
+    """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
+    paths, states, results, steered = driven
+    finer = np.ones(len(overrides), dtype=np.int64)
+    for factor in FINER:
+        again = np.flatnonzero(results[:, 0] == DIVERGED)
+        if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
+            break
+        records = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
+        paths[again], states[again], results[again], steered[again] = records
+        finer[again] = factor
+    for member in np.flatnonzero((results[:, 0] == DIVERGED) & (results[:, 1] > 0)):
+        ground = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))
+        if _meets_cliff(scene, ground, states[member, results[member, 1] - 1, :, :2]):
+            results[member, 0] = CLIFF
+    return finer
+
+
+def _meets_cliff(scene: DriveSetup, terrain: Terrain, wheels_m: FloatArray) -> bool:
+    """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, not the step's."""
+    sample_m = scene.schedule.plan.speed_m_s * scene.time_step_s * scene.every
+    far, angles = scene.rover.wheel.radius_m + sample_m, np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+    radii = np.linspace(0.0, far, math.ceil(4.0 * far / terrain.spacing_m) + 1)
+    around = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    x, y = np.moveaxis(wheels_m[:, None, None] + around, -1, 0)
+    slopes = terrain.surface_at(x, y)[..., 1:]
+    return bool((np.hypot(slopes[..., 0], slopes[..., 1]) > STEEPEST).any())

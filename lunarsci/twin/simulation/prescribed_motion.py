@@ -36,8 +36,7 @@ from lunarsci.twin.lanes import BODY, DIVERGED, FINISHED, GROUP, SANK, UNSETTLED
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of, drawn_motions
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact import HELD
-from lunarsci.twin.simulation.contact_frame import shear_center
+from lunarsci.twin.simulation.contact import HELD, shear_center
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.members import record, take_commands
 from lunarsci.twin.simulation.settle import balance, settle, tread

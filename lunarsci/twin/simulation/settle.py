@@ -50,8 +50,8 @@ VELOCITY = Fields(GROUP, all=9)
 def tread(tyre: Any, override: FloatArray, work: Work) -> None:
     """Contact angles and r_s of each rover's wheels: those of `override` (GROUP, 12), else of the stated wheel."""
     angles, ratio = override[:, len(SOIL_COLUMNS) : -1], np.nan_to_num(override[:, -1], nan=1.0)
-    own = np.where(np.isnan(angles), tyre[4:], angles)
-    WHEEL.view(work.wheels, "tread")[:] = np.column_stack([ratio * tyre[3], own, ratio]).T
+    contact = np.where(np.isnan(angles), tyre[4:], angles)
+    WHEEL.view(work.wheels, "tread")[:] = np.column_stack([ratio * tyre[3], contact, ratio]).T
 
 
 def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
@@ -88,14 +88,14 @@ def lock(work: Any, rest: Any, time_step_s: Any, tolerance: Any, lane: Any) -> N
 
     `left` takes the forces on what is held.
     """
-    sides, found = [SYSTEM.of(work.sides, k, lane) for k in range(2)], REST.of(rest, lane)
+    sides, search = [SYSTEM.of(work.sides, k, lane) for k in range(2)], REST.of(rest, lane)
     force = [sides[0].right[i] + sides[1].right[i] for i in range(7)] + [side.right[7] for side in sides]
     largest = 0.0
     for i in (2, 3, 4, 6, 7, 8):
         largest = highest(abs(force[i]) / time_step_s, largest)
-    found.left = tuple(-force[i] / time_step_s for i in (0, 1, 5))
-    found.done = choose(found.leaning, 0.0, found.done)
-    found.done = choose(largest < tolerance, 1.0, found.done)
+    search.left = tuple(-force[i] / time_step_s for i in (0, 1, 5))
+    search.done = choose(search.leaning, 0.0, search.done)
+    search.done = choose(largest < tolerance, 1.0, search.done)
     for side in sides:
         matrix, right = list(side.matrix), list(side.right)
         for i in (0, 1, 5):
@@ -126,33 +126,33 @@ def slide_along(wheel: Any) -> Any:
 @formula
 def add_load(work: Any, w: Any, rest: Any, lane: Any) -> None:
     """Add a wheel's load times its ways along the surface to `share`."""
-    wheel, found = WHEEL.of(work.wheels, w, lane), REST.of(rest, lane)
+    wheel, search = WHEEL.of(work.wheels, w, lane), REST.of(rest, lane)
     moved = slide_along(wheel)
-    found.share = plus(found.share, tuple(wheel.normal * dot(a, b) for a in moved for b in moved))
+    search.share = plus(search.share, tuple(wheel.normal * dot(a, b) for a in moved for b in moved))
 
 
 @formula
 def find_pull(rest: Any, tolerance: Any, lane: Any) -> None:
     """Change `pull` so that the ground holds what is left; members where more than `tolerance` is left are not done."""
-    found = REST.of(rest, lane)
-    known, left = abs(found.left[0]) + abs(found.left[1]) + abs(found.left[2]) < INFINITE, found.left
-    begins = ~(found.leaning > 0.0)
-    found.leaning, done = choose(begins, found.done, found.leaning), choose(begins, 0.0, found.done)
-    active = (found.leaning > 0.0) & known
+    search = REST.of(rest, lane)
+    finite, left = abs(search.left[0]) + abs(search.left[1]) + abs(search.left[2]) < INFINITE, search.left
+    begins = ~(search.leaning > 0.0)
+    search.leaning, done = choose(begins, search.done, search.leaning), choose(begins, 0.0, search.done)
+    active = (search.leaning > 0.0) & finite
     for part in left:
         done = choose(active & (abs(part) > tolerance), 0.0, done)
-    wanted, found.done = solved(found.share, left), done
+    wanted, search.done = solved(search.share, left), done
     goes = active & ~(done > 0.0)
-    found.pull = tuple(choose(goes, old + CALM * more, old) for old, more in zip(found.pull, wanted, strict=True))
+    search.pull = tuple(choose(goes, old + CALM * more, old) for old, more in zip(search.pull, wanted, strict=True))
 
 
 @formula
 def hold(work: Any, w: Any, rest: Any, lane: Any) -> None:
     """Let the ground hold a wheel with its share of the pull, more of it in each round."""
-    wheel, found = WHEEL.of(work.wheels, w, lane), REST.of(rest, lane)
-    known = abs(found.left[0]) + abs(found.left[1]) + abs(found.left[2]) < INFINITE
-    moved, active = slide_along(wheel), (found.leaning > 0.0) & known
-    along = plus(*map(times, moved, found.pull))
+    wheel, search = WHEEL.of(work.wheels, w, lane), REST.of(rest, lane)
+    finite = abs(search.left[0]) + abs(search.left[1]) + abs(search.left[2]) < INFINITE
+    moved, active = slide_along(wheel), (search.leaning > 0.0) & finite
+    along = plus(*map(times, moved, search.pull))
     wheel.hold = tuple(
         choose(active, old + CALM * (wheel.normal * new - old), old) for old, new in zip(wheel.hold, along, strict=True)
     )

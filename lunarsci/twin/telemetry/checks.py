@@ -16,10 +16,10 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.plans.motion import GAP
+from lunarsci.twin.plans.path import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at, make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import RAMP_COUNTS_S, RAMP_S, Schedule, commands_at, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.telemetry.nodes import Rows
 from lunarsci.twin.telemetry.reading import STILL, SURE, Findings, Telemetry, held
 from lunarsci.twin.telemetry.wheel_motion import PACE, UNDER_WAY, mean_speed

@@ -9,7 +9,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.plans.schedule import all_commands, commands_at, fix_errors, make_schedule
+from lunarsci.twin.plans.path import all_commands, commands_at, fix_errors, make_schedule
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:

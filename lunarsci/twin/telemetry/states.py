@@ -18,10 +18,10 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import CLIFF, HOLE, LEFT, OVERTURNED
 from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.plans.path import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact_frame import VALID_SLIP
+from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.telemetry.checks import (

@@ -23,8 +23,7 @@ from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord, DriveResiduals, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, _refusal, _taught, assimilate, unexplained_share
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.ground.terrain import Terrain, build_terrain, terrain_bytes
 from lunarsci.twin.jobs.predict import predict as predict_job
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

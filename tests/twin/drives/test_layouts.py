@@ -21,9 +21,8 @@ from lunarsci.twin.drives.replay import (
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.jobs.compare_trials import compare_trials
 from lunarsci.twin.jobs.states import states
-from lunarsci.twin.plans.path import Commands
+from lunarsci.twin.plans.path import Commands, all_commands, make_schedule
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.plans.schedule import all_commands, make_schedule
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import predict
 

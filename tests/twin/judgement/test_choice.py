@@ -10,13 +10,12 @@ from scipy.stats import beta
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose, drive_candidates, joined, ranked, verdicts
 from lunarsci.twin.judgement.keeping import Chance, least_drives
 from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.plans.limits import AT_LEAST, Limit
-from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 

@@ -12,12 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import read_rover
-from lunarsci.twin.ground.footprint import rover_outline
-from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.hazards import ExclusionZone, rover_outline
 from lunarsci.twin.judgement.quantities import clearance, clearance_of_poses, exclusion_distance, with_middles
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.limits import Limit
-from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.plans.plan import Limit, read_plan
 from lunarsci.twin.rover import Body, Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 

@@ -8,7 +8,7 @@ import pytest
 from lunarsci.twin.judgement.safety import judge, validity
 from lunarsci.twin.judgement.tables import check_loads, load_notes
 from lunarsci.twin.lanes import HOLE, LEFT
-from lunarsci.twin.plans.limits import Limit
+from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 SINKAGE, SLIP, LOAD, VALID = map(STATE_COLUMNS.index, ("sinkage_m", "slip_ratio", "normal_force_n", "valid"))

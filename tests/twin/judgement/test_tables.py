@@ -8,11 +8,11 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.figures.prediction import box_pages, grouped, path_fan, profile_page
-from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import path_table, profile_table, state_table
-from lunarsci.twin.plans.limits import Limit, own_limits
+from lunarsci.twin.plans.plan import Limit, rover_limits
 from lunarsci.twin.simulation.ensemble import Prediction
 
 
@@ -80,7 +80,7 @@ def test_the_page_has_units_and_limits(uneven: Prediction) -> None:
     figure.canvas.draw()
     assert len(figure.axes) == 7 and all("[" in axes.get_ylabel() for axes in figure.axes)
     titles = [axes.get_title(loc="right") for axes in figure.axes]
-    own = {one.quantity: f"{one.limit:g}" for one in own_limits(uneven.rover)}
+    own = {one.quantity: f"{one.limit:g}" for one in rover_limits(uneven.rover)}
     assert titles[0] == f"limit {own['tilt_deg']} °" and titles[3] == "limit at the end 1 m"
     assert titles[5] == "limit at least 0 m" and titles[-1] == ""
     loads = figure.subfigs[1].legends[0]

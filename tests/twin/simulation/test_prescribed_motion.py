@@ -26,8 +26,8 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.tables import force_table
 from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
+from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.simulation.prescribed_motion import (
