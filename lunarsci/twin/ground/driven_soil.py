@@ -187,9 +187,9 @@ class GivenSoil:
             if MAP_SCHEMA.encode() in file.data:
                 return cls(file=file, of="map", soil_map=read_soil_map(file))
             return cls(file=file, of="belief", belief=read_belief(file))
-        if not _is_toml(file):
+        if not _is_toml(file.data):
             return cls(file=file, of="samples")
-        if _has_laws(file):
+        if _has_laws(file.data):
             return cls(file=file, of="belief", belief=first_belief(read_prior(file)))
         return cls(named=name)
 
@@ -232,18 +232,18 @@ def caution_of(name: str, belief: SoilBelief | None) -> str:
     return f"the belief {name} was learned with a warning: {belief.caution}" if belief and belief.caution else ""
 
 
-def _has_laws(file: InputFile) -> bool:
+def _has_laws(data: bytes) -> bool:
     """Whether a TOML file has laws of parameters, a table each, and not the numbers of a soil."""
     try:
-        tables = toml_document(file.data.decode("utf-8"))
+        tables = toml_document(data.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
     return any(isinstance(tables.get(name), dict) for name in PARAMETERS)
 
 
-def _is_toml(file: InputFile) -> bool:
+def _is_toml(data: bytes) -> bool:
     """By the first line that is no comment: a key and its value, or a table's header."""
-    lines = (line.strip() for line in file.data.decode("utf-8", "replace").splitlines())
+    lines = (line.strip() for line in data.decode("utf-8", "replace").splitlines())
     first = next((line for line in lines if line and not line.startswith("#")), "")
     return "=" in first or first.startswith("[")
 
