@@ -435,7 +435,10 @@ class _Beside:
                 ln, offset_m = -np.inf, 0.0
                 for offsets in (np.arange(-last, end, step), np.arange(-step, step, STEP_M / 2.0)):
                     near = offset_m + np.append(0.0, offsets)
-                    ln, offset_m = max(((self._ln_of(one, float(m)), float(m)) for m in near), key=lambda pair: pair[0])
+                    values = np.array([self._ln_of(one, float(offset)) for offset in near])
+                    # Of offsets that are as good the plan's begin, else the middle one.
+                    ln, alike = float(values.max()), np.sort(near[values == values.max()])
+                    offset_m = 0.0 if (alike == 0.0).any() else float(alike[len(alike) // 2])
                 tried.append((ln + LN_OFFSET, one, offset_m, faster))
         _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one[0])
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)

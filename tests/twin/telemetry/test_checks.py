@@ -522,6 +522,14 @@ def test_times_of_another_clock_are_said_with_their_start_and_taken_from_there(
 
 
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_by_another_clock_telemetry_may_begin_after_its_plan(drive: SyntheticDrive, yutu2: Rover) -> None:
+    """The place of its turn from one arc to the next tells when the plan began, to some centimetres of way."""
+    found = states(csv(drive.telemetry.iloc[20:].assign(time_s=lambda rows: rows.time_s + 5000.0)), yutu2)
+    assert found.telemetry.start_s == pytest.approx(5000.0, abs=1.0) and not found.findings.doubt
+    assert {"clock offset", "late begin"} <= {one.kind for one in found.findings.entries}
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 def test_by_another_clock_rests_gaps_and_halts_have_the_times_of_the_plan(drive: SyntheticDrive, yutu2: Rover) -> None:
     table = halted(drive.telemetry, 40, 60, rates=True)
     table = table[(table.time_s < 120) | (table.time_s > 135)].assign(time_s=lambda rows: rows.time_s + 5000.0)
