@@ -13,10 +13,8 @@
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
-import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 
 class LunarSciError(Exception):
@@ -92,32 +90,6 @@ class BatchError(DataError):
 
 class ParameterError(LunarSciError, ValueError):
     """A value lies outside what the formula or the command accepts."""
-
-
-class NumberRange(NamedTuple):
-    """Finite numbers from `low` to `high`, without the ends that are `open`, and how a message names them."""
-
-    low: float
-    high: float
-    text: str
-    open: tuple[float, ...] = ()
-
-    def holds(self, value: float) -> bool:
-        """Whether a number lies in it; NaN does not."""
-        return self.low <= value <= self.high and abs(value) < math.inf and value not in self.open
-
-
-POSITIVE, NOT_NEGATIVE = NumberRange(0.0, math.inf, "a number above 0", (0.0,)), NumberRange(0.0, math.inf, "0 or more")
-FINITE, SHARE = NumberRange(-math.inf, math.inf, "a finite number"), NumberRange(0.0, 1.0, "a share from 0 to 1")
-ACUTE_DEG = NumberRange(0.0, 90.0, "an angle from 0 to below 90 deg", (90.0,))
-
-
-def check_ranges(what: str, values: object, ranges: Mapping[str, NumberRange]) -> None:
-    """Raise ParameterError for the first of the named values, of an object or a mapping, out of range; None is none."""
-    for name, wanted in ranges.items():
-        value = values[name] if isinstance(values, Mapping) else getattr(values, name)
-        if value is not None and not wanted.holds(value):
-            raise ParameterError(f"{what} {name} is {value:g}; give {wanted.text}".lstrip())
 
 
 class RequestError(ParameterError):

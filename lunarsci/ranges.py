@@ -7,7 +7,7 @@ from functools import cache
 from lunarsci.errors import LunarSciError, ParameterError
 
 POSITIVE, NOT_NEGATIVE, FINITE = "(0, inf)", "[0, inf)", "(-inf, inf)"
-SHARE, CHANCE = "[0, 1]", "(0, 1)"
+SHARE, CHANCE, ACUTE_DEG = "[0, 1]", "(0, 1)", "[0, 90)"
 
 
 @cache
@@ -48,16 +48,21 @@ def check_range(name: str, value: float, interval: str, hint: str = "") -> None:
         raise ParameterError(f"{name} is {value:g}; give {in_words(interval)}{hint and f'; {hint}'}")
 
 
-def check_ranges(given: object, names: Mapping[str, str], what: str = "") -> None:
-    """The same for attributes of an object, `what`: by interval their names with blanks between them.
+def check_each(what: str, given: object, intervals: Mapping[str, str]) -> None:
+    """The same for values of a mapping or attributes of an object, `what`, each in its interval.
 
-    What is None is left out; a tuple is so many numbers.
+    What is None is left out; a tuple is so many numbers. An interval may go on with `; ` and a hint.
     """
-    for interval, several in names.items():
-        for name in several.split():
-            value = getattr(given, name)
-            for number in value if isinstance(value, tuple) else () if value is None else (value,):
-                check_range(f"{what} {name}".strip(), number, interval)
+    for name, interval in intervals.items():
+        bounds, _, hint = interval.partition("; ")
+        value = given[name] if isinstance(given, Mapping) else getattr(given, name)
+        for number in value if isinstance(value, tuple) else () if value is None else (value,):
+            check_range(f"{what} {name}".strip(), number, bounds, hint)
+
+
+def check_ranges(given: object, names: Mapping[str, str], what: str = "") -> None:
+    """The same by interval, with the names that lie in it, blanks between."""
+    check_each(what, given, {name: interval for interval, several in names.items() for name in several.split()})
 
 
 def refuse(reasons: Iterable[str], where: str = "", kind: type[LunarSciError] = ParameterError) -> None:

@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import SHARE, DataError, ParameterError, check_ranges
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_json, text
+from lunarsci.ranges import SHARE, check_each
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, ROLLING, Law, default_prior, rolling_prior, values_of
 from lunarsci.regolith.wheel import Wheel
@@ -261,7 +262,7 @@ class SoilBelief:
         Mean and covariance are those of the mixture of both; a population is given up. The discrepancy is forgotten
         alike. Raises ParameterError.
         """
-        check_ranges("the share", {"forgotten": share}, {"forgotten": SHARE})
+        check_each("the share", {"forgotten": share}, {"forgotten": SHARE})
         first = first_belief(self.laws)
         off = self.mean - first.mean
         covariance = (1 - share) * self.covariance + share * first.covariance + share * (1 - share) * np.outer(off, off)

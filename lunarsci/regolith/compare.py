@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError, check_ranges
+from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes, table_rows
+from lunarsci.ranges import check_each
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
 from lunarsci.regolith.soil import RANGES
@@ -89,7 +90,7 @@ class Site:
                 raise ParameterError(f"{words} go together; give both or none")
         if not any(given[:4]):
             raise ParameterError("nothing to compare: give stiffness and exponent, or cohesion and friction angle")
-        check_ranges("", self, {name: RANGES[name] for name in SYMBOLS})
+        check_each("", self, {name: RANGES[name] for name in SYMBOLS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +261,7 @@ def compare_site(
 
     Raises ParameterError for a width out of range.
     """
-    check_ranges("wheel", {"width_m": width_m}, {"width_m": WHEEL_RANGES["width_m"]})
+    check_each("wheel", {"width_m": width_m}, {"width_m": WHEEL_RANGES["width_m"]})
     one = {name: np.array([np.nan if (value := getattr(site, name)) is None else value]) for name in SYMBOLS}
     drawn = {} if left_open is None else left_open.belief.draws(DRAWS, SEED)
     compared = []

@@ -3,7 +3,6 @@
 Each state is solved by itself: whether all of them give one soil, and which measured quantity the errors come from.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, NumberRange, ParameterError, check_ranges
+from lunarsci.errors import ParameterError
+from lunarsci.ranges import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
 from lunarsci.regolith.prior import SIGNIFICANCE
@@ -26,8 +26,8 @@ CURVES = {
     "lateral_modulus_mm": np.arange(5.0, 61.0, 2.5),
 }
 COUNTS = {
-    "draws": NumberRange(2, math.inf, "2 or more"),
-    "wheel states": NumberRange(1, 100_000, "no more than 100000: every tenth, for example"),
+    "draws": "[2, inf)",
+    "wheel states": "[1, 100000]; take every tenth, for example",
 }
 SENSITIVITY_STATES = 50
 """Of a longer file, evenly over it."""
@@ -135,9 +135,9 @@ class Assumptions:
             object.__setattr__(self, "cohesion_pa", 520.0)
         if not self.lateral_modulus_mm and self.external_friction_angle_deg is None:
             object.__setattr__(self, "lateral_modulus_mm", (13.0, 40.0))
-        check_ranges("assumed", self, RANGES)
+        check_each("assumed", self, RANGES)
         for value in self.lateral_modulus_mm:
-            check_ranges("assumed", {"lateral_modulus_mm": value}, {"lateral_modulus_mm": POSITIVE})
+            check_each("assumed", {"lateral_modulus_mm": value}, {"lateral_modulus_mm": POSITIVE})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -220,7 +220,7 @@ def identify(
     ----------
     Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
     """
-    check_ranges("number of", {"draws": draws, "wheel states": len(states)}, COUNTS)
+    check_each("number of", {"draws": draws, "wheel states": len(states)}, COUNTS)
     code = shear_sign_code(reading)
     warn_of_shear_sign(reading)
     given, random = assumptions or Assumptions(), np.random.default_rng(seed)

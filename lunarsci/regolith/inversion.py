@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import NOT_NEGATIVE, POSITIVE, ParameterError, check_ranges
+from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.regolith.forces import (
     contact_angles,
     longitudinal_mobilisation,
@@ -60,8 +61,8 @@ def reece_stiffness(
     """
     moduli = {"k_c": k_c, "k_phi": k_phi, "cohesion": cohesion_pa}
     sizes = {"exponent": exponent, "width": width_m, "density": density_kg_m3, "gravity": gravity_m_s2}
-    check_ranges("", moduli, dict.fromkeys(moduli, NOT_NEGATIVE))
-    check_ranges("", sizes | {"sum of the moduli": k_c + k_phi}, dict.fromkeys((*sizes, "sum of the moduli"), POSITIVE))
+    check_each("", moduli, dict.fromkeys(moduli, NOT_NEGATIVE))
+    check_each("", sizes | {"sum of the moduli": k_c + k_phi}, dict.fromkeys((*sizes, "sum of the moduli"), POSITIVE))
     pressure = cohesion_pa * k_c + density_kg_m3 * gravity_m_s2 * width_m * k_phi
     return float(pressure / width_m**exponent / 1e3)
 

@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import POSITIVE, NumberRange, ParameterError, check_ranges
+from lunarsci.errors import ParameterError
+from lunarsci.ranges import POSITIVE, check_each
 
 AXES = ("along", "across")
 SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
 """Quantities of the wheels with a share of their own. Slip and side slip follow from those of the way."""
 FEWEST_DEGREES, MOST_DEGREES = 2.5, 40.0
 """Of freedom: below 2 there is no variance, and drives on other ground are never all alike; assumed."""
-DEGREES = NumberRange(FEWEST_DEGREES, MOST_DEGREES, f"{FEWEST_DEGREES:g} to {MOST_DEGREES:g} of them")
+DEGREES = f"[{FEWEST_DEGREES}, {MOST_DEGREES}]"
 STATES_TO_WAY, STATES_WORTH = 0.6, 5.0
 """See `FIRST`."""
 GRID, REACH = 41, 8.0
@@ -44,7 +45,7 @@ class VarianceLaw:
     scale: float
 
     def __post_init__(self) -> None:
-        check_ranges("a discrepancy's", self, {"degrees": DEGREES, "scale": POSITIVE})
+        check_each("a discrepancy's", self, {"degrees": DEGREES, "scale": POSITIVE})
 
     @property
     def variance(self) -> float:

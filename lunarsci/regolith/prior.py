@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import FINITE, NOT_NEGATIVE, POSITIVE, DataError, NumberRange, ParameterError, check_ranges
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import toml_of
 from lunarsci.io.inputs import InputFile, text
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.regolith.wheel import Wheel
 
 PRIORS = "priors.toml"
@@ -45,7 +46,7 @@ UNITS = dict(zip(PARAMETERS, ("kPa/m^N", "-", "-", "Pa", "deg", "mm", "deg", "mm
 """Unit of every parameter."""
 TRANSFORMS = {
     "ln": POSITIVE,
-    "ln tan": NumberRange(0.0, 90.0, "an angle above 0 and below 90 deg", (0.0, 90.0)),
+    "ln tan": "(0, 90)",
     "value": FINITE,
 }
 """What a law may be of, and where its median lies."""
@@ -82,7 +83,7 @@ class Law:
     def __post_init__(self) -> None:
         if self.of not in TRANSFORMS:
             raise ParameterError(f"a prior of '{self.of}' is unknown; give one of {', '.join(TRANSFORMS)}")
-        check_ranges("a prior's", self, {"median": TRANSFORMS[self.of], "sd": NOT_NEGATIVE})
+        check_each("a prior's", self, {"median": TRANSFORMS[self.of], "sd": NOT_NEGATIVE})
 
     @property
     def center(self) -> float:

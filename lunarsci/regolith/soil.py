@@ -8,20 +8,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lunarsci.errors import (
-    ACUTE_DEG,
-    FINITE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    DataError,
-    LunarSciWarning,
-    ParameterError,
-    check_ranges,
-)
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.documents import toml_of
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
+from lunarsci.ranges import ACUTE_DEG, FINITE, NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.regolith.prior import Question, default_prior, question
 
 RANGES = {
@@ -72,7 +64,7 @@ class Soil:
     sinkage_exponent_slip: float = 0.0
 
     def __post_init__(self) -> None:
-        check_ranges("soil", self, RANGES)
+        check_each("soil", self, RANGES)
 
     def vector(self) -> tuple[float, float, float, float, float, float, float, float]:
         """(K_s, n0, n1, c, tan phi, K_x, tan phi_y, K_y), the order the compiled formulas take, in Pa and m."""

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.errors import NOT_NEGATIVE, DataError, LunarSciWarning, check_ranges
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, numbers_of, read_csv_table, without_repeats
+from lunarsci.ranges import NOT_NEGATIVE, check_each
 from lunarsci.regolith.columns import (
     FORCES,
     LENGTHS,
@@ -180,7 +181,7 @@ class MeasurementErrors:
     side_slip_relative: float = 0.04 / 3
 
     def __post_init__(self) -> None:
-        check_ranges("error of", self, dict.fromkeys(self.__slots__, NOT_NEGATIVE))
+        check_each("error of", self, dict.fromkeys(self.__slots__, NOT_NEGATIVE))
 
     def of(self, column: str, values: FloatArray) -> FloatArray:
         """Standard deviation of a column, in the column's unit; shape of `values`."""

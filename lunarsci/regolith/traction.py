@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import POSITIVE, ParameterError, check_ranges
+from lunarsci.errors import ParameterError
+from lunarsci.ranges import POSITIVE, check_each
 from lunarsci.regolith.forces import LEAST_SINKAGE_M, WheelForces
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.inversion import slip_sinkage
@@ -48,7 +49,7 @@ def sinkage_under_load(
     """
     from scipy.optimize import brentq
 
-    check_ranges("", {"load_n": load_n}, {"load_n": POSITIVE})
+    check_each("", {"load_n": load_n}, {"load_n": POSITIVE})
 
     def excess(sinkage_m: float) -> float:
         return (

@@ -5,7 +5,8 @@ from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import NOT_NEGATIVE, POSITIVE, SHARE, DataError, NumberRange, ParameterError, check_ranges
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_each
 from lunarsci.rovers import RoverDescription, read_rover
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
@@ -27,9 +28,7 @@ DENSITY_KG_M3 = 1500.0
 LARGEST_M = 2.5
 """Radius or width; the largest tyres built are 2.0 m in radius (59/80R63, of mining trucks). Assumed. [m]"""
 RANGES = {
-    **dict.fromkeys(
-        ("radius_m", "width_m"), NumberRange(0.0, LARGEST_M, "a length in m above 0 (is it in mm or cm?)", (0.0,))
-    ),
+    **dict.fromkeys(("radius_m", "width_m"), f"(0, {LARGEST_M}]; is it in mm or cm?"),
     "grouser_height_m": NOT_NEGATIVE,
     "grouser_shear_coefficient": SHARE,
 }
@@ -66,7 +65,7 @@ class Wheel:
     exit_c3: float = 0.0
 
     def __post_init__(self) -> None:
-        check_ranges("wheel", self, RANGES)
+        check_each("wheel", self, RANGES)
         if not self.grouser_height_m < self.radius_m:
             raise ParameterError(f"wheel grouser_height_m is {self.grouser_height_m:g}, not less than radius_m; in mm?")
         if not self.exit_c3 < self.max_stress_c1 < 1:
@@ -160,7 +159,7 @@ class ContactModel:
                 raise ParameterError(f"{name} '{value}' is unknown; choose one of: {', '.join(choices)}")
         if self.shear != "separate" and self.reading != "signed":
             raise ParameterError(f"reading '{self.reading}' belongs to separate shear; take reading 'signed'")
-        check_ranges("", self, CONTACT_RANGES)
+        check_each("", self, CONTACT_RANGES)
         if self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0:
             raise ParameterError("a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4")
 

@@ -80,7 +80,7 @@ def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -
     mixture = np.concatenate(parts)
     assert half.mean == pytest.approx(mixture.mean(axis=0), abs=0.01)
     assert half.covariance == pytest.approx(np.cov(mixture.T), abs=0.02)
-    with pytest.raises(ParameterError, match="a share from 0 to 1"):
+    with pytest.raises(ParameterError, match="give 0 to 1"):
         belief.inflated(1.5)
 
 

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import LunarSciWarning, NumberRange, ParameterError, check_ranges
+from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.ranges import check_each
 from lunarsci.regolith.belief import CLOSED, CONTACT_ANGLES, FitVerdict, SoilBelief, verdict_line
 from lunarsci.regolith.columns import FORCES
 from lunarsci.regolith.inference.mode import (
@@ -58,8 +59,8 @@ from lunarsci.regolith.wheel import ContactModel, Wheel
 from lunarsci.tempering import ACCEPTED, WALK, Moves, carry
 
 RANGES = {
-    "model_error": NumberRange(0.0, 1.0, "a share from 0 to below 1", (1.0,)),
-    "draws": NumberRange(100, math.inf, "100 or more"),
+    "model_error": "[0, 1)",
+    "draws": "[100, inf)",
 }
 LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 """Of the 68 % and the 95 % interval."""
@@ -259,7 +260,7 @@ def infer_soil(
     laws = {**(contact_prior() if contact else {}), **(prior or default_prior())}
     if missing := [name for name in PARAMETERS if name not in laws]:
         raise ParameterError(f"no prior for {', '.join(missing)}; give every parameter one")
-    check_ranges("", {"model_error": model_error, "draws": draws}, RANGES)
+    check_each("", {"model_error": model_error, "draws": draws}, RANGES)
     model = ContactModel() if contact and model is None else model
     usable = usable_states(states, wheel)
     best = fit_soil(states, usable, wheel, laws, model, contact, model_error)

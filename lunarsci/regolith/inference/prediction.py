@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import POSITIVE, ParameterError, check_ranges
+from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
+from lunarsci.ranges import POSITIVE, check_each
 from lunarsci.regolith.inference.mode import predictive_densities
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
 from lunarsci.regolith.inference.problem import FORCES, forces_of_many, misfit_at, neighbours
@@ -99,7 +100,7 @@ def predict_forces(
     """
     states = np.column_stack(np.broadcast_arrays(slip_ratio, side_slip_deg, load_n)).astype(float)
     load, random = states[:, 2], np.random.default_rng(seed)
-    check_ranges("least", {"load_n": float(load.min())}, {"load_n": POSITIVE})
+    check_each("least", {"load_n": float(load.min())}, {"load_n": POSITIVE})
     errors = errors or MeasurementErrors()
     best = values_of(posterior.prior, posterior.mode)
     soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
