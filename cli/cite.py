@@ -29,6 +29,6 @@ def cite(results: Results) -> Report:
     """
     from lunarsci.guide.cite import cite
 
-    found = cite(results)
-    rows = [[key, one.text] for key, one in found.keyed.items()]
-    return Report.of(found, [TextTable(["key", "source"], rows)], figures=None, raw=found.bibtex)
+    cited = cite(results)
+    rows = [[key, one.text] for key, one in cited.keyed.items()]
+    return Report.of(cited, [TextTable(["key", "source"], rows)], figures=None, raw=cited.bibtex)

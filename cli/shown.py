@@ -37,8 +37,8 @@ def as_text(result: Result) -> str:
 def as_html(result: Result) -> str:
     """The same tables for a notebook, what should be known first."""
     tables = _tables(result)
-    said = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
-    lines = "".join(f"<p>{line}</p>" for line in (*said, *map(_cell, result.failures)))
+    untrusted = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
+    lines = "".join(f"<p>{line}</p>" for line in (*untrusted, *map(_cell, result.failures)))
     if tables is None:
         shown: str = result.to_table()._repr_html_()
         return lines + shown

@@ -35,5 +35,5 @@ def template(kind: Kind) -> Report:
     """
     from lunarsci.guide.template import template
 
-    found = template(kind)
-    return Report.of(found, [TextTable([], [], title=found.name)], figures=None, raw=lambda: found.text)
+    made = template(kind)
+    return Report.of(made, [TextTable([], [], title=made.name)], figures=None, raw=lambda: made.text)

@@ -69,7 +69,7 @@ def command(
             try:
                 output.check()
                 with (
-                    _told_of_earlier_runs(output),
+                    _earlier_runs_named(output),
                     heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
                     _computing(output, where),
                 ):
@@ -107,7 +107,7 @@ def paragraphs(function: Callable[..., Any]) -> str:
 
 
 @contextmanager
-def _told_of_earlier_runs(output: Output) -> Iterator[None]:
+def _earlier_runs_named(output: Output) -> Iterator[None]:
     """Where a command fails, say which of its files are of an earlier run: they could be taken for its own."""
     before = {path: _state(path) for path in (output.path, output.plot, output.failed) if path}
     try:
@@ -123,10 +123,10 @@ def _told_of_earlier_runs(output: Output) -> Iterator[None]:
 def _state(path: Path) -> tuple[int, int] | None:
     """What changes of a file or folder when it is written anew; None where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
 @contextmanager
@@ -154,7 +154,7 @@ def _fields(request: type, options: Mapping[str, Any]) -> dict[str, Any]:
 def _with_flags(message: str, context: typer.Context) -> str:
     """The message with names of options in backticks as they are typed."""
     flags = {str(item.name): max(item.opts, key=len) for item in context.command.params}
-    return re.sub(r"`(\w+)`", lambda found: flags.get(found[1], found[0]), message)
+    return re.sub(r"`(\w+)`", lambda name: flags.get(name[1], name[0]), message)
 
 
 def _extended(
@@ -163,14 +163,14 @@ def _extended(
     shared_options: Mapping[str, tuple[Any, Any]],
 ) -> inspect.Signature:
     taken = ("output", "request") if asked else ("output",)
-    own = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in taken]
+    positional = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in taken]
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     config = inspect.Parameter("config", inspect.Parameter.KEYWORD_ONLY, annotation=CONFIG, default=None)
     shared = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
         for key, (annotation, default) in shared_options.items()
     ]
-    return inspect.Signature([context, *own, *asked, *shared, config], return_annotation=None)
+    return inspect.Signature([context, *positional, *asked, *shared, config], return_annotation=None)
 
 
 def _provenance(context: typer.Context, report: Report, options: Mapping[str, Any], heard: list[str]) -> Provenance:
@@ -188,12 +188,12 @@ def _provenance(context: typer.Context, report: Report, options: Mapping[str, An
 
 
 @contextmanager
-def heard_warnings(output: Output, told: Callable[[str], str] = str) -> Iterator[list[str]]:
-    """Collect lunarsci's warnings, each once and as `told` words it, and say them on stderr as they come."""
+def heard_warnings(output: Output, worded: Callable[[str], str] = str) -> Iterator[list[str]]:
+    """Collect lunarsci's warnings, each once and as `worded` has it, and say them on stderr as they come."""
     heard: list[str] = []
 
     def hear(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        text = told(str(message))
+        text = worded(str(message))
         if issubclass(category, LunarSciWarning) and text not in heard:
             heard.append(text)
             say(f"warning: {text}", quiet=output.quiet)

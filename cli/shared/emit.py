@@ -117,20 +117,20 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
     from lunarsci.pages.answers import ANSWERS, answer
     from lunarsci.pages.documents import Document
 
-    found = Document("", report.schema, report.result, record)
+    made = Document("", report.schema, report.result, record)
     many = max(len(report.result.get(name, ())) for name in ("spectra", "rocks"))
-    if found.kind not in ANSWERS or many > MOST_ANSWERED:
+    if made.kind not in ANSWERS or many > MOST_ANSWERED:
         return []
-    said: list[str] = []
+    verdicts: list[str] = []
     if 0 < len(report.result.get("spectra", ())) <= MOST_VERDICTS:
         tables = report.tables() if callable(report.tables) else report.tables
-        said = [note for table in tables if table.title == SAYS for note in table.notes]
+        verdicts = [note for table in tables if table.title == SAYS for note in table.notes]
     try:
-        told = answer(found)
+        summary = answer(made)
     except DataError:  # the result is written: a sentence that cannot be made is no failure
-        return said
-    trusted = [] if report.untrusted or report.failures else [told.trust]
-    return [*(said or [told.text]), *trusted]
+        return verdicts
+    trusted = [] if report.untrusted or report.failures else [summary.trust]
+    return [*(verdicts or [summary.text]), *trusted]
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:
@@ -139,13 +139,13 @@ def _counted(report: Report, failed: str | Path | None) -> str:
     key = next((key for key in ("spectra", "rocks") if key in report.result), "")
     count = len(report.result[key]) if key else 0
     noun = {"spectra": "spectrum", "rocks": "rock"}[key] if count == 1 else key
-    found = f"{count} {noun} with a result, " if key else ""
+    results = f"{count} {noun} with a result, " if key else ""
     single = sum(bool(one.spectrum) for one in report.failures)
     whole = len({one.input for one in report.failures if not one.spectrum})
     counts = [f"{whole} input{'s' if whole > 1 else ''}"] if whole else []
     counts += [f"{single} single spectr{'a' if single > 1 else 'um'}"] if single else []
     without = f"{' and '.join(counts)} without"
-    return f"{found}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
+    return f"{results}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
@@ -186,8 +186,8 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
 
     steps = path.split(".")
     stored = report.stored if report.stored and steps[0] in ("result", "provenance") and len(steps) > 1 else None
-    own = stored["result"] if stored else report.result
-    value, doubt = _opened(own), ""
+    result = stored["result"] if stored else report.result
+    value, doubt = _opened(result), ""
     if steps[0] in whole and steps[0] not in value:
         value = stored or whole
     steps = steps[1:] if steps[0] == "result" else steps
@@ -200,29 +200,29 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
             if isinstance(value, dict) and depth and _could_be(step, steps[:depth], top, report):
-                value, doubt = None, f"no '{step}' here; there is: {_known(value)}"
+                value, doubt = None, f"no '{step}' here; there is: {_names_in(value)}"
                 break
             near = meant(step, value) if isinstance(value, dict) else ""
-            inside = _path_to(steps[-1], _opened(own))
+            inside = _path_to(steps[-1], _opened(result))
             near = f"did you mean '{inside}'? " if inside else near
-            known = f"{near}there is: {_known(value)}"
-            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
-    found = plain(value)
-    number = isinstance(found, int | float) and not isinstance(found, bool)
-    if found is None:
+            choices = f"{near}there is: {_names_in(value)}"
+            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {choices}") from None
+    bare = plain(value)
+    number = isinstance(bare, int | float) and not isinstance(bare, bool)
+    if bare is None:
         doubt = f"--field {path}: no value{f': {doubt}' if doubt else ''}"
     elif doubt:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
-    text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
-    return f"{text}\n", doubt or (_doubt_kept(stored, steps) if stored and path.startswith("result") else "")
+    text = bare if isinstance(bare, str) else json.dumps(bare, sort_keys=True, ensure_ascii=False)
+    return f"{text}\n", doubt or (_stored_doubt(stored, steps) if stored and path.startswith("result") else "")
 
 
-def _doubt_kept(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
+def _stored_doubt(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
     """Why a value of a stored result is not to be trusted: below one of many fits as that one is not, else as all."""
-    kept = str((stored.get("provenance") or {}).get("untrusted") or "")
+    untrusted = str((stored.get("provenance") or {}).get("untrusted") or "")
     teller = OF_SPECTRA.get(str(stored.get("schema")))
-    if not kept or teller is None or len(steps) < 2 or steps[0] != "spectra":
-        return kept
+    if not untrusted or teller is None or len(steps) < 2 or steps[0] != "spectra":
+        return untrusted
     from lunarsci.spectra.jobs import verdicts
 
     doubt: str = getattr(verdicts, teller)(stored["result"]["spectra"][int(steps[1])])
@@ -270,7 +270,7 @@ def _is_list(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | tuple)
 
 
-def _known(value: Any) -> str:
+def _names_in(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(sorted(value))
     return f"0 to {len(value) - 1}" if _is_list(value) and value else "nothing below it"

@@ -162,8 +162,8 @@ def wrapped(text: str, width: int) -> list[str]:
     lines = []
     for line in text.split("\n"):
         blanks = " " * (len(line) - len(line.lstrip()))
-        said = printable(line.strip())
+        words = printable(line.strip())
         lines += textwrap.wrap(
-            said, width, initial_indent=blanks, subsequent_indent=f"{blanks}  ", break_on_hyphens=False
+            words, width, initial_indent=blanks, subsequent_indent=f"{blanks}  ", break_on_hyphens=False
         ) or [""]
     return lines

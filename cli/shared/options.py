@@ -205,16 +205,16 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
         settings = toml_document(value.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
-    known = {_option_name(parameter): parameter for parameter in context.command.params}
+    parameters = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
     for key, setting in _of_this_command(settings, context, value).items():
         name = key.replace("_", "-")
-        if name not in known or name == "config":
-            others = sorted(set(known) - {"config"})
+        if name not in parameters or name == "config":
+            others = sorted(set(parameters) - {"config"})
             message = f"'{key}' is no option here; {one_of(name, others)}"
             raise typer.BadParameter(f"{value}: {message}")
-        alone = isinstance(setting, str) and getattr(known[name], "multiple", False)
-        defaults[str(known[name].name)] = [setting] if alone else setting
+        alone = isinstance(setting, str) and getattr(parameters[name], "multiple", False)
+        defaults[str(parameters[name].name)] = [setting] if alone else setting
     context.default_map = defaults
     return value
 
@@ -229,14 +229,14 @@ def _of_this_command(settings: Mapping[str, Any], context: typer.Context, file: 
     while above is not None:
         contexts.insert(0, above)
         above = above.parent
-    found = {key: setting for key, setting in settings.items() if not isinstance(setting, dict)}
+    shared = {key: setting for key, setting in settings.items() if not isinstance(setting, dict)}
     table: Any = settings
     for word, here in zip(context.command_path.split()[1:], contexts, strict=False):
-        known = list(here.command.commands)
-        if wrong := next((key for key, inner in table.items() if isinstance(inner, dict) and key not in known), None):
-            raise typer.BadParameter(f"{file}: [{wrong}] is no command here; {one_of(wrong, known)}")
+        names = list(here.command.commands)
+        if wrong := next((key for key, inner in table.items() if isinstance(inner, dict) and key not in names), None):
+            raise typer.BadParameter(f"{file}: [{wrong}] is no command here; {one_of(wrong, names)}")
         table = table.get(word, {})
-    return found | {key: setting for key, setting in table.items() if not isinstance(setting, dict)}
+    return shared | {key: setting for key, setting in table.items() if not isinstance(setting, dict)}
 
 
 def _option_name(parameter: Any) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.names import known_name
+from lunarsci.names import checked_name
 from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain
 
@@ -34,9 +34,9 @@ def render(tables: Sequence[TextTable], width: int = 0, *, keep: bool = False) -
 
 
 def _as_lines(table: TextTable, frame: "Box") -> str:
-    said = [printable(part) for text in (*table.left_out, *table.notes) for part in text.split("\n")]
+    notes = [printable(part) for text in (*table.left_out, *table.notes) for part in text.split("\n")]
     title = [printable(part) for part in table.title.split("\n")] if table.title else []
-    return "\n".join([*title, *_grid(table, frame), *said, ""])
+    return "\n".join([*title, *_grid(table, frame), *notes, ""])
 
 
 def _grid(table: TextTable, frame: "Box", cells: Callable[[str], str] = printable) -> list[str]:
@@ -160,10 +160,10 @@ def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Ite
     yield text.getvalue().encode()
 
 
-def _column(name: str, known: Sequence[str], what: str) -> str:
+def _column(name: str, columns: Sequence[str], what: str) -> str:
     """The name as it is known. Raises RequestError, wrong usage, that names the nearest, and all."""
     try:
-        return known_name(name, known, what)
+        return checked_name(name, columns, what)
     except ParameterError as error:
         raise RequestError(f"--columns: {error}") from None
 
@@ -182,8 +182,8 @@ def chosen(
 
     Raises RequestError for a name that is neither.
     """
-    if found := matched(tables, names):
-        return found
+    if picked := matched(tables, names):
+        return picked
     if rows is None:
         headers = [bare(header) for table in tables for header in table.headers if bare(header)]
         _column(names[0], headers, "a column")
@@ -193,18 +193,18 @@ def chosen(
 
 def matched(tables: Sequence[TextTable], names: Sequence[str]) -> list[TextTable]:
     """Tables with these columns, in their order, without the others; none where a name is in no table."""
-    found, seen = [], set()
+    picked, seen = [], set()
     for table in tables:
-        known: dict[str, int] = {}
+        columns: dict[str, int] = {}
         for k, header in enumerate(table.headers):
-            known.setdefault(header.casefold(), k)
-            known.setdefault(bare(header).casefold(), k)
-        places = [known[name.casefold()] for name in names if name.casefold() in known]
-        seen |= {name for name in names if name.casefold() in known}
+            columns.setdefault(header.casefold(), k)
+            columns.setdefault(bare(header).casefold(), k)
+        places = [columns[name.casefold()] for name in names if name.casefold() in columns]
+        seen |= {name for name in names if name.casefold() in columns}
         if places:
             rows = [[row[k] for k in places] for row in table.rows]
-            found.append(dataclasses.replace(table, headers=[table.headers[k] for k in places], rows=rows))
-    return found if seen == set(names) else []
+            picked.append(dataclasses.replace(table, headers=[table.headers[k] for k in places], rows=rows))
+    return picked if seen == set(names) else []
 
 
 def _rounded(cell: str) -> str:

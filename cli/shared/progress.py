@@ -27,7 +27,7 @@ def progress(description: str, *, quiet: bool = False) -> Iterator[Callable[[int
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=None, pace="")
         pace = Pace()
-        yield lambda done, total: bar.update(task, completed=done, total=total, pace=pace.said(done, total))
+        yield lambda done, total: bar.update(task, completed=done, total=total, pace=pace.text(done, total))
 
 
 def minutely(description: str, clock: Callable[[], float] = time.monotonic) -> Callable[[int, int], None]:
@@ -36,10 +36,10 @@ def minutely(description: str, clock: Callable[[], float] = time.monotonic) -> C
 
     def update(done: int, total: int) -> None:
         nonlocal last
-        said = pace.said(done, total)
+        text = pace.text(done, total)
         if clock() - last >= LINE_EVERY_S and done < total:
             last = clock()
-            say(f"{description}: {said}")
+            say(f"{description}: {text}")
 
     return update
 
@@ -52,7 +52,7 @@ class Pace:
         self._first = self._last = 0
         self._since_s: float | None = None
 
-    def said(self, done: int, total: int) -> str:
+    def text(self, done: int, total: int) -> str:
         """Such as `1,200 of 100,000 · 830 a second · 2 min left`; without pace where there is none yet."""
         now = self._clock()
         if self._since_s is None or done < self._last:
@@ -62,8 +62,8 @@ class Pace:
         if taken <= 0.0 or here <= 0:
             return f"{done:,} of {total:,}"
         rate = here / taken
-        said = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
-        return f"{done:,} of {total:,} · {said} · {_duration((total - done) / rate)} left"
+        speed = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
+        return f"{done:,} of {total:,} · {speed} · {_duration((total - done) / rate)} left"
 
 
 def _duration(seconds: float) -> str:

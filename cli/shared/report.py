@@ -65,12 +65,12 @@ class Report:
     raw: Callable[[], str] | None = None
     stored: Mapping[str, Any] | None = None
 
-    def with_reasons(self, told: Callable[[str], str]) -> "Report":
-        """With the reasons of its failures, why it is not to be trusted, and how it was read, as `told` words them."""
+    def with_reasons(self, worded: Callable[[str], str]) -> "Report":
+        """With the reasons of its failures, why it is not to be trusted, and how it was read, as `worded` has them."""
         lines = self.result.get("read_as")
-        result = {**self.result, "read_as": [*map(told, lines)]} if isinstance(lines, list | tuple) else self.result
-        failures = [one.worded(told) for one in self.failures]
-        return replace(self, untrusted=told(self.untrusted), failures=failures, result=result)
+        result = {**self.result, "read_as": [*map(worded, lines)]} if isinstance(lines, list | tuple) else self.result
+        failures = [one.worded(worded) for one in self.failures]
+        return replace(self, untrusted=worded(self.untrusted), failures=failures, result=result)
 
     @classmethod
     def of(
@@ -96,8 +96,8 @@ class Report:
     def rows_with(self, columns: Sequence[str]) -> Sequence[Mapping[str, Any]] | None:
         """The rows for some columns of `--csv`: one of each thing, unless one of them is a column of its parts."""
         each = self.rows_each() if self.rows_each and columns else None
-        known = {name.casefold() for name in names_of(each)} if each is not None else set()
-        return each if known.issuperset(name.casefold() for name in columns) and columns else self.rows
+        names = {name.casefold() for name in names_of(each)} if each is not None else set()
+        return each if names.issuperset(name.casefold() for name in columns) and columns else self.rows
 
     @property
     def exit_code(self) -> int:

@@ -64,10 +64,10 @@ def counted(notes: Sequence[str], total: int, things: str, names: Sequence[str] 
     """
     if total == 1:
         return list(dict.fromkeys(notes))
-    own: dict[str, list[str]] = {}
+    names_of: dict[str, list[str]] = {}
     for note, name in zip(notes, names or [""] * len(notes), strict=True):
-        own.setdefault(note, []).append(name)
-    return [f"{note} ({len(found)} of {total} {things}{_first(found)})" for note, found in own.items()]
+        names_of.setdefault(note, []).append(name)
+    return [f"{note} ({len(holders)} of {total} {things}{_first(holders)})" for note, holders in names_of.items()]
 
 
 def _first(names: Sequence[str]) -> str:

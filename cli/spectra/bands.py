@@ -101,8 +101,8 @@ def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
 
 def _band_notes(result: MeasuredBands, records: Sequence[Mapping[str, Any]]) -> list[str]:
     names = {"1000": "1 µm", "2000": "2 µm"}
-    found = sorted((f"{names[key]} band: {text}", place, own) for place, own, key, text in result.remarks())
-    lines, owners = [line for line, _, _ in found], [own for _, _, own in found]
+    remarks = sorted((f"{names[key]} band: {text}", place, owner) for place, owner, key, text in result.remarks())
+    lines, owners = [line for line, _, _ in remarks], [owner for _, _, owner in remarks]
     return counted(lines, len(records), "spectra", owners) + (_shared_errors(records[0]) if len(records) == 1 else [])
 
 

@@ -61,9 +61,9 @@ def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Rep
     return Report.of(result, result_tables(result), formats=formats)
 
 
-def result_tables(found: Calibrations) -> list[TextTable]:
+def result_tables(result: Calibrations) -> list[TextTable]:
     """The observations, a line each."""
-    return [_table(found.observations)]
+    return [_table(result.observations)]
 
 
 def _table(good: Sequence[Calibration]) -> TextTable:
@@ -71,8 +71,8 @@ def _table(good: Sequence[Calibration]) -> TextTable:
         "observation", "i [deg]", "e [deg]", "g [deg]", "Sun [AU]", "lit pixels", "step", "gain", "R at 750 nm",
         "shared [%]", "masked",
     ]  # fmt: skip
-    said = [(note, item.id) for item in good for note in item.notes]
-    notes = counted([note for note, _ in said], len(good), "observations", [name for _, name in said])
+    notes_by_id = [(note, item.id) for item in good for note in item.notes]
+    notes = counted([note for note, _ in notes_by_id], len(good), "observations", [name for _, name in notes_by_id])
     return TextTable(headers, [_row(item) for item in good], notes=notes)
 
 

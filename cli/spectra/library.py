@@ -156,7 +156,7 @@ def _row(record: Mapping[str, Any]) -> list[str]:
 
 def _findings(checked: CheckedLibrary) -> TextTable:
     rows = [[row["id"], "mend" if row["must_mend"] else "know", row["finding"]] for row in checked.rows()]
-    total, rest = len(checked.findings), sum(not found for found in checked.findings)
+    total, rest = len(checked.findings), sum(not finding for finding in checked.findings)
     if not rows:
         return TextTable(["library"], [[f"all {total} end members are fit for use"]])
     notes = [f"{rest} of {total} without a finding"] if rest else []

@@ -80,8 +80,8 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
     from lunarsci.spectra.jobs.map import map, pixel
 
     if spectrum is not None:
-        found = pixel(cube, spectrum, request)
-        return Report.of(found, [_pixel_table(found)])
+        one = pixel(cube, spectrum, request)
+        return Report.of(one, [_pixel_table(one)])
     with progress("mapping lines", quiet=output.quiet) as update:
         result = map(cube, output.path, request, force=output.force, time=not output.no_time, progress=update)
     return Report.of(result, [_table(result)], written=[result.path])
@@ -114,10 +114,10 @@ def _notes(record: Mapping[str, Any]) -> Sequence[str]:
     return [", ".join([f"{counts['pixels']} pixels", *flags]), *coded, *record["cube"]["remarks"]]
 
 
-def _pixel_table(found: PixelSpectrum) -> TextTable:
-    rows = [[f"{row['wavelength_nm']:.2f}", _shown(row[found.id])] for row in found.rows()]
-    flags = [f"flags: {', '.join(found.flags)}"] if found.flags else []
-    return TextTable(["wavelength [nm]", "reflectance"], rows, title=found.id, notes=flags)
+def _pixel_table(pixel: PixelSpectrum) -> TextTable:
+    rows = [[f"{row['wavelength_nm']:.2f}", _shown(row[pixel.id])] for row in pixel.rows()]
+    flags = [f"flags: {', '.join(pixel.flags)}"] if pixel.flags else []
+    return TextTable(["wavelength [nm]", "reflectance"], rows, title=pixel.id, notes=flags)
 
 
 def _shown(value: float) -> str:

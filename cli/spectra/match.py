@@ -85,12 +85,12 @@ def result_tables(result: Matches) -> list[TextTable]:
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
-        told = (
+        remark = (
             "ln BF: composition alone, against a rock of any composition; main route to the surface: the impact itself "
             "(direct), the fall of younger ejecta (stirred) or small local craters (gardened), with its share; assumed "
             "or known:"
         )
-        return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
+        return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, remark, *notes])]
     shown = matches[:SHOWN]
     rows = [[m.rock.id, m.remaining[0], f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
     headers = ["rock", "likeliest", "posterior", OTHER, "status"]

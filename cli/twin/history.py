@@ -67,24 +67,24 @@ def history(
     if (request.rollback is None) != (save is None):
         raise RequestError("`rollback` N and `save` FILE belong together; give both, or neither")
     output.check_extra("--save", save, (".json",))
-    found = history(belief, request)
-    back = found.rolled_back
+    result = history(belief, request)
+    back = result.rolled_back
     extras = {} if save is None or back is None else {save: lambda: back.to_json().encode()}
-    return Report.of(found, _tables(found, save), extras=extras)
+    return Report.of(result, _tables(result, save), extras=extras)
 
 
-def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
+def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
 
     from lunarsci.regolith.belief_history import parameter_rows
 
-    now = parameter_table(parameter_rows(found.belief), "What is believed now")
-    drives = found.drives
-    tables = [_drive_table(found.source.name, drives), _moved_table(drives), now, _physics_table(found.belief)]
-    if found.distance is not None and found.other_source is not None:
-        tables.append(_distance_table((found.source.name, found.other_source.name), found.distance))
-    if found.rolled_back is not None:
-        title = f"What was believed after {found.rollback} drive(s), written to {save}"
-        tables.append(parameter_table(parameter_rows(found.rolled_back), title))
+    now = parameter_table(parameter_rows(result.belief), "What is believed now")
+    drives = result.drives
+    tables = [_drive_table(result.source.name, drives), _moved_table(drives), now, _physics_table(result.belief)]
+    if result.distance is not None and result.other_source is not None:
+        tables.append(_distance_table((result.source.name, result.other_source.name), result.distance))
+    if result.rolled_back is not None:
+        title = f"What was believed after {result.rollback} drive(s), written to {save}"
+        tables.append(parameter_table(parameter_rows(result.rolled_back), title))
     return [table for table in tables if table.rows or table.notes]
 
 
@@ -140,9 +140,9 @@ def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
 def _physics_table(belief: SoilBelief) -> TextTable:
     """What the twin's physics is off by, and the drives that taught it."""
 
-    found = discrepancy_table(belief.discrepancy)
+    table = discrepancy_table(belief.discrepancy)
     lines = [f"taught by {one.get('states')} ({one.get('how')})" for one in belief.discrepancy.scored]
-    return TextTable(found.headers, found.rows, title=found.title, notes=[*found.notes, *lines])
+    return TextTable(table.headers, table.rows, title=table.title, notes=[*table.notes, *lines])
 
 
 def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTable:

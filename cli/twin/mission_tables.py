@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from lunarsci.twin.mission.legs import MissionLeg
 
 
-def mission_tables(found: PlannedMission) -> list[TextTable]:
+def mission_tables(planned: PlannedMission) -> list[TextTable]:
     """What becomes of the targets, and the timetable of the legs."""
-    return [_targets(found), _legs(found)]
+    return [_targets(planned), _legs(planned)]
 
 
-def _targets(found: PlannedMission) -> TextTable:
-    driven, mission, chance = found.driven, found.driven.mission, found.chance
+def _targets(planned: PlannedMission) -> TextTable:
+    driven, mission, chance = planned.driven, planned.driven.mission, planned.chance
     rows = [
         [
             one.target.name,
@@ -28,29 +28,29 @@ def _targets(found: PlannedMission) -> TextTable:
         for one in driven.targets
     ]
     whole = driven.reached == len(driven.targets)
-    kept = (
+    chance_text = (
         f"kept with {100 * (1 - chance.risk):.0f} % ({100 * (1 - chance.high):.0f} to {100 * (1 - chance.low):.0f} %)"
     )
-    verdict = kept if whole else f"{driven.reached} of {len(driven.targets)} targets reached"
+    verdict = chance_text if whole else f"{driven.reached} of {len(driven.targets)} targets reached"
     budget = "" if mission.time_budget_s == float("inf") else f" of {clock(mission.time_budget_s)}"
     notes = [
         *(f"{one.target.name}: {one.why}" for one in driven.targets if one.why),
         f"takes {clock(driven.end_s)}{budget}, of which {clock(driven.waited_s)} waiting for communication",
-        *found.soils.inputs.soil_notes(driven.kept.size, 0),
-        *found.notes(),
+        *planned.soils.inputs.soil_notes(driven.kept.size, 0),
+        *planned.notes(),
     ]
     headers = ["target", "fate", "arrival [h:min]", "kept [%]"]
     return TextTable(headers, rows, title=f"{mission.name}: {verdict}", notes=notes)
 
 
-def _legs(found: PlannedMission) -> TextTable:
+def _legs(planned: PlannedMission) -> TextTable:
 
     from lunarsci.twin.judgement.keeping import least_of_95
 
-    rows = [_row(leg) for leg in found.driven.legs]
+    rows = [_row(leg) for leg in planned.driven.legs]
     headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]
     notes = ["begin and waited: h:min; sd: of the end, along its larger axis, before the rover is localised"]
-    if charges := [leg.charge for leg in found.driven.legs if leg.charge is not None]:
+    if charges := [leg.charge for leg in planned.driven.legs if leg.charge is not None]:
         headers.append("left [%]")
         rows = [[*row, f"{100 * least_of_95(charge):z.0f}"] for row, charge in zip(rows, charges, strict=True)]
         notes.append("left: of the battery at the end of the leg, in 95 % of the drives; below 0 what is missing")

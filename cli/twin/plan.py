@@ -47,7 +47,7 @@ OPTIONS = {
     "mission": option(panel=PATH, metavar="FILE", show_default=False),
     "exact_terrain": option(panel=CHOICE),
     "charge": option(panel=CHOICE, show_default="the battery does not count"),
-    **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
+    **{name: text for name, text in OF_TERRAIN.items() if name != "soil"},
 }
 SHORT = {
     "slip_ratio": "slip", "side_slip_deg": "sideslip", "sinkage_m": "sinkage", "tilt_deg": "tilt",
@@ -91,33 +91,33 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
-        found = job.plan(terrain, request, progress=update)
-    return Report.of(found, result_tables(found), files=found.files(geotiff=geotiff))
+        survey = job.plan(terrain, request, progress=update)
+    return Report.of(survey, result_tables(survey), files=survey.files(geotiff=geotiff))
 
 
-def result_tables(found: TerrainSurvey) -> list[TextTable]:
+def result_tables(survey: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
 
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.planned_mission import PlannedMission
 
-    if isinstance(found, PlannedMission):
-        return mission_tables(found)
-    tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
-    return tables + ([] if found.path is None else [_path_table(found, found.path)])
+    if isinstance(survey, PlannedMission):
+        return mission_tables(survey)
+    tables = [_choice_table(survey)] if isinstance(survey, ChosenDrive) else [ground_table(survey)]
+    return tables + ([] if survey.path is None else [_path_table(survey, survey.path)])
 
 
-def _choice_table(found: ChosenDrive) -> TextTable:
+def _choice_table(survey: ChosenDrive) -> TextTable:
     """The best candidates, one line each, best first."""
-    choice = found.choice
+    choice = survey.choice
     best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
-    verdict = f"doubtful: {verdict}" if found.soils.doubt else verdict
+    verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
     held = f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries"
     notes = [
-        *([found.soils.doubt] if found.soils.doubt else []),
-        *([] if choice.feasible else [found.what_next]),
+        *([survey.soils.doubt] if survey.soils.doubt else []),
+        *([] if choice.feasible else [survey.what_next]),
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
@@ -127,9 +127,9 @@ def _choice_table(found: ChosenDrive) -> TextTable:
         "the way; m left, m right in a drive's name: how far its way lies beside the direct one",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
-        f"end within {found.tolerance_m:g} m of the target",
-        *found.soils.inputs.soil_notes(found.members, 0),
-        *found.notes(),
+        f"end within {survey.tolerance_m:g} m of the target",
+        *survey.soils.inputs.soil_notes(survey.members, 0),
+        *survey.notes(),
     ]
     headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
@@ -154,9 +154,9 @@ def _percent(chance: float) -> str:
     return f"{100 * chance:.1f}" if chance < 0.02 else f"{100 * chance:.0f}"
 
 
-def _path_table(found: TerrainSurvey, path: PlannedPath) -> TextTable:
+def _path_table(survey: TerrainSurvey, path: PlannedPath) -> TextTable:
 
-    limits = found.site.mobility
+    limits = survey.site.mobility
     rows = [
         [str(number), f"{arc.length_m:.3f}", f"{arc.curvature_per_m:.4f}", _radius(arc.curvature_per_m)]
         for number, arc in enumerate(path.plan.legs, start=1)
@@ -171,13 +171,13 @@ def _path_table(found: TerrainSurvey, path: PlannedPath) -> TextTable:
         "(--start)",
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {math.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
-        *_place_notes(path, found.light()),
+        *_place_notes(path, survey.light()),
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
-        f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
+        f"{_metres(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"{limits.hazard_distance_m:g} m to be kept",
         *(
             f"{one['length_m']:.1f} m looked at on {one['terrain']}, every {one['spacing_m']:g} m"
-            for one in found.checked
+            for one in survey.checked
         ),
     ]
     return TextTable(headers, rows, title=path.plan.name, notes=notes)
@@ -201,7 +201,7 @@ def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     return notes + ([f"in shadow: {light['sun']['path_shadow_share']:.1%} of the path"] if light else [])
 
 
-def _known(length_m: float) -> str:
+def _metres(length_m: float) -> str:
     return "unknown" if math.isnan(length_m) else f"{length_m:.3f}"
 
 

@@ -12,21 +12,21 @@ if TYPE_CHECKING:
 UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
 
 
-def trial_tables(found: ScoredTrials) -> list[TextTable]:
+def trial_tables(scored: ScoredTrials) -> list[TextTable]:
     """One row a trial, then one for each quantity over all trials."""
-    result = found.to_dict()
+    record = scored.to_dict()
     notes = [
         "error: root mean square of predicted less measured over the states, and the distance of the ends; wheels: the "
         "same of the way that the wheels go without slip",
-        f"predicted on soils of {result['soil']['name']} ({result['soil']['of']})",
-        *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in found.trials)) else []),
-        *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in found.trials if trial.doubt),
+        f"predicted on soils of {record['soil']['name']} ({record['soil']['of']})",
+        *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in scored.trials)) else []),
+        *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in scored.trials if trial.doubt),
     ]
     headers = ["trial", "way [m]", "drives", "slip", "predicted", "error", "wheels", "side slip error [deg]", "wheels"]
     headers += ["end error [m]", "wheels", "90 % radius [m]", "inside"]
-    rows = [_row(row) for row in result["trials"]]
+    rows = [_row(row) for row in record["trials"]]
     heads = ["over all trials", "unit", "trials", "values", "median error", "rms", "in 90 % regions", "wheels: median"]
-    summary = [_summary_row(row) for row in result["summary"]]
+    summary = [_summary_row(row) for row in record["summary"]]
     trials = "1 trial" if len(rows) == 1 else f"{len(rows)} trials"
     title = f"{trials} beside what the twin predicts from the wheels"
     return [

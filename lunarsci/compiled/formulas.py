@@ -39,9 +39,9 @@ class Traced:
     def called(self, name: str, *others: "Traced") -> "Traced":
         """What an intrinsic function of LLVM makes of this and others."""
         kind, short = self.value.type, "f64" if self.value.type == DOUBLE else f"v{LANES}f64"
-        known = ir.FunctionType(kind, [kind] * (1 + len(others)))
+        signature = ir.FunctionType(kind, [kind] * (1 + len(others)))
         full = f"llvm.{name}.{short}"
-        function = self.builder.module.globals.get(full) or ir.Function(self.builder.module, known, full)
+        function = self.builder.module.globals.get(full) or ir.Function(self.builder.module, signature, full)
         return type(self)(self.builder, self.builder.call(function, [self.value, *(other.value for other in others)]))
 
 

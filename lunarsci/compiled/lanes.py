@@ -179,8 +179,8 @@ class NamedRows:
     def __getattr__(self, name: str) -> Any:
         if name not in self._seen:
             first, size = self._fields.first[name], self._fields.sizes[name]
-            found = tuple(self._load(first + k) for k in range(size))
-            self._seen[name] = found if size > 1 else found[0]
+            values = tuple(self._load(first + k) for k in range(size))
+            self._seen[name] = values if size > 1 else values[0]
         return self._seen[name]
 
     def __setattr__(self, name: str, value: Any) -> None:

@@ -118,7 +118,7 @@ class InputStream:
 
     def pieces(self, size: int = 1 << 22) -> Iterator[bytes]:
         """So many bytes at a time. Raises DataError for a file that cannot be read on, and for an empty one."""
-        with _said(self.name):
+        with _named_errors(self.name):
             while piece := self.file.read(size):
                 self._empty = False
                 self._digest.update(piece)
@@ -134,9 +134,9 @@ def open_input(source: "Source | InputStream") -> Iterator[InputStream]:
         yield source
     elif isinstance(source, str | Path):
         path = str(source)
-        with contextlib.ExitStack() as kept:
-            with _said(_name_of(path)):
-                file = _stdin() if path == "-" else kept.enter_context(Path(path).open("rb"))
+        with contextlib.ExitStack() as opened:
+            with _named_errors(_name_of(path)):
+                file = _stdin() if path == "-" else opened.enter_context(Path(path).open("rb"))
             yield InputStream(_name_of(path), file)
     else:
         whole = read_input(source)
@@ -148,7 +148,7 @@ def _name_of(path: str) -> str:
 
 
 @contextlib.contextmanager
-def _said(name: str) -> Iterator[None]:
+def _named_errors(name: str) -> Iterator[None]:
     """What the system says of a file, as a DataError."""
     try:
         yield
@@ -164,7 +164,7 @@ def _said(name: str) -> Iterator[None]:
 
 
 def _read_path(path: str) -> InputFile:
-    with _said(_name_of(path)):
+    with _named_errors(_name_of(path)):
         data = _stdin().read() if path == "-" else Path(path).read_bytes()
     return _filled(_name_of(path), data)
 
@@ -181,11 +181,11 @@ def _table_bytes(table: Any) -> bytes:
 
     plain = table.copy()
     for name in plain.colnames:
-        unit, own = unit_of(name), getattr(plain[name], "unit", None)
-        if unit and own is not None and own.is_equivalent(unit):
+        unit, given = unit_of(name), getattr(plain[name], "unit", None)
+        if unit and given is not None and given.is_equivalent(unit):
             plain[name] = plain[name].to(unit)
-        elif unit and own is not None and "_" in name:
-            raise DataError(f"<table>: column {name} is in {own}, its name says {unit}; rename it or convert it")
+        elif unit and given is not None and "_" in name:
+            raise DataError(f"<table>: column {name} is in {given}, its name says {unit}; rename it or convert it")
     written = io.StringIO()
     ascii.write(plain, written, format="ecsv", delimiter=",")
     return written.getvalue().encode()
@@ -235,20 +235,20 @@ def _check_end(name: str, decoded: str) -> None:
     *above, last = ([part for part in _BETWEEN.split(line.strip()) if part] for line in lines)
     column = [_digits(row[-1]) for row in above if row and len(row) == len(last)]
     end = _digits(last[-1]) if last else None
-    known = [digits for digits in column if digits is not None]
-    if end is None or len(known) < max(len(column), _ROWS):
+    lengths = [digits for digits in column if digits is not None]
+    if end is None or len(lengths) < max(len(column), _ROWS):
         return
-    if any(mine < min(theirs) for mine, theirs in zip(end, zip(*known, strict=True), strict=True)):
+    if any(mine < min(theirs) for mine, theirs in zip(end, zip(*lengths, strict=True), strict=True)):
         raise DataError(
             f"{name}: the last line has no end, and its last number, {last[-1]}, fewer digits than those above it: was "
             "the file cut there? Fetch it again, or end the line if it is whole"
         )
 
 
-def _digits(number: str) -> tuple[int, int] | None:
+def _digits(cell: str) -> tuple[int, int] | None:
     """Digits after the point, and of the exponent; None for what is no number."""
-    found = _NUMBER.fullmatch(number)
-    return found and (len(found[1] or ""), len(found[2] or ""))
+    number = _NUMBER.fullmatch(cell)
+    return number and (len(number[1] or ""), len(number[2] or ""))
 
 
 def beginning(input: InputFile) -> str:
@@ -307,7 +307,7 @@ def unheard() -> Iterator[None]:
     heard either: take it for a single call.
     """
     try:
-        kept = os.dup(2)
+        stderr = os.dup(2)
     except OSError:  # there is no stderr
         yield
         return
@@ -318,8 +318,8 @@ def unheard() -> Iterator[None]:
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
         sys.unraisablehook = hook
 
 
@@ -339,21 +339,21 @@ def _expanded(path: str, *, all_files: bool) -> Iterator[str]:
     if _is(Path.is_dir, path):
         return iter(_files_of_folder(path, all_files=all_files))
     # Path.glob takes no absolute patterns.
-    found = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
-    if not found:
+    names = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
+    if not names:
         raise NoFilesError(f"{path}: matches no file; check the pattern")
-    return iter(found)
+    return iter(names)
 
 
 def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
     try:
-        found = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
+        names = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
-    if not found:
+    if not names:
         raise NoFilesError(f"{path}: folder holds no files; name the files or a pattern")
-    data = [name for name in found if all_files or not no_data(name)]
-    if left := [Path(name).name for name in found if not all_files and no_data(name)]:
+    data = [name for name in names if all_files or not no_data(name)]
+    if left := [Path(name).name for name in names if not all_files and no_data(name)]:
         warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}")
     if not data:
         raise NoFilesError(f"{path}: folder holds no files of data; name the files or a pattern")

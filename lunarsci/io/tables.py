@@ -212,20 +212,20 @@ def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
     return numbers.to_numpy(float)
 
 
-def check_columns(file: str, columns: Iterable[str], known: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
+def check_columns(file: str, columns: Iterable[str], expected: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
     """Names of the columns that are not known.
 
     Raises DataError for one that is needed and missing, and for one that is nearly a known one, such as `sinkage_mm`:
     it would be left out without a word.
     """
     present = list(columns)
-    unused = [name for name in present if name not in known]
+    unused = [name for name in present if name not in expected]
     if missing := next((name for name in needed if name not in present), None):
         guess = difflib.get_close_matches(missing, unused, n=1)
         hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {', '.join(present)}"
         raise DataError(f"{file}: no column {missing}; {hint}")
     for name in unused:
-        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=ALIKE)
+        near = difflib.get_close_matches(name.lower(), expected, n=1, cutoff=ALIKE)
         if near and near[0] not in present:
             raise DataError(f"{file}: column '{name}' is unknown; if it is '{near[0]}', rename it and mind the unit")
     return unused
@@ -233,16 +233,16 @@ def check_columns(file: str, columns: Iterable[str], known: Sequence[str], neede
 
 def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "pd.DataFrame":
     """Rows that are there twice count once, with a warning; DataError where rows of one key contradict each other."""
-    kept = table.drop_duplicates()
-    if len(kept) < len(table):
-        text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
+    once = table.drop_duplicates()
+    if len(once) < len(table):
+        text = f"{file}: {len(table) - len(once)} of {len(table)} rows are there twice; each counts once"
         warn(text)
-    again = kept.duplicated(list(keys))
+    again = once.duplicated(list(keys))
     if again.any():
-        row = kept[again].iloc[0]
-        said = ", ".join(f"{key} {row[key]}" for key in keys)
-        raise DataError(f"{file}: two rows of {said} contradict each other; keep the right one")
-    return kept.reset_index(drop=True)
+        row = once[again].iloc[0]
+        which = ", ".join(f"{key} {row[key]}" for key in keys)
+        raise DataError(f"{file}: two rows of {which} contradict each other; keep the right one")
+    return once.reset_index(drop=True)
 
 
 def _check_widths(name: str, content: str, separator: str, before: int = 0) -> None:

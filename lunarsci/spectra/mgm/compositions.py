@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
+from lunarsci.result import AS_PRIOR, doubt_about, from_prior
 from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.assemblages import PYROXENES, CompositionPrior
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
@@ -51,7 +51,7 @@ class MineralComposition:
     @property
     def doubt(self) -> str:
         """Why it should not be used, or that it is the prior's; '' where it may be."""
-        return doubt_about(asdict(self)) or ("" if self.told else PRIORS_OWN)
+        return doubt_about(asdict(self)) or ("" if self.told else AS_PRIOR)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
