@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import typer
 
 from .shared.command import command
+from .shared.emit import Report
 from .shared.options import Output
-from .shared.progress import progress
-from .shared.report import Report
 from .shared.table import TextTable
+from .shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.guide.doctor import HealthReport
@@ -35,7 +35,7 @@ def doctor(output: Output) -> Report:
 
     with progress("testing", quiet=output.quiet) as update:
         report = doctor(progress=update)
-    return Report.of(report, [_table(report)], figures=None)
+    return Report(report, [_table(report)])
 
 
 def _table(report: HealthReport) -> TextTable:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .shared.command import command
-from .shared.report import Report
+from .shared.emit import Report
 from .shared.table import TextTable, significant
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def info(file: File) -> Report:
     from lunarsci.guide.info import info
 
     described = info(file)
-    return Report.of(described, [_contents(described), _commands(described)], figures=None, stored=described.stored)
+    return Report(described, [_contents(described), _commands(described)], stored=described.stored)
 
 
 def _contents(described: "FileInfo") -> TextTable:

@@ -9,10 +9,10 @@ import typer
 from lunarsci.reproduce.requests import ReproduceRequest
 
 from .shared.command import command
+from .shared.emit import Report
 from .shared.options import SPREAD, Output, option
-from .shared.progress import progress
-from .shared.report import Report
 from .shared.table import TextTable
+from .shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.reproduce.job import Reproduction
@@ -45,7 +45,7 @@ def reproduce(request: ReproduceRequest, output: Output) -> Report:
 
     with progress("reproducing", quiet=output.quiet) as update:
         reproduction = reproduce(request, progress=update)
-    return Report.of(reproduction, [_table(reproduction, output.verbose)])
+    return Report(reproduction, [_table(reproduction, output.verbose)])
 
 
 def _table(reproduction: Reproduction, verbose: bool) -> TextTable:

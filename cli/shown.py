@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
 
-from .shared.layout import terminal_width
-from .shared.printing import render
-from .shared.table import TextTable
+from .shared.table import TextTable, render, terminal_width
 
 if TYPE_CHECKING:
     from lunarsci.result import Result

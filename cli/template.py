@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from .shared.command import command
-from .shared.report import Report
+from .shared.emit import Report
 from .shared.table import TextTable
 
 Kind = Annotated[
@@ -36,4 +36,4 @@ def template(kind: Kind) -> Report:
     from lunarsci.guide.template import template
 
     made = template(kind)
-    return Report.of(made, [TextTable([], [], title=made.name)], figures=None, raw=lambda: made.text)
+    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text)

@@ -5,18 +5,15 @@ from collections.abc import Iterable, Sequence
 
 from lunarsci.errors import ParameterError
 
-ALIKE = 0.6
-"""Likeness (difflib's ratio) from which a known name may be the one that is meant; difflib's own choice. Assumed."""
 
-
-def nearest(name: str, names: Iterable[str], cutoff: float = ALIKE) -> str | None:
+def nearest(name: str, names: Iterable[str]) -> str | None:
     """The known name that is most alike, capitals aside; None where none is.
 
     >>> nearest("yutu-2", ["small-four", "yutu2"])
     'yutu2'
     """
     by_fold = {one.casefold(): one for one in reversed(list(names))}
-    close = difflib.get_close_matches(name.casefold(), list(by_fold), n=1, cutoff=cutoff)
+    close = difflib.get_close_matches(name.casefold(), list(by_fold), n=1)
     return by_fold[close[0]] if close else None
 
 

@@ -44,7 +44,8 @@ no worker is left with one at the end."""
 
 
 QUICK = {
-    "tests": "inputs tables tempering",
+    "tests": "tempering",
+    "io": "inputs tables",
     "regolith": "bearing belief belief_history compare forces identify integrals model_error "
     "physics_discrepancy wheels",
     "spectra": "continuum noise_rows smoothing_and_noise solar solar_table spectrum sun",

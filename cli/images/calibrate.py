@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 from .cameras import SHOWN, number
 
 if TYPE_CHECKING:
@@ -72,10 +71,7 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
             pictures_matching(pictures), pictures_matching([right] if right else [], "right"), request, progress=update
         )
 
-    def rig_file(_: Mapping[str, Any]) -> bytes:
-        return cameras.toml()
-
-    return Report.of(cameras, result_tables(cameras), formats={".toml": rig_file})
+    return Report(cameras, result_tables(cameras), formats={".toml": lambda _: cameras.toml()})
 
 
 def result_tables(result: CalibratedCameras) -> list[TextTable]:

@@ -11,8 +11,8 @@ import typer
 from lunarsci.images.jobs.requests import CamerasRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 
 if TYPE_CHECKING:
@@ -54,10 +54,7 @@ def cameras(output: Output, request: CamerasRequest, sources: Sources = None) ->
 
     sheet = cameras(sources or (), request)
 
-    def rig_file(_: Mapping[str, Any]) -> bytes:
-        return sheet.toml()
-
-    return Report.of(sheet, result_tables(sheet), formats={".toml": rig_file})
+    return Report(sheet, result_tables(sheet), formats={".toml": lambda _: sheet.toml()})
 
 
 def result_tables(result: CameraSheet) -> list[TextTable]:

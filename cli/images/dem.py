@@ -11,10 +11,10 @@ import typer
 from lunarsci.images.jobs.requests import DemRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.dem import StereoTerrain
@@ -58,7 +58,7 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
     output.check_extra("--save-terrain", terrain, (".npz", ".tif", ".tiff"))
     with progress("matching", quiet=output.quiet) as update:
         made = dem(left, right, request, progress=update)
-    return Report.of(made, result_tables(made), extras={} if terrain is None else {terrain: _content(made, terrain)})
+    return Report(made, result_tables(made), extras={} if terrain is None else {terrain: _content(made, terrain)})
 
 
 def _content(result: StereoTerrain, path: Path) -> Callable[[], bytes]:

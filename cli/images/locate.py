@@ -9,10 +9,10 @@ import typer
 from lunarsci.images.jobs.requests import LocateRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.locate import LocatedStations
@@ -58,7 +58,7 @@ def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
 
     with progress("locating", quiet=output.quiet) as update:
         result = locate(stations, request, progress=update)
-    return Report.of(result, result_tables(result), files=result.files())
+    return Report(result, result_tables(result), files=result.files())
 
 
 def result_tables(result: LocatedStations) -> list[TextTable]:

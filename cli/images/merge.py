@@ -10,10 +10,10 @@ import typer
 from lunarsci.images.jobs.requests import MergeRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.merge import MergedStations
@@ -48,9 +48,7 @@ def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
 
     with progress("merging", quiet=output.quiet) as update:
         merged = merge(dems, request, progress=update)
-    return Report.of(
-        merged, result_tables(merged), formats={end: _writer(make) for end, make in merged.files().items()}
-    )
+    return Report(merged, result_tables(merged), formats={end: _writer(make) for end, make in merged.files().items()})
 
 
 def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:

@@ -9,10 +9,10 @@ import typer
 from lunarsci.images.jobs.requests import RenderRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.render import SyntheticPair
@@ -60,7 +60,7 @@ def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> R
 
     with progress("rendering", quiet=output.quiet) as update:
         result = render(terrain, request, progress=update)
-    return Report.of(result, result_tables(result), files=result.files())
+    return Report(result, result_tables(result), files=result.files())
 
 
 def result_tables(result: SyntheticPair) -> list[TextTable]:

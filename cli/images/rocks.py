@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from lunarsci.images.jobs.requests import RocksRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 from .track import Elevation
 
 if TYPE_CHECKING:
@@ -49,10 +48,7 @@ def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
     with progress("looking for rocks", quiet=output.quiet) as update:
         result = rocks(dem, request, progress=update)
 
-    def keep_outs(_: Mapping[str, Any]) -> bytes:
-        return result.geojson()
-
-    return Report.of(result, result_tables(result), formats={".geojson": keep_outs})
+    return Report(result, result_tables(result), formats={".geojson": lambda _: result.geojson()})
 
 
 def result_tables(result: RockList) -> list[TextTable]:

@@ -9,10 +9,10 @@ import typer
 from lunarsci.images.jobs.requests import TrackRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.track import TrackSinkage
@@ -56,7 +56,7 @@ def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
 
     with progress("measuring the track", quiet=output.quiet) as update:
         result = track(dem, request, progress=update)
-    return Report.of(result, result_tables(result))
+    return Report(result, result_tables(result))
 
 
 def result_tables(result: TrackSinkage) -> list[TextTable]:

@@ -10,8 +10,8 @@ from lunarsci.regolith.jobs.requests import CompareSoilsRequest
 from lunarsci.rovers import called
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def compare(request: CompareSoilsRequest, result: SiteResult = None) -> Report:
     from lunarsci.regolith.jobs.compare_soils import compare_soils
 
     compared = compare_soils(result, request)
-    return Report.of(compared, tables=result_tables(compared))
+    return Report(compared, result_tables(compared))
 
 
 def result_tables(result: ComparedSoils) -> list[TextTable]:

@@ -10,8 +10,8 @@ import typer
 from lunarsci.regolith.jobs.requests import WheelForcesRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def forces(request: WheelForcesRequest) -> Report:
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
 
     result = wheel_forces(request)
-    return Report.of(result, tables=result_tables(result))
+    return Report(result, result_tables(result))
 
 
 def result_tables(result: ForcesOnWheel) -> list[TextTable]:

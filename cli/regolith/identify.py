@@ -10,10 +10,10 @@ import typer
 from lunarsci.regolith.jobs.requests import IdentifyRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.regolith.identify import Estimate, Identification
@@ -90,7 +90,7 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
 
     with progress("identifying", quiet=output.quiet) as update:
         soil = identify_soil(states, request, progress=update)
-    return Report.of(soil, tables=result_tables(soil))
+    return Report(soil, result_tables(soil))
 
 
 def result_tables(soil: IdentifiedSoil) -> list[TextTable]:

@@ -11,10 +11,10 @@ import typer
 from lunarsci.regolith.jobs.requests import InferRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, significant
+from ..shared.talk import progress
 from .identify import OPTIONS as SINGLE
 from .identify import States, read_as, single_tables, wheel_text
 
@@ -86,7 +86,7 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
     with progress("the posterior", quiet=output.quiet) as update:
         soil = infer_soil(states, request, progress=update)
     extras = {posterior: lambda: soil.soils(posterior.suffix.lower())} if posterior else {}
-    return Report.of(soil, tables=result_tables(soil), extras=extras)
+    return Report(soil, result_tables(soil), extras=extras)
 
 
 def result_tables(soil: InferredSoil) -> list[TextTable]:

@@ -21,9 +21,8 @@ from lunarsci.errors import BatchError, LunarSciError, LunarSciWarning, RequestE
 from lunarsci.io.atomic import written
 from lunarsci.provenance import Provenance, plain
 
-from .emit import emit, emit_failed
+from .emit import Report, emit, emit_failed
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
-from .report import Report
 from .talk import interrupted, say
 
 
@@ -65,27 +64,26 @@ def command(
             path = chosen["path"]
             named = folder and (path is None or path.is_dir() or path.suffix.lower() not in FORM_OF)
             where = {key: chosen.pop(key) for key in blocks}
-            output = Output(**chosen, folder=named)
+            output, worded = Output(**chosen, folder=named), partial(_with_flags, context=context)
             try:
                 output.check()
                 with (
                     _earlier_runs_named(output),
-                    heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
+                    heard_warnings(output, worded) as heard,
                     _computing(output, where),
                 ):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
                     report = function(**handed, **({"output": output} if wants_output else {}))
-                    report = report.with_reasons(lambda text: _with_flags(text, context))
+                    report = dataclasses.replace(report, worded=worded)
                     code = emit(report, output, _provenance(context, report, options, heard))
-            except RequestError as error:
-                raise typer.BadParameter(_with_flags(_noted(error), context)) from error
-            except BatchError as error:
-                emit_failed([one.worded(lambda text: _with_flags(text, context)) for one in error.failures], output)
-                raise BatchError(_with_flags(_noted(error), context), error.failures) from error
             except LunarSciError as error:
-                raise type(error)(_with_flags(_noted(error), context)) from error
+                text = worded(_noted(error))
+                if isinstance(error, BatchError):
+                    emit_failed([one.worded(worded) for one in error.failures], output)
+                    raise BatchError(text, error.failures) from error
+                raise (typer.BadParameter if isinstance(error, RequestError) else type(error))(text) from error
             except KeyboardInterrupt as error:
                 say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
                 raise typer.Exit(interrupted()) from None
@@ -174,13 +172,14 @@ def _extended(
 
 
 def _provenance(context: typer.Context, report: Report, options: Mapping[str, Any], heard: list[str]) -> Provenance:
+    made = report.result.made_from
     return Provenance(
         command=context.command_path,
-        options={key: plain(value) for key, value in options.items()} | dict(report.options),
-        inputs=report.inputs,
-        tables=report.data_tables,
-        sources=report.sources,
-        seed=report.seed,
+        options={key: plain(value) for key, value in options.items()} | dict(made.options),
+        inputs=made.inputs,
+        tables=made.tables,
+        sources=made.sources,
+        seed=made.seed,
         warnings=heard,
         untrusted=report.untrusted,
         failures=report.failures,

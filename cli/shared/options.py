@@ -69,12 +69,8 @@ class Output:
     def check(self) -> None:
         """Refuse contradictory or impossible requests before anything is computed."""
         self._check_form()
-        if self.plot:
-            _check_suffix("--plot", self.plot)
         if self.path is not None and str(self.path) in ("", "."):
             raise typer.BadParameter("--output is empty; give a name")
-        if self.path and self.plot and self.path.resolve() == self.plot.resolve():
-            raise typer.BadParameter(f"--output and --plot both name {self.path}; give two names")
         if self.path and self.folder:
             if self.path.suffix.lower() in OF_FOLDERS and not self.path.is_dir():
                 raise typer.BadParameter(
@@ -84,8 +80,7 @@ class Output:
             check_folder(self.path, force=self.force)
         elif self.path:
             check_target(self.path, force=self.force)
-        if self.plot:
-            check_target(self.plot, force=self.force)
+        self.check_extra("--plot", self.plot)
         self.check_extra("--failed", self.failed, ())
 
     def _check_form(self) -> None:
@@ -104,20 +99,15 @@ class Output:
             raise typer.BadParameter("--columns names columns of a table; give some, and no --json or --field")
 
     def check_extra(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
-        """The same for a further file of the option `name`, beside those of --output and --plot."""
+        """The same for the file of another option, beside those of --output and --plot."""
         if path is None:
             return
-        if suffixes:
-            _check_suffix(name, path, suffixes)
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
         for other, taken in (("--output", self.path), ("--plot", self.plot)):
-            if taken and taken.resolve() == path.resolve():
+            if other != name and taken and taken.resolve() == path.resolve():
                 raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
         check_target(path, force=self.force)
-
-
-def _check_suffix(name: str, path: Path, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
-    if path.suffix.lower() not in suffixes:
-        raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
 
 
 def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:

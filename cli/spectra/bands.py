@@ -11,10 +11,10 @@ import typer
 from lunarsci.spectra.jobs.requests import BandsRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
+from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     output.check_extra("--plane", plane)
     with progress("measuring bands", quiet=output.quiet) as update:
         result = bands(files, request, progress=update)
-    return Report.of(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
+    return Report(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
 
 
 def result_tables(result: MeasuredBands) -> list[TextTable]:

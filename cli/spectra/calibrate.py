@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import CalibrateRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.calibrate import Calibrations
@@ -58,7 +58,7 @@ def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Rep
     with progress("calibrating", quiet=output.quiet) as update:
         result = calibrate(files, request, progress=update)
     formats = {".ecsv": result.to_ecsv, ".fits": result.to_fits}
-    return Report.of(result, result_tables(result), formats=formats)
+    return Report(result, result_tables(result), formats=formats)
 
 
 def result_tables(result: Calibrations) -> list[TextTable]:

@@ -12,10 +12,10 @@ from lunarsci.spectra.jobs.requests import FitRequest
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, RequestOption, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
+from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
     to_file = output.path is not None and output.path.suffix.lower() == ".fit"
     with progress("fitting", quiet=output.quiet) as update:
         fits = fit(files, replace(request, to_fit_file=to_file), progress=update)
-    return Report.of(fits, lambda: result_tables(fits), formats={".fit": lambda _: fits.fit_file().encode()})
+    return Report(fits, lambda: result_tables(fits), formats={".fit": lambda _: fits.fit_file().encode()})
 
 
 def result_tables(fits: MgmFits) -> list[TextTable]:

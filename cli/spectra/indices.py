@@ -9,8 +9,8 @@ import typer
 from lunarsci.spectra.jobs.requests import IndicesRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import ONLY, UNITS, Files
 
@@ -47,7 +47,7 @@ def indices(files: Files, request: IndicesRequest) -> Report:
     from lunarsci.spectra.jobs.indices import indices
 
     result = indices(files, request)
-    return Report.of(result, result_tables(result))
+    return Report(result, result_tables(result))
 
 
 def result_tables(result: FoundIndices) -> list[TextTable]:

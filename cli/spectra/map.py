@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import MapRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import FILE
 
 if TYPE_CHECKING:
@@ -81,10 +81,10 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
 
     if spectrum is not None:
         one = pixel(cube, spectrum, request)
-        return Report.of(one, [_pixel_table(one)])
+        return Report(one, [_pixel_table(one)])
     with progress("mapping lines", quiet=output.quiet) as update:
         result = map(cube, output.path, request, force=output.force, time=not output.no_time, progress=update)
-    return Report.of(result, [_table(result)], written=[result.path])
+    return Report(result, [_table(result)], written=[result.path])
 
 
 def _table(result: CubeMap) -> TextTable:

@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import MatchRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.match import Matches
@@ -76,7 +76,7 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
     with progress("matching", quiet=output.quiet) as update:
         result = match(rocks or (), request, progress=update)
-    return Report.of(result, lambda: result_tables(result))
+    return Report(result, lambda: result_tables(result))
 
 
 def result_tables(result: Matches) -> list[TextTable]:

@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import UnmixRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
+from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 
     with progress("unmixing", quiet=output.quiet) as update:
         result = unmix(files, request, progress=update)
-    return Report.of(result, lambda: result_tables(result))
+    return Report(result, lambda: result_tables(result))
 
 
 def result_tables(result: UnmixedSpectra) -> list[TextTable]:

@@ -11,22 +11,23 @@ from lunarsci.errors import RequestError
 from lunarsci.twin.jobs.requests import TrialsRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
-from .belief_tables import discrepancy_table
+from ..shared.talk import progress
+from .history import discrepancy_table
 from .options import AS_WRITTEN, GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
-from .trial_tables import trial_tables
 
 if TYPE_CHECKING:
     from lunarsci.twin.comparison.forecast import Miss
     from lunarsci.twin.comparison.scores import EndCheck, PathCheck
     from lunarsci.twin.comparison.verdict import DriveComparison
     from lunarsci.twin.jobs.compare import ComparedDrive
+    from lunarsci.twin.jobs.compare_trials import ScoredTrials
 
 FORECAST = "prediction.json"
 """By which a folder of `twin predict -o` is known."""
+TRIAL_UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {
     "positions": option(**FILE),
@@ -124,7 +125,7 @@ def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Repo
     compared = compare(inputs[0], inputs[1], request)
     belief = compared.belief
     extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
-    return Report.of(compared, result_tables(compared), extras=extras)
+    return Report(compared, result_tables(compared), extras=extras)
 
 
 def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
@@ -135,7 +136,7 @@ def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Pat
         raise RequestError("`save` keeps what a belief learns from a prediction, not from trials; leave it out")
     with progress("trials", quiet=output.quiet) as update:
         scored = job.compare_trials(inputs, request, progress=update)
-    return Report.of(scored, trial_tables(scored))
+    return Report(scored, trial_tables(scored))
 
 
 def result_tables(compared: ComparedDrive) -> list[TextTable]:
@@ -285,3 +286,58 @@ def _miss_rows(miss: Miss | None) -> list[list[str]]:
             f"{miss.soil_m:.3f} m, {miss.position_m:.3f} m, {miss.physics_m:.3f} m",
         ],
     ]
+
+
+def trial_tables(scored: ScoredTrials) -> list[TextTable]:
+    """One row a trial, then one for each quantity over all trials."""
+    record = scored.to_dict()
+    notes = [
+        "error: root mean square of predicted less measured over the states, and the distance of the ends; wheels: the "
+        "same of the way that the wheels go without slip",
+        f"predicted on soils of {record['soil']['name']} ({record['soil']['of']})",
+        *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in scored.trials)) else []),
+        *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in scored.trials if trial.doubt),
+    ]
+    headers = ["trial", "way [m]", "drives", "slip", "predicted", "error", "wheels", "side slip error [deg]", "wheels"]
+    headers += ["end error [m]", "wheels", "90 % radius [m]", "inside"]
+    rows = [_row(row) for row in record["trials"]]
+    heads = ["over all trials", "unit", "trials", "values", "median error", "rms", "in 90 % regions", "wheels: median"]
+    summary = [_summary_row(row) for row in record["summary"]]
+    trials = "1 trial" if len(rows) == 1 else f"{len(rows)} trials"
+    title = f"{trials} beside what the twin predicts from the wheels"
+    return [
+        TextTable(headers, rows, title=title, notes=notes),
+        TextTable([*heads, "wheels: rms"], summary, title="Errors over all trials"),
+    ]
+
+
+def _row(row: dict[str, Any]) -> list[str]:
+    inside = row.get("end_m_in_90")
+    return [
+        row["trial"],
+        f"{row['way_m']:.2f}",
+        f"{row['finished']} of {row['members']}",
+        *(_cell(row.get(f"slip_ratio_{part}")) for part in ("measured", "predicted", "error", "error_wheels_alone")),
+        *(_cell(row.get(f"side_slip_deg_{part}"), ".2f") for part in ("error", "error_wheels_alone")),
+        *(_cell(row.get(f"end_m_{part}")) for part in ("error", "error_wheels_alone")),
+        _cell(row["end_radius_90_m"]),
+        "-" if inside is None else "yes" if inside else "no",
+    ]
+
+
+def _summary_row(row: dict[str, Any]) -> list[str]:
+    name, unit = TRIAL_UNITS[row["quantity"]]
+    held = row["in_90"]
+    return [
+        name,
+        unit,
+        str(row["trials"]),
+        str(row["values"]),
+        *(f"{row[part]:.3g}" for part in ("median_error", "rms")),
+        "-" if held is None else f"{100 * held:.0f} %",
+        *(f"{row[part]:.3g}" for part in ("median_error_wheels_alone", "rms_wheels_alone")),
+    ]
+
+
+def _cell(value: float | None, form: str = ".3f") -> str:
+    return "-" if value is None else format(value, form)

@@ -10,10 +10,10 @@ import typer
 from lunarsci.twin.jobs.requests import DriveRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, bare
+from ..shared.talk import progress
 from .options import DRIVE, PlanFile
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
 
     with progress("driving", quiet=output.quiet) as update:
         result = job.forces(plan, request, progress=update)
-    return Report.of(result, wheel_tables(result.title, result.loads, _notes(result)))
+    return Report(result, wheel_tables(result.title, result.loads, _notes(result)))
 
 
 def _notes(result: DriveForces) -> list[str]:

@@ -11,10 +11,10 @@ from lunarsci.errors import RequestError
 from lunarsci.twin.jobs.requests import LoadsRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 from .forces import wheel_tables
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
 
@@ -88,10 +88,10 @@ def loads(
     with progress("holding the rover to its motion", quiet=output.quiet) as update:
         result = job.loads(motion, plan, request, progress=update)
     if isinstance(result, MotionLoads):
-        return Report.of(result, result_tables(result))
+        return Report(result, result_tables(result))
     belief = result.belief
     extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
-    return Report.of(result, result_tables(result), files=result.files(), extras=extras)
+    return Report(result, result_tables(result), files=result.files(), extras=extras)
 
 
 def result_tables(result: MotionLoads | UncertainLoads) -> list[TextTable]:

@@ -10,10 +10,10 @@ import typer
 from lunarsci.twin.jobs.requests import PredictRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def predict(
     with progress("driving", quiet=output.quiet) as update:
         predicted = job.predict(plan, request, progress=update)
     films = {} if animate is None else {animate: lambda: _film(predicted, animate, output.quiet)}
-    return Report.of(predicted, result_tables(predicted), files=predicted.files(), extras=films)
+    return Report(predicted, result_tables(predicted), files=predicted.files(), extras=films)
 
 
 def result_tables(predicted: PredictedDrives) -> list[TextTable]:

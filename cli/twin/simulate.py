@@ -9,10 +9,10 @@ import typer
 from lunarsci.twin.jobs.requests import SimulateDriveRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import BEFORE, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = Non
 
     with progress("driving", quiet=output.quiet) as update:
         drive = simulate_drive(plan, request, progress=update)
-    return Report.of(drive, [_table(drive)], files=drive.files(), figures=None)
+    return Report(drive, [_table(drive)], files=drive.files())
 
 
 def _table(made: MadeUpDrive) -> TextTable:

@@ -9,8 +9,8 @@ import typer
 from lunarsci.twin.jobs.requests import StatesRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import spread_headers
 from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
@@ -82,7 +82,7 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     from lunarsci.twin.jobs.states import states
 
     result = states(telemetry, plan, request)
-    return Report.of(result, result_tables(result), files=result.files())
+    return Report(result, result_tables(result), files=result.files())
 
 
 def result_tables(result: MeasuredStates) -> list[TextTable]:

@@ -9,10 +9,10 @@ import typer
 from lunarsci.twin.jobs.requests import SweepRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import CHARGE, DRIVE, EXACT_TERRAIN, SUN
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
 
     with progress("designs", quiet=output.quiet) as update:
         trade = job.sweep(plans, request, progress=update)
-    return Report.of(trade, result_tables(trade))
+    return Report(trade, result_tables(trade))
 
 
 HEADERS = (

@@ -9,10 +9,10 @@ import typer
 from lunarsci.twin.jobs.requests import TerrainRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import GRAVITY, KEEP_OUT
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def terrain(
     check_files(output, soil=request.soil is not None, geotiff=geotiff)
     with progress("looking at the ground", quiet=output.quiet) as update:
         survey = job.terrain(terrain, request, progress=update)
-    return Report.of(survey, [ground_table(survey)], files=survey.files(geotiff=geotiff))
+    return Report(survey, [ground_table(survey)], files=survey.files(geotiff=geotiff))
 
 
 def check_files(output: Output, *, soil: bool, geotiff: bool) -> None:

@@ -11,11 +11,11 @@ import typer
 from lunarsci.twin.jobs.requests import UpdateRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
-from .belief_tables import discrepancy_table, parameter_table
+from ..shared.talk import progress
+from .history import discrepancy_table, parameter_table
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def update(
         save_map: learned.map_bytes,
         save_terrain: learned.terrain_bytes,
     }
-    return Report.of(learned, result_tables(learned), extras={path: make for path, make in made.items() if path})
+    return Report(learned, result_tables(learned), extras={path: make for path, make in made.items() if path})
 
 
 def result_tables(learned: LearnedSoil) -> list[TextTable]:

@@ -8,6 +8,8 @@ function keeps its own copies to itself.
 **The cache.** Numba renews a cached function when its own file changes. Here it is renewed when any file changes that
 its own one imports, and compiled again where its entry is cut off or was changed. It is read by pickle, so that whoever
 may write it runs what he likes: a folder that others can write is not used.
+
+It is our own since numba promises neither.
 """
 
 import contextlib

@@ -27,8 +27,6 @@ STIFFNESS_KPA, SINKAGE_M, LOAD_N = 1443.0, 0.008, 32.03
 the load is that of F_N/b = 213.5 N/m on a wheel 0.15 m wide."""
 LOAD_WITHIN = 0.01
 """Share by which the load found may differ from the published one, whose digits allow as much; assumed."""
-CENTER_NM, CENTER_WITHIN_NM = 950.0, 5.0
-"""Centre of a Gaussian absorption that is made up, and how near to it the band must be found; assumed."""
 DRIVE_M, END_WITHIN_M = 0.6, 0.1
 """Length of a drive over nearly level ground, and how near to where it was planned it must end; assumed."""
 
@@ -136,17 +134,18 @@ def _off(what: str, value: float, truth: float, within: float, unit: str) -> tup
 
 
 def _rock() -> tuple[str, str]:
-    """The centre of a Gaussian absorption in a made-up spectrum."""
+    """The centre of a Gaussian absorption in a made-up spectrum, to be measured to a channel."""
     import numpy as np
 
     from lunarsci.spectra.jobs.bands import bands
 
-    nm = np.arange(450.0, 2400.0, 5.0)
+    center_nm, step_nm = 950.0, 5.0
+    nm = np.arange(450.0, 2400.0, step_nm)
     depth = sum(
-        d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in ((CENTER_NM, 180, 0.4), (1950, 450, 0.2))
+        d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in ((center_nm, 180, 0.4), (1950, 450, 0.2))
     )
     observed = bands((nm, 0.1 * np.exp(-depth)), continuum="hull").to_dict()["spectra"][0]
-    return _off("band at", observed["bc1000_nm"], CENTER_NM, CENTER_WITHIN_NM, "nm")
+    return _off("band at", observed["bc1000_nm"], center_nm, step_nm, "nm")
 
 
 def _ground() -> tuple[str, str]:

@@ -16,7 +16,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.heights.netcdf import NETCDF, holds_heights
 from lunarsci.io.documents import toml_document
-from lunarsci.io.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json, text
+from lunarsci.io.inputs import (
+    BEGINNING,
+    InputFile,
+    InputStream,
+    beginning,
+    csv_rows,
+    open_input,
+    read_input,
+    read_json,
+    text,
+)
 from lunarsci.io.tables import separator_of
 from lunarsci.names import some_of
 from lunarsci.result import MadeFrom, Result
@@ -34,8 +44,6 @@ HEIGHTS = re.compile(
     r"\bUNIT\s*=\s*\"?(?:KILO)?M(?:ET(?:ER|RE)S?)?\b|elevation|topograph|terrain|\bD[TE]M|radius", re.I
 )
 """What a label of a map says of heights."""
-LABEL_BYTES = 1 << 16
-"""A label is in so many; assumed."""
 
 
 def kind_of_rover_file(file: InputFile, start: str) -> str:
@@ -61,7 +69,7 @@ def is_image_of_heights(name: str) -> bool:
     labels = [Path(name).with_suffix(end) for end in (".lbl", ".LBL")]
     label = next((each for each in labels if each.is_file()), Path(name))
     with label.open("rb") as stream:
-        return is_map_of_heights(stream.read(LABEL_BYTES).decode("latin-1"))
+        return is_map_of_heights(stream.read(BEGINNING).decode("latin-1"))
 
 
 def is_envi_of_heights(name: str) -> bool:
@@ -79,7 +87,7 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
 
     if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
         return True
-    whole = start if len(start) < LABEL_BYTES // 2 else start.rpartition("\n")[0]
+    whole = start if len(start) < BEGINNING // 2 else start.rpartition("\n")[0]
     # Telemetry and positions have x, y and z beside others.
     return node_columns(file, whole, alone=True) is not None
 

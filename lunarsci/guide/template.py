@@ -20,8 +20,6 @@ COMMENT_WIDTH = 110
 ATTRIBUTE = re.compile(
     r"^(\w+(?:, \w+)*) : (.+?)(?=^\w+(?:, \w+)* : |^Raises |^\S.*\n-+$|\Z)", re.DOTALL | re.MULTILINE
 )
-SHORT_LEGS = ({"length_m": 1.0}, {"length_m": 0.8, "curvature_per_m": 0.2})
-"""An arc straight ahead and one to the left: the path of the plan. Assumed."""
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
 
@@ -158,7 +156,7 @@ def _plan() -> str:
         "[drive]",
         *_block({"speed_m_s": 0.05, "blend_m": 0.2}, texts),
     ]
-    first, second = SHORT_LEGS
+    first, second = {"length_m": 1.0}, {"length_m": 0.8, "curvature_per_m": 0.2}
     others: dict[str, Any] = {key: 0.0 for key in leg if key not in second}
     others["wheel_test"] = {"wheel": "FL", "rate_ratio": 0.7}
     lines += ["", "[[leg]]", *_block(first, leg), "# Of an arc, or in its place:", *_block(others, leg, others)]

@@ -1,6 +1,7 @@
 """Input files: reading them whole, decoding them as text, and expanding folders and patterns.
 
-Everything that can go wrong here is a `DataError` of one line: the file, what is wrong, what to do.
+Everything that can go wrong here is a `DataError` of one line: the file, what is wrong, what to do. It is our own since
+one source may be a path, standard input, an open file or a table in memory, and each is hashed for the provenance.
 """
 
 import codecs
@@ -34,14 +35,20 @@ Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
 Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
-_UNPRINTABLE_SHARE = 0.1
-"""Share of characters that are no text, beyond which a file is taken for a binary one; assumed."""
-_BEGINNING = 65536
+_UNPRINTABLE_SHARE = 59 / 256 / 2
+"""Share of characters that are no text, beyond which a file is taken for a binary one: half that of random bytes."""
+BEGINNING = 1 << 16
+"""Bytes by which the format of a file is told."""
 _ENDING = 200
 _SCHEMA = re.compile(rb'"schema": ?"lunarsci/[a-z0-9-]+/\d+"\s*\}\s*\Z')
 _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
+UNREADABLE = {
+    FileNotFoundError: "no such file; check the path",
+    IsADirectoryError: "is a folder, not a file; name the files in it",
+    PermissionError: "no permission to read it; check its access rights",
+}
 NO_DATA = (
     *(".md", ".rst", ".html", ".htm", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".svg"),
     *(".toml", ".py", ".sh", ".log", ".failed"),
@@ -152,15 +159,11 @@ def _named_errors(name: str) -> Iterator[None]:
     """What the system says of a file, as a DataError."""
     try:
         yield
-    except FileNotFoundError as error:
-        raise DataError(f"{name}: no such file; check the path") from error
-    except IsADirectoryError as error:
-        raise DataError(f"{name}: is a folder, not a file; name the files in it") from error
-    except PermissionError as error:
-        raise DataError(f"{name}: no permission to read it; check its access rights") from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise DataError(f"{name!r}: cannot be read ({reason}); check the path and the disk") from error
+        other = f"{name!r}: cannot be read ({reason}); check the path and the disk"
+        wrong = next((f"{name}: {text}" for kind, text in UNREADABLE.items() if isinstance(error, kind)), other)
+        raise DataError(wrong) from error
 
 
 def _read_path(path: str) -> InputFile:
@@ -229,7 +232,7 @@ def _text(input: InputFile) -> str:
 
 def _check_end(name: str, decoded: str) -> None:
     """Refuse a table whose last line does not end and whose last number is shorter than all above it: cut inside."""
-    lines = decoded[-_BEGINNING:].split("\n")[int(len(decoded) > _BEGINNING) :]
+    lines = decoded[-BEGINNING:].split("\n")[int(len(decoded) > BEGINNING) :]
     if not lines:
         return
     *above, last = ([part for part in _BETWEEN.split(line.strip()) if part] for line in lines)
@@ -253,7 +256,7 @@ def _digits(cell: str) -> tuple[int, int] | None:
 
 def beginning(input: InputFile) -> str:
     """`text` of the first 64 kB, by which a format is told; of everything where these are blank, or in UTF-16."""
-    first = input.data[:_BEGINNING]
+    first = input.data[:BEGINNING]
     whole = first == input.data or first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or not first.strip()
     return _text(input if whole else InputFile(input.name, first))
 
@@ -350,13 +353,11 @@ def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
         names = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
-    if not names:
-        raise NoFilesError(f"{path}: folder holds no files; name the files or a pattern")
     data = [name for name in names if all_files or not no_data(name)]
     if left := [Path(name).name for name in names if not all_files and no_data(name)]:
         warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}")
     if not data:
-        raise NoFilesError(f"{path}: folder holds no files of data; name the files or a pattern")
+        raise NoFilesError(f"{path}: folder holds no files{' of data' if names else ''}; name the files or a pattern")
     return data
 
 
@@ -382,7 +383,7 @@ def is_result(name: str) -> bool:
                 return _SCHEMA.search(stream.read()) is not None
             if suffix != ".csv":
                 return False
-            columns = stream.readline(_BEGINNING).decode("utf-8", "replace").strip().split(",")
+            columns = stream.readline(BEGINNING).decode("utf-8", "replace").strip().split(",")
     except OSError:
         return False
     spectral = any("wavelength" in column or column[:1].isdigit() for column in columns)

@@ -19,7 +19,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.io.inputs import InputFile, InputStream, csv_rows, read_input, text
+from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, read_input, text
 from lunarsci.io.records import Records, coded
 from lunarsci.provenance import sha256
 
@@ -38,7 +38,6 @@ EXACT_POWER = 22
 """Up to this power of ten a float64 is exact."""
 POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
-_BEGINNING = 1 << 16
 ALIKE = 0.72
 """Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
 
@@ -82,7 +81,7 @@ def _csv_cells(file: InputFile, before: int = 0, *, dtype: type[str] | None) -> 
 
 def separator_of(content: str) -> str:
     """What is between the names of the header: a comma, or semicolons."""
-    for line in content[:_BEGINNING].splitlines():
+    for line in content[:BEGINNING].splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             return ";" if ";" in line and "," not in line else ","
     return ","
@@ -269,7 +268,7 @@ def _check_widths(name: str, content: str, separator: str, before: int = 0) -> N
 
 def _is_even(content: str, separator: str) -> bool:
     """Whether all lines after the header have as many separators, of a text without quotes, remarks and rare breaks."""
-    start = _header(content[:_BEGINNING].encode()).decode()
+    start = _header(content[:BEGINNING].encode()).decode()
     body = content[len(start) :]
     names = start.rstrip("\n").rpartition("\n")[2].rstrip("\r").split(separator)
     plain = content.isascii() and len(names) == len({name.strip() for name in names})

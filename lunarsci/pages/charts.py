@@ -1,10 +1,13 @@
 """Pictures that are drawn from a result's JSON and tables, with words for those who do not see them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, legend_below, page, picture_bytes, styled
 from lunarsci.pages.documents import Document
 from lunarsci.pages.drive_answers import interval_of
@@ -51,16 +54,9 @@ def _spectra(document: Document) -> Drawn:
     figure, axes = _axes()
     spectra = [one for one in document.result["spectra"] if one.get("wavelength_nm")][:MOST_SPECTRA]
     for number_, one in enumerate(spectra):
-        x, y, error = ([_real(v) for v in one[key]] for key in ("wavelength_nm", "reflectance", "reflectance_sigma"))
+        x, y, error = (np.array(one[key], float) for key in ("wavelength_nm", "reflectance", "reflectance_sigma"))
         look: Any = LINE_STYLES[number_ % len(LINE_STYLES)]
-        axes.fill_between(
-            x,
-            [a - b for a, b in zip(y, error, strict=True)],
-            [a + b for a, b in zip(y, error, strict=True)],
-            color=look["color"],
-            alpha=0.25,
-            linewidth=0,
-        )
+        axes.fill_between(x, y - error, y + error, color=look["color"], alpha=0.25, linewidth=0)
         axes.plot(x, y, label=as_label(one["id"]), **look)
     if not spectra:
         return None
@@ -79,16 +75,10 @@ def _centres(document: Document) -> Drawn:
     for key, name, look in (("1000", "1 µm", DOT_STYLES[0]), ("2000", "2 µm", DOT_STYLES[1])):
         measured = [one for one in spectra if None not in (one.get(f"bc{key}_nm"), one.get(f"bd{key}"))]
         if measured:
-            axes.errorbar(
-                [one[f"bc{key}_nm"] for one in measured],
-                [one[f"bd{key}"] for one in measured],
-                xerr=[_real(one.get(f"bc{key}_sigma_nm")) for one in measured],
-                yerr=[_real(one.get(f"bd{key}_sigma")) for one in measured],
-                linestyle="",
-                capsize=2,
-                label=f"{name} band",
-                **look,
+            at, depth, error, of_depth = _columns(
+                measured, f"bc{key}_nm", f"bd{key}", f"bc{key}_sigma_nm", f"bd{key}_sigma"
             )
+            axes.errorbar(at, depth, of_depth, error, linestyle="", capsize=2, label=f"{name} band", **look)
             centres.append(f"{name}: " + ", ".join(f"{number(one[f'bc{key}_nm'])} nm" for one in measured[:MOST_BARS]))
     if not centres:
         return None
@@ -101,8 +91,9 @@ def _centres(document: Document) -> Drawn:
     )
 
 
-def _real(value: Any) -> float:
-    return float("nan") if value is None else float(value)
+def _columns(records: Sequence[Mapping[str, Any]], *names: str) -> Iterator[FloatArray]:
+    """Numbers of records, (n,) each, NaN where there is none."""
+    return (np.array([one.get(name) for one in records], float) for name in names)
 
 
 def _absorptions(document: Document) -> Drawn:
@@ -115,25 +106,11 @@ def _absorptions(document: Document) -> Drawn:
         minerals.setdefault(band["mineral"], []).append(band)
     for place, (mineral, bands) in enumerate(minerals.items()):
         look = DOT_STYLES[place % len(DOT_STYLES)]
-        x, y = [_real(band["center_nm"]) for band in bands], [-_real(band["strength"]) for band in bands]
-        axes.errorbar(
-            x,
-            y,
-            xerr=[_real(band["fwhm_nm"]) / 2 for band in bands],
-            fmt="none",
-            ecolor=look["color"],
-            alpha=0.35,
-            linewidth=3,
-        )
-        axes.errorbar(
-            x,
-            y,
-            yerr=[_shown(band["strength_sigma"], band["strength"]) for band in bands],
-            linestyle="",
-            capsize=2,
-            label="visible and UV" if mineral == "any" else as_label(mineral),
-            **look,
-        )
+        at, strength, width, error = _columns(bands, "center_nm", "strength", "fwhm_nm", "strength_sigma")
+        error[error >= 3 * np.abs(strength)] = np.nan  # of what is not determined none
+        axes.errorbar(at, -strength, xerr=width / 2, fmt="none", ecolor=look["color"], alpha=0.35, linewidth=3)
+        label = "visible and UV" if mineral == "any" else as_label(mineral)
+        axes.errorbar(at, -strength, error, linestyle="", capsize=2, label=label, **look)
     axes.set(xlabel="centre of the band [nm]", ylabel="strength, ln R [-]", ylim=(0, None))
     legend_below(figure, axes, 4)
     text = "; ".join(
@@ -144,12 +121,6 @@ def _absorptions(document: Document) -> Drawn:
         f"Centre and strength of each band; wide bars: full width at half maximum, thin ones: errors. {text}.",
         figure,
     )
-
-
-def _shown(sigma: Any, value: Any) -> float:
-    """An error that a picture can hold; of a value that is not determined none."""
-    error = _real(sigma)
-    return error if error < 3 * abs(_real(value)) else float("nan")
 
 
 def _shares(document: Document) -> Drawn:
@@ -196,24 +167,13 @@ def _craters(document: Document) -> Drawn:
     ]
     figure, axes = _axes(height=1.0 + 0.36 * len(items))
     place = [-float(k) for k in range(len(items))]
-    axes.barh(
-        [y + 0.2 for y in place],
-        [one["prior"] for one in items],
-        0.36,
-        color="#c9ced2",
-        edgecolor=INK,
-        linewidth=0.5,
-        label="before: position, age and ejecta",
+    bars = (
+        ("prior", 0.2, "#c9ced2", "before: position, age and ejecta"),
+        ("posterior", -0.2, "#0072B2", "after: with composition"),
     )
-    axes.barh(
-        [y - 0.2 for y in place],
-        [one["posterior"] for one in items],
-        0.36,
-        color="#0072B2",
-        edgecolor=INK,
-        linewidth=0.5,
-        label="after: with composition",
-    )
+    for key, up, color, label in bars:
+        at, sizes = [y + up for y in place], [one[key] for one in items]
+        axes.barh(at, sizes, 0.36, color=color, edgecolor=INK, linewidth=0.5, label=label)
     axes.set_yticks(place, [as_label(one["name"]) for one in items])
     axes.set_xlabel("probability [-]")
     legend_below(figure, axes, 2)
@@ -241,16 +201,9 @@ def _soil_curves(document: Document) -> Drawn:
     figure = page(2.6 * len(drawn), WIDTH_IN)
     for axes, (curve, x, y) in zip(figure.subplots(len(drawn), 1, squeeze=False)[:, 0], drawn, strict=True):
         points = [point for point in curve if None not in (point[y], point["low"], point["high"])]
-        at = [point[x] for point in points]
-        axes.fill_between(
-            at,
-            [point["low"] for point in points],
-            [point["high"] for point in points],
-            color="#0072B2",
-            alpha=0.25,
-            linewidth=0,
-        )
-        axes.plot(at, [point[y] for point in points], color="#0072B2")
+        at, middle, low, high = _columns(points, x, y, "low", "high")
+        axes.fill_between(at, low, high, color="#0072B2", alpha=0.25, linewidth=0)
+        axes.plot(at, middle, color="#0072B2")
         axes.set(xlabel=_label(x), ylabel=_label(y))
     alone = "joint" in document.result
     return (

@@ -11,10 +11,8 @@ from lunarsci.spectra.jobs.verdicts import bands_meaning, centres_said, fit_verd
 
 ERRORS = ("sigma", "systematic", "gaussian", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
-ALL = 0.995
-"""Share of a map from which it counts as all of it: 100 % when rounded; assumed."""
-HALF = 0.5
-"""A share of one with a larger error than this is not determined; assumed."""
+UNIFORM = 12**-0.5
+"""Standard deviation of a uniform distribution between 0 and 1: a share with this error is not determined."""
 MOST_LAYERS = 3
 """Layers of a map that a sentence names, centres of bands first."""
 MOST_NAMED = 4
@@ -130,7 +128,7 @@ def _one_fit(one: Result) -> str:
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."
-        if ratio and (ratio.get("sigma") or 0) < HALF
+        if ratio and (ratio.get("sigma") or 0) < UNIFORM
         else ""
     )
     return f"{one.get('id', 'the spectrum')}: {verdict}.{chosen}{strength}"
@@ -246,7 +244,7 @@ def mapped(result: Result) -> ResultAnswer:
 
 
 def _where_determined(share: float | None) -> str:
-    return "" if share is None or share > ALL else f", of the {percent(share)} that have one"
+    return "" if share is None or percent(share) == percent(1.0) else f", of the {percent(share)} that have one"
 
 
 def pixel(result: Result) -> ResultAnswer:

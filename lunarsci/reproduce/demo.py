@@ -48,13 +48,9 @@ if TYPE_CHECKING:
     from lunarsci.images.jobs.dem import StereoTerrain
 
 SOIL = "longji"
-AHEAD_M = (1.0, 0.0)
-"""Place whose height is looked up in the pictures; assumed. [m]"""
-BEHIND_M = 2.0
-"""How far behind the start of the drive the cameras stand: a mast sees no ground nearer than some 1.3 m. Assumed.
-[m]"""
-WIDTH_PX = 400
-"""Of the pictures: fewer than the Navcam's, to be done in seconds. Assumed. [px]"""
+AHEAD_M, BEHIND_M, WIDTH_PX = (1.0, 0.0), 2.0, 400
+"""Place whose height is looked up in the pictures, how far behind the start of the drive the cameras stand, as a mast
+sees no ground nearer than some 1.3 m, and the width of the pictures, to be done in seconds; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +77,10 @@ def _ground_ahead(seed: int) -> SeenGround | None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "terrain.npz").write_bytes(terrain_bytes(synthetic_longji(read_soil(SOIL))))
-        (folder / "told.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(WIDTH_PX)))
+        (folder / "camera.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(WIDTH_PX)))
         pair = render(
             str(folder / "terrain.npz"),
-            rig=str(folder / "told.toml"),
+            rig=str(folder / "camera.toml"),
             x=-BEHIND_M,
             spacing=0.025,
             rocks=0.4,

@@ -274,9 +274,6 @@ PUBLISHED = {
     K_Y: dict(zip(K_Y_MM, ("side-slip-15mm", "side-slip-45mm"), strict=True)),
 }
 COLUMNS = {"slip_ratio": 3, "side_slip_deg": 4}
-SHOWN_SLOPES = (0.0, 12.0)
-LIGHTEST = 0.88
-"""End of the colours of values, which would be too light on paper beyond."""
 
 
 def drive_pages(drives: Drives) -> "Iterator[Figure]":
@@ -317,14 +314,13 @@ def _scale(values: FloatArray) -> Any:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    colors = ListedColormap(colormaps["viridis"](np.linspace(0.0, LIGHTEST, 256)))
+    # Beyond 0.88 colours would be too light on paper.
+    colors = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
     return ScalarMappable(Normalize(float(values.min()), float(values.max())), colors)
 
 
 def _colors(values: FloatArray) -> Any:
-    from matplotlib import colormaps
-
-    return colormaps["viridis"](LIGHTEST * _scale(values).norm(values))
+    return _scale(values).to_rgba(values)
 
 
 def _draw_fan(axes: "Axes", prediction: Prediction, parameter: str, members: Any, contour_m: float) -> None:
@@ -403,7 +399,7 @@ def _rolling(axes: "Axes", drives: Drives) -> None:
     from lunarsci.regolith.soil import read_soil
 
     rolling, soil = Rolling.of(drives.rover), read_soil(SOIL)
-    slopes = np.linspace(*SHOWN_SLOPES, 25)
+    slopes = np.linspace(0.0, 12.0, 25)
     phis = np.array([PHI_DEG[0], TYPICAL_PHI_DEG, PHI_DEG[1]])
     for phi, color, dashes in zip(phis, _colors(phis), ("-", (0, (7, 2)), "-."), strict=True):
         weaker = soil.replace(friction_angle_deg=float(phi))

@@ -1,7 +1,7 @@
 """What a progress bar says of the pace, by a clock of its own."""
 
 import pytest
-from lunarsci.cli.shared.progress import Pace, minutely
+from lunarsci.cli.shared.talk import Pace, minutely
 
 
 def test_the_pace_is_of_this_run_alone() -> None:

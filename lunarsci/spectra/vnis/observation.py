@@ -25,7 +25,6 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io import inputs
-from lunarsci.io.documents import LABEL_BYTES
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.vnis.channel_order import equal_frames, repeated_rows
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
@@ -263,6 +262,8 @@ _APART = timedelta(hours=24)
 """The two scans follow each other within minutes; assumed wide."""
 _SAME_DEG, _SUN_DEG_PER_HOUR = 0.3, 0.6
 """The Sun moves by 360 deg in 29.5 days, 0.51 deg an hour; the rest is assumed for rounding."""
+LABEL_BYTES = 2_000_000
+"""A label is smaller; assumed."""
 _TABLE_BYTES = 1_000_000
 _AWAY_DEG = 0.001
 """30 m on the Moon; assumed."""
