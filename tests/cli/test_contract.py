@@ -19,6 +19,7 @@ import pytest
 from lunarsci.cli.shared.emit import Report, field_of
 from typer import BadParameter
 
+from lunarsci.errors import Failure
 from lunarsci.parallel.checkpoint import KeptBlocks
 from lunarsci.result import Result
 
@@ -478,6 +479,25 @@ class Listed(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         return []
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Doubtful(Listed):
+    @property
+    def untrusted(self) -> str:
+        return "give `rover`"
+
+    @property
+    def failures(self) -> list[Failure]:
+        return [Failure.of("a.csv", "lacks `rover`")]
+
+
+def test_a_report_words_all_its_reasons() -> None:
+    record = {"read_as": ["as of `rover`"]}
+    report = Report(Doubtful(record=record), (), worded=lambda text: text.replace("`rover`", "--rover"))
+    assert report.untrusted == "give --rover"
+    assert [*map(str, report.failures)] == ["a.csv: lacks --rover"]
+    assert report.content == {"read_as": ["as of --rover"]} and record["read_as"] == ["as of `rover`"]
 
 
 def test_names_of_other_things_of_a_list_could_be_here() -> None:
